@@ -1,0 +1,9 @@
+"""Errors that a user can act on: each names what, where and the remedy in one line."""
+
+
+class ColmapEdgesError(Exception):
+    """Bad input, options or environment; its message is one clear line for the user."""
+
+
+class OptionError(ColmapEdgesError, ValueError):
+    """An option's value is outside its range."""

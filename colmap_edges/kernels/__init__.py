@@ -1,0 +1,1 @@
+"""Hot loops in C++ (nanobind); each is tested against a numpy reference."""

@@ -1,0 +1,72 @@
+"""Every option of every stage, with its default, meaning, unit and range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from colmap_edges.errors import OptionError
+
+
+def option(
+    default: Any,
+    help: str,
+    *,
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """Declare one option: its default, one line of help with the unit, and its range."""
+    limits = {"ge": ge, "gt": gt, "le": le}
+    return field(default=default, metadata={"help": help, "limits": limits, "choices": choices})
+
+
+class Options:
+    """Base of the option groups: checks every field against its declared range."""
+
+    def __post_init__(self) -> None:
+        """Raise `OptionError` for the first value outside its range."""
+        for entry in fields(self):  # type: ignore[arg-type]
+            name = f"{type(self).__name__.removesuffix('Options')}.{entry.name}"
+            check_range(name, getattr(self, entry.name), entry.metadata)
+
+
+def check_range(name: str, value: Any, metadata: Any) -> None:
+    """Raise `OptionError` when `value` is outside the limits or choices in `metadata`."""
+    choices = metadata.get("choices")
+    if choices and value not in choices:
+        raise OptionError(f"{name} is {value!r}; choose one of: {', '.join(choices)}")
+    limits = metadata.get("limits", {})
+    for sign, bound, holds in (
+        (">=", limits.get("ge"), lambda v, b: v >= b),
+        (">", limits.get("gt"), lambda v, b: v > b),
+        ("<=", limits.get("le"), lambda v, b: v <= b),
+    ):
+        if bound is not None and not holds(value, bound):
+            raise OptionError(f"{name} is {value}; it must be {sign} {bound}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectionOptions(Options):
+    """Image -> pixel chains (EdgeDrawing)."""
+
+    min_chain_length_px: int = option(12, "Shortest chain kept, in pixels", ge=2)
+    sigma_px: float = option(
+        1.0, "Gaussian blur before gradients of the sub-pixel step, in pixels", gt=0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeGraphOptions(Options):
+    """Chains -> 2D edge graph (paper: 2D Edge-Graphs)."""
+
+    max_smoothing_distance_px: float = option(
+        1.0, "Largest distance between a chain and its smoothed polyline, in pixels", gt=0
+    )
+    max_regular_angle_deg: float = option(
+        20.0, "Largest turn within a regular length (alpha_R), in degrees", gt=0, le=180
+    )
+    top_regular_length_ratio: float = option(
+        0.1, "Share of polylines, longest first, that sets the regular-length threshold", gt=0, le=1
+    )
