@@ -1,0 +1,43 @@
+"""3D edges: what tracing makes, refinement moves, and model and exports write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edges3D:
+    """3D edges as polylines of edge points, each point with its track, all in CSR arrays.
+
+    Attributes:
+        points: (N, 3) float64 edge points, world units; those of one edge are contiguous.
+        edge_offsets: (E + 1,) int64; edge e is points[edge_offsets[e]:edge_offsets[e + 1]].
+        closed: (E,) bool; the last point of a closed edge connects to its first.
+        track_offsets: (N + 1,) int64; observations of point i are track_offsets[i]:[i + 1].
+        track_views: (T,) int32 indices into the model's views; a view at most once a point.
+        track_points2D: (T, 2) float64 observed edge points, image pixels, COLMAP's origin.
+        sigmas: (N,) float64 standard deviation of a point, world units; NaN where unknown.
+        end_nodes: (E, 2) int32; edges with the same node id at an end meet there; -1 is none.
+    """
+
+    points: NDArray[np.float64]
+    edge_offsets: NDArray[np.int64]
+    closed: NDArray[np.bool_]
+    track_offsets: NDArray[np.int64]
+    track_views: NDArray[np.int32]
+    track_points2D: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+    end_nodes: NDArray[np.int32]
+
+    @property
+    def num_edges(self) -> int:
+        """Number of 3D edges."""
+        return len(self.closed)
+
+    @property
+    def num_points(self) -> int:
+        """Number of edge points over all edges."""
+        return len(self.points)

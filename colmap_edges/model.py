@@ -1,0 +1,176 @@
+"""COLMAP models in and out, as arrays; the only module that imports pycolmap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from colmap_edges.errors import ColmapEdgesError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One posed image: COLMAP's image, its camera and its pose.
+
+    Pixels of a view come in two kinds: those of the image as it is (`points2D`, distorted,
+    COLMAP's origin) and *ideal* ones: what a pinhole camera of focal length `focal_px` with the
+    principal point at (0, 0) would see. Geometry works in ideal pixels.
+    """
+
+    image_id: int
+    name: str
+    width: int
+    height: int
+    camera: Any  # pycolmap.Camera
+    rotation: FloatArray  # (3, 3) of cam_from_world
+    translation: FloatArray  # (3,) of cam_from_world
+
+    @cached_property
+    def focal_px(self) -> float:
+        """Mean focal length in pixels."""
+        return float(self.camera.mean_focal_length())
+
+    @cached_property
+    def center(self) -> FloatArray:
+        """(3,) projection centre in world coordinates."""
+        center: FloatArray = -self.rotation.T @ self.translation
+        return center
+
+    def ideal_from_image(self, points2D: FloatArray) -> FloatArray:
+        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot."""
+        lifted = np.asarray(self.camera.cam_from_img(np.ascontiguousarray(points2D, np.float64)))
+        return lifted.reshape(-1, 2) * self.focal_px
+
+    def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
+        """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
+        rays = np.column_stack([np.asarray(ideal) / self.focal_px, np.ones(len(ideal))])
+        return np.asarray(self.camera.img_from_cam(rays, check_cheirality=False)).reshape(-1, 2)
+
+    def cam_from_world(self, points: FloatArray) -> FloatArray:
+        """(N, 3) world points in camera coordinates; z is the depth."""
+        return points @ self.rotation.T + self.translation
+
+    def project_ideal(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) ideal pixels and (N,) depths of (N, 3) world points; NaN pixels behind."""
+        local = self.cam_from_world(points)
+        depths = local[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ideal = self.focal_px * local[:, :2] / np.where(depths > 0, depths, np.nan)[:, None]
+        return ideal, depths
+
+    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) image pixels (COLMAP's origin) and (N,) depths of (N, 3) world points."""
+        ideal, depths = self.project_ideal(points)
+        return self.image_from_ideal(ideal), depths
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A sparse model as arrays: posed views sorted by name, points, and tracks as CSR.
+
+    Attributes:
+        views: posed views, sorted by name.
+        points3D_xyz: (N, 3) float64, world units.
+        point3D_ids: (N,) int64, COLMAP's ids, ascending.
+        points3D_rgb: (N, 3) uint8.
+        track_offsets: (N + 1,) int64; observations of point i are track_offsets[i]:[i + 1].
+        track_views: (T,) int32 indices into `views`.
+        track_points2D: (T, 2) float64 observed image pixels, COLMAP's origin.
+        unposed_names: images of the model that have no pose.
+        reconstruction: the pycolmap.Reconstruction it was made from; never written to.
+    """
+
+    views: tuple[View, ...]
+    points3D_xyz: FloatArray
+    point3D_ids: IntArray
+    points3D_rgb: NDArray[np.uint8]
+    track_offsets: IntArray
+    track_views: NDArray[np.int32]
+    track_points2D: FloatArray
+    unposed_names: tuple[str, ...]
+    reconstruction: Any
+
+    @cached_property
+    def camera_centers(self) -> FloatArray:
+        """(V, 3) projection centres of the views."""
+        return np.array([view.center for view in self.views]).reshape(-1, 3)
+
+
+def load_model(path: Path | str) -> Model:
+    """Read a COLMAP model folder (bin or txt, any version pycolmap reads).
+
+    Raises:
+        ColmapEdgesError: when the folder holds no readable model.
+    """
+    path = Path(path)
+    try:
+        reconstruction = pycolmap.Reconstruction(str(path))
+    except (ValueError, IndexError, RuntimeError, OSError) as error:
+        raise ColmapEdgesError(
+            f"no readable COLMAP model in {path} ({error}); "
+            "give the folder that holds cameras, images and points3D (.bin or .txt)"
+        ) from error
+    return model_from_reconstruction(reconstruction)
+
+
+def model_from_reconstruction(reconstruction: Any) -> Model:
+    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed."""
+    images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    posed = [image for image in images if image.has_pose]
+    views = tuple(view_from_image(image) for image in posed)
+    points = sorted(reconstruction.points3D.items())
+    ids = np.array([point3D_id for point3D_id, _ in points], np.int64)
+    offsets, track_views, track_points2D = tracks_by_point(posed, ids)
+    return Model(
+        views=views,
+        points3D_xyz=np.array([p.xyz for _, p in points], np.float64).reshape(-1, 3),
+        point3D_ids=ids,
+        points3D_rgb=np.array([p.color for _, p in points], np.uint8).reshape(-1, 3),
+        track_offsets=offsets,
+        track_views=track_views,
+        track_points2D=track_points2D,
+        unposed_names=tuple(image.name for image in images if not image.has_pose),
+        reconstruction=reconstruction,
+    )
+
+
+def view_from_image(image: Any) -> View:
+    """Make a `View` of a posed pycolmap image."""
+    matrix = image.cam_from_world().matrix()
+    return View(
+        image_id=image.image_id,
+        name=image.name,
+        width=image.camera.width,
+        height=image.camera.height,
+        camera=image.camera,
+        rotation=np.array(matrix[:, :3]),
+        translation=np.array(matrix[:, 3]),
+    )
+
+
+def tracks_by_point(
+    images: list[Any], point3D_ids: IntArray
+) -> tuple[IntArray, NDArray[np.int32], FloatArray]:
+    """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2)."""
+    points, views, pixels = [], [], []
+    for index, image in enumerate(images):
+        observed = [(p.point3D_id, p.xy) for p in image.points2D if p.has_point3D()]
+        points.append(np.array([o[0] for o in observed], np.int64))
+        views.append(np.full(len(observed), index, np.int32))
+        pixels.append(np.array([o[1] for o in observed], np.float64).reshape(-1, 2))
+    if not images:
+        return np.zeros(len(point3D_ids) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
+    rows = np.searchsorted(point3D_ids, np.concatenate(points))
+    order = np.argsort(rows, kind="stable")
+    offsets = np.zeros(len(point3D_ids) + 1, np.int64)
+    np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])
+    return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
