@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -38,11 +39,12 @@ def check_range(name: str, value: Any, metadata: Any) -> None:
     if choices and value not in choices:
         raise OptionError(f"{name} is {value!r}; choose one of: {', '.join(choices)}")
     limits = metadata.get("limits", {})
-    for sign, bound, holds in (
-        (">=", limits.get("ge"), lambda v, b: v >= b),
-        (">", limits.get("gt"), lambda v, b: v > b),
-        ("<=", limits.get("le"), lambda v, b: v <= b),
+    for key, sign, holds in (
+        ("ge", ">=", operator.ge),
+        ("gt", ">", operator.gt),
+        ("le", "<=", operator.le),
     ):
+        bound = limits.get(key)
         if bound is not None and not holds(value, bound):
             raise OptionError(f"{name} is {value}; it must be {sign} {bound}")
 
