@@ -6,6 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from colmap_edges.detection import Chains
+from colmap_edges.kernels import _kernels
+from colmap_edges.model import View
+from colmap_edges.options import EdgeGraphOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NODE_RADIUS_PX = 2.0  # ends this near to another edge pixel (8-neighbours, sub-pixel) touch it
+DIRECTION_STEP = 5  # points between which the direction of a chain at its end is measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +35,7 @@ class EdgeGraph:
         closed: (P,) bool; the last point of a closed polyline connects to its first.
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
             meet there; a closed polyline has its one node twice.
+        node_polylines: (K,) int32 polyline that passes through a node (T junction), -1 if none.
         smoothed: (S,) int64 indices into `points` that Douglas-Peucker keeps.
         smoothed_offsets: (P + 1,) int64 CSR of `smoothed` by polyline.
     """
@@ -31,6 +46,7 @@ class EdgeGraph:
     polyline_offsets: NDArray[np.int64]
     closed: NDArray[np.bool_]
     end_nodes: NDArray[np.int32]
+    node_polylines: NDArray[np.int32]
     smoothed: NDArray[np.int64]
     smoothed_offsets: NDArray[np.int64]
 
@@ -38,3 +54,286 @@ class EdgeGraph:
     def num_polylines(self) -> int:
         """Number of polylines."""
         return len(self.closed)
+
+    @property
+    def polyline_ids(self) -> IntArray:
+        """(N,) polyline of each point."""
+        return np.repeat(np.arange(self.num_polylines), np.diff(self.polyline_offsets))
+
+
+def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> EdgeGraph:
+    """Make the 2D edge graph of a view from its chains.
+
+    Args:
+        chains: sub-pixel chains of the view's image.
+        view: gives the undistortion; points it cannot undistort are left out with their chain.
+        options: joining, smoothing and filter.
+
+    Returns:
+        The edge graph, filtered by regular length when the options say so.
+    """
+    usable: NDArray[np.bool_] = np.isfinite(view.ideal_from_image(chains.points)).all(axis=1)
+    chains = drop_chains(chains, usable)
+    joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
+    graph = assemble(joined, closed, view, options)
+    if options.filter_regular_length:
+        graph = keep_polylines(graph, regular_polylines(graph, options))
+    return graph
+
+
+def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
+    """Leave out every chain with a point that is not usable."""
+    if usable.all():
+        return chains
+    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
+    keep = ~bad[ids]
+    lengths = np.diff(chains.offsets)[~bad]
+    return Chains(
+        points=chains.points[keep], normals=chains.normals[keep], offsets=offsets_of(lengths)
+    )
+
+
+def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
+    """(n + 1,) CSR offsets of n lengths."""
+    offsets = np.zeros(len(lengths) + 1, np.int64)
+    np.cumsum(lengths, out=offsets[1:])
+    return offsets
+
+
+def join_chains(
+    chains: Chains, max_gap_px: float, max_angle_deg: float
+) -> tuple[Chains, NDArray[np.bool_]]:
+    """Join chains whose ends face each other across a small gap and agree in direction.
+
+    A contour comes as several chains, broken at corners, junctions and where contrast fades.
+    Ends are matched best first; a chain matched with itself is closed.
+
+    Returns:
+        The joined chains and (C,) whether each is closed.
+    """
+    partner = match_ends(chains, max_gap_px, max_angle_deg)
+    pieces, lengths, closed = [], [], []
+    for path, is_closed in walk_joined(partner):
+        for end in path:
+            a, b = chains.offsets[end // 2], chains.offsets[end // 2 + 1]
+            pieces.append(np.arange(a, b) if end % 2 == 0 else np.arange(b - 1, a - 1, -1))
+        lengths.append(sum(len(piece) for piece in pieces[len(pieces) - len(path) :]))
+        closed.append(is_closed)
+    order = np.concatenate(pieces) if pieces else np.zeros(0, np.int64)
+    joined = Chains(
+        points=chains.points[order],
+        normals=chains.normals[order],
+        offsets=offsets_of(np.array(lengths, np.int64)),
+    )
+    return joined, np.array(closed, bool)
+
+
+def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
+    """(2C,) partner of each chain end or -1; end 2c is the first point of chain c, 2c + 1 its last.
+
+    Two ends may join when the gap is small, the direction goes on across it, and the bright side
+    stays on the same side.
+    """
+    count = len(chains.offsets) - 1
+    partner = np.full(2 * count, -1, np.int64)
+    if count == 0:
+        return partner
+    positions, outward, side = chain_ends(chains)
+    pairs = cKDTree(positions).query_pairs(max_gap_px, output_type="ndarray")
+    a, b = pairs[:, 0], pairs[:, 1]
+    gap = positions[b] - positions[a]
+    distance = np.linalg.norm(gap, axis=1)
+    turn = -np.einsum("ij,ij->i", outward[a], outward[b])
+    along = (np.einsum("ij,ij->i", outward[a], gap) - np.einsum("ij,ij->i", outward[b], gap)) / 2
+    cos_limit = np.cos(np.radians(max_angle_deg))
+    touching = distance < NODE_RADIUS_PX
+    straight = touching | (along >= cos_limit * distance)
+    allowed = (turn >= cos_limit) & straight & (side[a] == -side[b])
+    cost = distance + (1 - turn) * max_gap_px
+    for index in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
+        if partner[a[index]] < 0 and partner[b[index]] < 0:
+            partner[a[index]], partner[b[index]] = b[index], a[index]
+    return partner
+
+
+def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Of the 2C chain ends: positions (2C, 2), unit directions outward (2C, 2), bright sides (2C,).
+
+    The bright side is +1 when the normal is to the left of the outward direction, else -1.
+    """
+    first, last = chains.offsets[:-1], chains.offsets[1:] - 1
+    tips = np.column_stack([first, last]).ravel()
+    inner = np.column_stack(
+        [np.minimum(first + DIRECTION_STEP, last), np.maximum(last - DIRECTION_STEP, first)]
+    ).ravel()
+    outward = chains.points[tips] - chains.points[inner]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-12
+    normals = chains.normals[inner]
+    cross = outward[:, 0] * normals[:, 1] - outward[:, 1] * normals[:, 0]
+    return chains.points[tips], outward, np.where(cross >= 0, 1, -1)
+
+
+def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
+    """Paths of joined chains: lists of the end at which each chain is entered, and closedness."""
+    count = len(partner) // 2
+    seen = np.zeros(count, bool)
+    ends = partner.tolist()
+    paths = []
+    free = [end for end in range(2 * count) if ends[end] < 0]
+    for start in free + list(range(0, 2 * count, 2)):
+        if seen[start // 2]:
+            continue
+        path, end = [], start
+        while end >= 0 and not seen[end // 2]:
+            seen[end // 2] = True
+            path.append(end)
+            end = ends[end ^ 1]
+        paths.append((path, end == start))
+    return paths
+
+
+def assemble(
+    chains: Chains, closed: NDArray[np.bool_], view: View, options: EdgeGraphOptions
+) -> EdgeGraph:
+    """Undistort and smooth joined chains and find their nodes."""
+    ideal = view.ideal_from_image(chains.points)
+    across = view.ideal_from_image(chains.points + 0.5 * chains.normals) - ideal
+    end_nodes, node_polylines = find_nodes(chains, closed, view.width, view.height)
+    smoothed, smoothed_offsets = _kernels.douglas_peucker(
+        chains.points, chains.offsets, options.max_smoothing_distance_px
+    )
+    return EdgeGraph(
+        points=chains.points,
+        ideal=ideal,
+        normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
+        polyline_offsets=chains.offsets,
+        closed=closed,
+        end_nodes=end_nodes,
+        node_polylines=node_polylines,
+        smoothed=smoothed,
+        smoothed_offsets=smoothed_offsets,
+    )
+
+
+def find_nodes(
+    chains: Chains, closed: NDArray[np.bool_], width: int, height: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Nodes of the polyline ends: ends that touch share one.
+
+    An end that touches the inside of another polyline makes a T junction.
+
+    Returns:
+        (P, 2) int32 nodes of the ends, (K,) int32 polyline through each node or -1.
+    """
+    count = len(closed)
+    if count == 0:
+        return np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
+    positions, _, _ = chain_ends(chains)
+    pairs = cKDTree(positions).query_pairs(NODE_RADIUS_PX, output_type="ndarray")
+    own = 2 * np.flatnonzero(closed)
+    rows, columns = np.concatenate([pairs[:, 0], own]), np.concatenate([pairs[:, 1], own + 1])
+    links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
+    num_nodes, nodes = connected_components(links, directed=False)
+    through = np.full(num_nodes, -1, np.int32)
+    touched = touched_polylines(chains, positions, width, height)
+    np.maximum.at(through, nodes, touched)
+    return nodes.reshape(-1, 2).astype(np.int32), through
+
+
+def touched_polylines(
+    chains: Chains, positions: FloatArray, width: int, height: int
+) -> NDArray[np.int32]:
+    """(2C,) polyline whose inside the end touches (3x3 pixels), other than its own, or -1."""
+    labels = np.full((height + 2, width + 2), -1, np.int32)
+    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    inner = np.ones(len(ids), bool)
+    inner[chains.offsets[:-1]] = inner[chains.offsets[1:] - 1] = False
+    pixels = np.floor(chains.points[inner]).astype(int)
+    labels[np.clip(pixels[:, 1] + 1, 0, height + 1), np.clip(pixels[:, 0] + 1, 0, width + 1)] = ids[
+        inner
+    ]
+    x = np.clip(np.floor(positions[:, 0]).astype(int) + 1, 1, width)
+    y = np.clip(np.floor(positions[:, 1]).astype(int) + 1, 1, height)
+    own = np.arange(len(positions)) // 2
+    touched = np.full(len(positions), -1, np.int32)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            found = labels[y + dy, x + dx]
+            touched = np.where((found != own) & (found > touched), found, touched)
+    return touched
+
+
+def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
+    """(P,) regular length of each smoothed polyline in pixels.
+
+    The length of the longest run of connected segments whose consecutive angles are not greater
+    than `max_angle_deg` (paper: definition of regular length).
+    """
+    vertices = graph.points[graph.smoothed]
+    ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    within = ids[1:] == ids[:-1]
+    segments = np.diff(vertices, axis=0)[within]
+    polyline = ids[1:][within]
+    result = np.zeros(graph.num_polylines)
+    if len(segments) == 0:
+        return result
+    lengths = np.linalg.norm(segments, axis=1)
+    directions = segments / (lengths[:, None] + 1e-12)
+    cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
+    breaks = (cosines < np.cos(np.radians(max_angle_deg))) | (polyline[1:] != polyline[:-1])
+    run = np.concatenate([[0], np.cumsum(breaks)])
+    run_lengths = np.bincount(run, weights=lengths)
+    run_polylines = polyline[np.concatenate([[0], np.flatnonzero(breaks) + 1])]
+    np.maximum.at(result, run_polylines, run_lengths)
+    return result
+
+
+def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> NDArray[np.bool_]:
+    """(P,) whether a polyline's component holds one of at least the threshold's regular length.
+
+    The threshold is the shortest regular length among the top share of polylines (paper: l_R*).
+    """
+    if graph.num_polylines == 0:
+        return np.zeros(0, bool)
+    lengths = regular_lengths(graph, options.max_regular_angle_deg)
+    top = max(1, int(np.ceil(options.top_regular_length_ratio * len(lengths))))
+    threshold = np.sort(lengths)[-top]
+    component = component_labels(graph)
+    longest = np.zeros(component.max() + 1)
+    np.maximum.at(longest, component, lengths)
+    kept: NDArray[np.bool_] = longest[component] >= threshold
+    return kept
+
+
+def component_labels(graph: EdgeGraph) -> IntArray:
+    """(P,) connected component of each polyline, through shared nodes and T junctions."""
+    count, num_nodes = graph.num_polylines, len(graph.node_polylines)
+    through = np.flatnonzero(graph.node_polylines >= 0)
+    polylines = np.concatenate([np.repeat(np.arange(count), 2), graph.node_polylines[through]])
+    nodes = np.concatenate([graph.end_nodes.ravel(), through]) + count
+    size = count + num_nodes
+    links = coo_array((np.ones(len(nodes)), (polylines, nodes)), shape=(size, size))
+    labels: IntArray = connected_components(links, directed=False)[1][:count].astype(np.int64)
+    return labels
+
+
+def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
+    """The graph with only the polylines where `keep` (P,) is true; node ids stay."""
+    ids = graph.polyline_ids
+    points = keep[ids]
+    moved = np.cumsum(points) - 1
+    smoothed_ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    renumbered = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
+    through = graph.node_polylines
+    return EdgeGraph(
+        points=graph.points[points],
+        ideal=graph.ideal[points],
+        normals=graph.normals[points],
+        polyline_offsets=offsets_of(np.diff(graph.polyline_offsets)[keep]),
+        closed=graph.closed[keep],
+        end_nodes=graph.end_nodes[keep],
+        node_polylines=np.where(through >= 0, renumbered[through], -1).astype(np.int32),
+        smoothed=moved[graph.smoothed[keep[smoothed_ids]]],
+        smoothed_offsets=offsets_of(np.diff(graph.smoothed_offsets)[keep]),
+    )

@@ -72,3 +72,10 @@ class EdgeGraphOptions(Options):
     top_regular_length_ratio: float = option(
         0.1, "Share of polylines, longest first, that sets the regular-length threshold", gt=0, le=1
     )
+    filter_regular_length: bool = option(
+        False, "Drop components without a polyline of the threshold's regular length"
+    )
+    max_gap_px: float = option(4.0, "Largest gap across which chains are joined, in pixels", ge=0)
+    max_join_angle_deg: float = option(
+        30.0, "Largest turn where two chains are joined, in degrees", ge=0, le=90
+    )

@@ -1,0 +1,70 @@
+"""Image -> sub-pixel edge chains; the only module that uses OpenCV's detectors.
+
+Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
+moved to the maximum of the gradient along its normal, where the accuracy of all that follows
+starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.kernels import _kernels
+from colmap_edges.options import DetectionOptions
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chains:
+    """Edge chains of one image: 8-connected pixel sequences at sub-pixel positions.
+
+    Attributes:
+        points: (N, 2) float64 image pixels, COLMAP's origin; one chain's are contiguous.
+        normals: (N, 2) float64 unit gradient directions, dark to bright.
+        offsets: (C + 1,) int64; chain c is points[offsets[c]:offsets[c + 1]].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    offsets: NDArray[np.int64]
+
+
+def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains:
+    """Detect the edge chains of a grayscale image.
+
+    Args:
+        image: (H, W) uint8 grayscale.
+        options: shortest chain and blur.
+
+    Returns:
+        Chains at sub-pixel positions, in the detector's order.
+    """
+    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
+    blurred = cv2.GaussianBlur(image, (0, 0), options.sigma_px).astype(np.float32)
+    gradient_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)
+    gradient_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)
+    points, normals = _kernels.refine_subpixel(gradient_x, gradient_y, pixels)
+    return Chains(points=points + 0.5, normals=normals, offsets=offsets)
+
+
+def detect_pixel_chains(
+    image: NDArray[np.uint8], min_length_px: int
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(N, 2) pixels (OpenCV's origin) of EdgeDrawing's chains and their (C + 1,) offsets."""
+    detector = cv2.ximgproc.createEdgeDrawing()
+    parameters = cv2.ximgproc.EdgeDrawing.Params()
+    parameters.PFmode = True
+    parameters.MinPathLength = min_length_px
+    detector.setParams(parameters)
+    detector.detectEdges(image)
+    segments = [np.asarray(s).reshape(-1, 2) for s in detector.getSegments()]
+    chains = [s for s in segments if len(s) >= min_length_px]
+    offsets = np.zeros(len(chains) + 1, np.int64)
+    np.cumsum([len(c) for c in chains], out=offsets[1:])
+    pixels = np.concatenate(chains) if chains else np.zeros((0, 2))
+    return pixels.astype(np.float64), offsets
