@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.kernels import _kernels
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
 FloatArray = NDArray[np.float64]

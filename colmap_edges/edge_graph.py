@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.detection import Chains
-from colmap_edges.kernels import _kernels
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import EdgeGraphOptions
 
@@ -72,8 +72,8 @@ def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> E
     Returns:
         The edge graph, filtered by regular length when the options say so.
     """
-    usable: NDArray[np.bool_] = np.isfinite(view.ideal_from_image(chains.points)).all(axis=1)
-    chains = drop_chains(chains, usable)
+    finite = np.isfinite(view.ideal_from_image(chains.points))
+    chains = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
     graph = assemble(joined, closed, view, options)
     if options.filter_regular_length:
@@ -132,8 +132,8 @@ def join_chains(
 def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
     """(2C,) partner of each chain end or -1; end 2c is the first point of chain c, 2c + 1 its last.
 
-    Two ends may join when the gap is small, the direction goes on across it, and the bright side
-    stays on the same side.
+    Two ends may join when they touch, or when the direction goes on across a small gap; the
+    bright side must stay on the same side.
     """
     count = len(chains.offsets) - 1
     partner = np.full(2 * count, -1, np.int64)
@@ -147,9 +147,9 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     turn = -np.einsum("ij,ij->i", outward[a], outward[b])
     along = (np.einsum("ij,ij->i", outward[a], gap) - np.einsum("ij,ij->i", outward[b], gap)) / 2
     cos_limit = np.cos(np.radians(max_angle_deg))
-    touching = distance < NODE_RADIUS_PX
-    straight = touching | (along >= cos_limit * distance)
-    allowed = (turn >= cos_limit) & straight & (side[a] == -side[b])
+    touching = distance < NODE_RADIUS_PX  # a corner of the contour: turns as it likes
+    straight = (turn >= cos_limit) & (along >= cos_limit * distance)
+    allowed = (touching | straight) & (side[a] == -side[b])
     cost = distance + (1 - turn) * max_gap_px
     for index in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
         if partner[a[index]] < 0 and partner[b[index]] < 0:
