@@ -79,3 +79,39 @@ class EdgeGraphOptions(Options):
     max_join_angle_deg: float = option(
         30.0, "Largest turn where two chains are joined, in degrees", ge=0, le=90
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSelectionOptions(Options):
+    """Which views are compared with which."""
+
+    num_neighbors: int = option(10, "Number of views each view is compared with", ge=2)
+    good_angle_deg: float = option(
+        5.0, "Triangulation angle from which views are compared without loss, in degrees", gt=0
+    )
+    max_angle_deg: float = option(
+        60.0, "Largest triangulation angle between compared views, in degrees", gt=0, le=180
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainDepthOptions(Options):
+    """Depths along chains from the agreement of many views."""
+
+    sample_step_px: int = option(4, "Distance between samples along a chain, in pixels", ge=1)
+    max_disagreement_px: float = option(
+        1.5, "Largest distance between agreeing crossings along the epipolar line, in pixels", gt=0
+    )
+    min_epipolar_angle_deg: float = option(
+        5.0, "Smallest angle between an edge and the epipolar line, in degrees", ge=0, le=90
+    )
+    detection_rate: float = option(
+        0.6, "Chance that an edge seen in one view is detected in another", gt=0, le=0.95
+    )
+    none_score: float = option(
+        4.0, "Log likelihood ratio that the agreement of views must exceed to count"
+    )
+    break_penalty: float = option(
+        4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
+    )
+    max_clusters: int = option(6, "Depths of a sample between which the chain decides", ge=1)

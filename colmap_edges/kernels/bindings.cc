@@ -1,7 +1,11 @@
 // Python face of the kernels: converts arrays, releases the GIL, calls the core, converts back.
+#include <nanobind/stl/vector.h>
+
 #include <stdexcept>
 
 #include "arrays.h"
+#include "chain_depths.h"
+#include "edge_view.h"
 #include "polyline.h"
 #include "subpixel.h"
 
@@ -43,9 +47,10 @@ nb::tuple DouglasPeuckerArrays(Points2D points, Offsets offsets, double distance
   std::vector<int64_t> kept, kept_offsets = {0};
   {
     nb::gil_scoped_release release;
+    const auto point = [&](int64_t i) { return points.data() + 2 * i; };
     for (size_t p = 0; p + 1 < offsets.size(); ++p) {
       if (offsets(p) < offsets(p + 1)) {
-        DouglasPeucker(points.data(), offsets(p), offsets(p + 1) - 1, distance, &kept);
+        DouglasPeucker(point, offsets(p), offsets(p + 1) - 1, distance, &kept);
       }
       kept_offsets.push_back(int64_t(kept.size()));
     }
@@ -53,6 +58,57 @@ nb::tuple DouglasPeuckerArrays(Points2D points, Offsets offsets, double distance
   const size_t num_kept = kept.size(), num_offsets = kept_offsets.size();
   return nb::make_tuple(ToArray(std::move(kept), {num_kept}),
                         ToArray(std::move(kept_offsets), {num_offsets}));
+}
+
+std::vector<Vec2> ToVec2(const Points2D& points) {
+  std::vector<Vec2> result(points.shape(0));
+  for (size_t i = 0; i < result.size(); ++i) result[i] = {points(i, 0), points(i, 1)};
+  return result;
+}
+
+std::vector<int64_t> ToVector(const Offsets& values) {
+  return {values.data(), values.data() + values.size()};
+}
+
+void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals, Offsets offsets,
+                  InArray<bool, nb::ndim<1>> closed, InArray<double, nb::shape<3, 3>> rotation,
+                  InArray<double, nb::shape<3>> translation, double focal) {
+  Mat3 r;
+  Vec3 t;
+  std::copy_n(rotation.data(), 9, r.begin());
+  std::copy_n(translation.data(), 3, t.begin());
+  new (self) EdgeView(ToVec2(points), ToVec2(normals), ToVector(offsets),
+                      {closed.data(), closed.data() + closed.size()}, r, t, focal);
+}
+
+nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const EdgeView*>& neighbors,
+                            Offsets samples, Offsets sample_offsets, double steps,
+                            double min_inverse_depth, double max_inverse_depth,
+                            double max_disagreement_px, double min_angle_sin, double detection_rate,
+                            double none_score, double break_penalty, int max_clusters,
+                            int num_threads) {
+  CheckOffsets(sample_offsets, samples.size());
+  for (size_t i = 0; i < samples.size(); ++i) {
+    if (samples(i) < 0 || samples(i) >= source.num_points()) {
+      throw std::invalid_argument("a sample is not a point of the source");
+    }
+  }
+  const std::vector<int64_t> starts = ToVector(samples), offsets = ToVector(sample_offsets);
+  ChainDepths result;
+  {
+    nb::gil_scoped_release release;
+    result =
+        ComputeChainDepths(source, neighbors, starts, offsets, steps,
+                           {min_inverse_depth, max_inverse_depth, max_disagreement_px,
+                            min_angle_sin, detection_rate, none_score, break_penalty, max_clusters},
+                           num_threads);
+  }
+  const size_t count = starts.size(), total = result.positions.size();
+  return nb::make_tuple(
+      ToArray(std::move(result.inverse_depths), {count}),
+      ToArray(std::move(result.sigmas), {count}), ToArray(std::move(result.scores), {count}),
+      ToArray(std::move(result.support_offsets), {count + 1}),
+      ToArray(std::move(result.neighbors), {total}), ToArray(std::move(result.positions), {total}));
 }
 
 }  // namespace
@@ -68,4 +124,12 @@ NB_MODULE(_kernels, m) {
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,
         "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
+  nb::class_<colmap_edges::EdgeView>(m, "EdgeView", "A view's edge graph with its pose and a grid.")
+      .def("__init__", &colmap_edges::MakeEdgeView, "points"_a, "normals"_a, "offsets"_a,
+           "closed"_a, "rotation"_a, "translation"_a, "focal"_a);
+  m.def("chain_depths", &colmap_edges::ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
+        "sample_offsets"_a, "steps"_a, "min_inverse_depth"_a, "max_inverse_depth"_a,
+        "max_disagreement_px"_a, "min_angle_sin"_a, "detection_rate"_a, "none_score"_a,
+        "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
+        "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
 }

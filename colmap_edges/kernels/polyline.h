@@ -19,9 +19,11 @@ inline double SquaredDistanceToSegment(const double* p, const double* a, const d
 }
 
 // Indices in [first, last] that Douglas-Peucker keeps so that no point is farther than `distance`
-// from the kept polyline; both ends are kept. Appended to `kept` in ascending order.
-inline void DouglasPeucker(const double* points, int64_t first, int64_t last, double distance,
-                           std::vector<int64_t>* kept) {
+// from the kept polyline; both ends are kept. Appended to `kept` in ascending order. `point(i)` is
+// a pointer to the two coordinates of point i.
+template <typename Point>
+void DouglasPeucker(const Point& point, int64_t first, int64_t last, double distance,
+                    std::vector<int64_t>* kept) {
   kept->push_back(first);
   if (last <= first) return;
   std::vector<std::pair<int64_t, int64_t>> stack = {{first, last}};
@@ -31,7 +33,7 @@ inline void DouglasPeucker(const double* points, int64_t first, int64_t last, do
     double worst = distance * distance;
     int64_t split = -1;
     for (int64_t i = a + 1; i < b; ++i) {
-      const double d = SquaredDistanceToSegment(points + 2 * i, points + 2 * a, points + 2 * b);
+      const double d = SquaredDistanceToSegment(point(i), point(a), point(b));
       if (d > worst) worst = d, split = i;
     }
     if (split < 0) {

@@ -1,0 +1,126 @@
+"""Depths along the chains of each view, from the agreement of many views.
+
+Every crossing of a sample's epipolar line with a chain of any neighbour is a hypothesis of its
+depth (a PEPC of the paper, with all views and without a limit near an SfM point); hypotheses that
+agree form clusters, and dynamic programming along the chain chooses among them (in place of the
+paper's three-view selection).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.model import View
+from colmap_edges.options import ChainDepthOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainDepths:
+    """Samples along the chains of one view with their depths and the views that agree.
+
+    Attributes:
+        samples: (S,) int64 indices into the graph's points.
+        sample_offsets: (P + 1,) int64 CSR of the samples by polyline.
+        inverse_depths: (S,) float64 1 / depth; 0 where no depth was found.
+        sigmas: (S,) float64 change of inverse depth for 1 px.
+        scores: (S,) float64 log likelihood ratio against chance.
+        support_offsets: (S + 1,) int64 CSR of the agreeing crossings by sample.
+        support_views: (T,) int32 views of the crossings, indices into the model's views.
+        support_positions: (T,) float64 fractional indices into those views' graph points.
+    """
+
+    samples: IntArray
+    sample_offsets: IntArray
+    inverse_depths: FloatArray
+    sigmas: FloatArray
+    scores: FloatArray
+    support_offsets: IntArray
+    support_views: NDArray[np.int32]
+    support_positions: FloatArray
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(S,) whether a sample has a depth."""
+        return np.diff(self.support_offsets) > 0
+
+
+def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
+    """The kernels' form of a view's edge graph."""
+    return _kernels.EdgeView(
+        graph.ideal,
+        graph.normals,
+        graph.polyline_offsets,
+        graph.closed,
+        view.rotation,
+        view.translation,
+        view.focal_px,
+    )
+
+
+def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
+    """(S,) every `step`-th point of each polyline, its ends spared, and (P + 1,) offsets."""
+    lengths = np.diff(graph.polyline_offsets)
+    counts = np.maximum(lengths // step, 1)
+    offsets = np.zeros(len(counts) + 1, np.int64)
+    np.cumsum(counts, out=offsets[1:])
+    rank = np.arange(offsets[-1]) - np.repeat(offsets[:-1], counts)
+    first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * step) // 2
+    return np.repeat(first, counts) + rank * step, offsets
+
+
+def compute_chain_depths(
+    source: int,
+    neighbors: IntArray,
+    edge_views: list[_kernels.EdgeView],
+    graph: EdgeGraph,
+    inverse_depths: FloatArray,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> ChainDepths:
+    """Find the depths along the chains of view `source` by its neighbours.
+
+    Args:
+        source: index of the view.
+        neighbors: (K,) indices of the views compared with it.
+        edge_views: all views in the kernels' form.
+        graph: the source's edge graph.
+        inverse_depths: (2,) smallest and largest inverse depth.
+        options: sampling, agreement and continuity.
+        num_threads: threads to use; the result does not depend on it.
+    """
+    samples, offsets = sample_chains(graph, options.sample_step_px)
+    found = _kernels.chain_depths(
+        edge_views[source],
+        [edge_views[n] for n in neighbors],
+        samples,
+        offsets,
+        steps=float(options.sample_step_px),
+        min_inverse_depth=float(inverse_depths[0]),
+        max_inverse_depth=float(inverse_depths[1]),
+        max_disagreement_px=options.max_disagreement_px,
+        min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        detection_rate=options.detection_rate,
+        none_score=options.none_score,
+        break_penalty=options.break_penalty,
+        max_clusters=options.max_clusters,
+        num_threads=num_threads,
+    )
+    depths, sigmas, scores, support_offsets, support_neighbors, positions = found
+    return ChainDepths(
+        samples=samples,
+        sample_offsets=offsets,
+        inverse_depths=depths,
+        sigmas=sigmas,
+        scores=scores,
+        support_offsets=support_offsets,
+        support_views=np.asarray(neighbors, np.int32)[support_neighbors],
+        support_positions=positions,
+    )

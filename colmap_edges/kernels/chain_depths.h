@@ -1,0 +1,376 @@
+// Depths along the chains of one view. Each sample of a chain has the depth hypotheses of its
+// epipolar crossings with the chains of other views; hypotheses that agree form clusters, scored
+// by their likelihood against chance; dynamic programming picks one cluster or none a sample so
+// that what is picked goes on along the chain in the other views too.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "edge_view.h"
+#include "parallel.h"
+
+namespace colmap_edges {
+
+struct ChainDepthParameters {
+  double min_inverse_depth, max_inverse_depth;
+  double max_disagreement_px;  // between two hypotheses, along their epipolar lines
+  double min_angle_sin;        // between edge and epipolar line
+  double detection_rate;       // chance that an edge seen in one view is detected in another
+  double none_score;           // what a cluster's log likelihood ratio must exceed
+  double break_penalty;        // for a change from one cluster to another that does not go on
+  int max_clusters;
+};
+
+// A crossing of a sample's epipolar line with a chain of a neighbour.
+struct Hypothesis {
+  double inverse_depth;
+  double sigma;     // inverse depth by which the crossing moves for 1 px across the edge
+  double position;  // of the crossing on the neighbour's chain
+  int32_t neighbor;
+  int32_t polyline;
+};
+
+struct Support {
+  double position;
+  int32_t neighbor;
+  int32_t polyline;
+};
+
+struct Cluster {
+  double inverse_depth = 0, sigma = 0, score = 0;
+  std::vector<Support> support;  // ascending neighbours, each once
+};
+
+// The picked cluster of each sample; score 0 and no support where none is.
+struct ChainDepths {
+  std::vector<double> inverse_depths, sigmas, scores;
+  std::vector<int64_t> support_offsets;
+  std::vector<double> positions;
+  std::vector<int32_t> neighbors;
+};
+
+namespace chain_depths_internal {
+
+// Geometry of a source and a neighbour: X_neighbor ~ rotation * ray + inverse_depth * translation.
+struct Pair {
+  const EdgeView* view;
+  Mat3 rotation;
+  Vec3 translation;
+  Vec3 source_epipole;    // source centre -> neighbour centre, in the source's camera frame
+  Vec3 neighbor_epipole;  // the same direction in the neighbour's camera frame
+};
+
+inline Pair MakePair(const EdgeView& source, const EdgeView& neighbor) {
+  Pair pair;
+  pair.view = &neighbor;
+  pair.rotation = MultiplyByTransposed(neighbor.rotation(), source.rotation());
+  const Vec3 moved = Multiply(pair.rotation, source.translation());
+  for (int k = 0; k < 3; ++k) pair.translation[k] = neighbor.translation()[k] - moved[k];
+  // The neighbour's centre in the source's frame, and that direction in the neighbour's frame.
+  pair.source_epipole = MultiplyTransposed(pair.rotation, pair.translation);
+  for (double& value : pair.source_epipole) value = -value;
+  pair.neighbor_epipole = Multiply(pair.rotation, pair.source_epipole);
+  return pair;
+}
+
+// Direction in the image, at pixel x, of the projection of 3D direction d (both camera frame).
+inline Vec2 ImageDirection(const Vec3& d, const Vec2& x, double focal) {
+  return {focal * d[0] - x[0] * d[2], focal * d[1] - x[1] * d[2]};
+}
+
+// What the crossings with one neighbour say of chance.
+struct Seen {
+  bool visible = false;
+  double density = 0;  // crossings of the right polarity per inverse depth
+};
+
+class Sampler {
+ public:
+  Sampler(const EdgeView& source, const std::vector<Pair>& pairs, const ChainDepthParameters& p)
+      : source_(source), pairs_(pairs), p_(p), seen_(pairs.size()), agree_(pairs.size()) {}
+
+  // Clusters of the sample at point i of the source, best first.
+  std::vector<Cluster> Clusters(int64_t i) {
+    hypotheses_.clear();
+    for (size_t n = 0; n < pairs_.size(); ++n) Collect(i, int32_t(n));
+    std::sort(hypotheses_.begin(), hypotheses_.end(), [](const Hypothesis& a, const Hypothesis& b) {
+      if (a.inverse_depth != b.inverse_depth) return a.inverse_depth < b.inverse_depth;
+      if (a.neighbor != b.neighbor) return a.neighbor < b.neighbor;
+      return a.position < b.position;
+    });
+    ScoreAll();
+    return BestClusters();
+  }
+
+ private:
+  void Collect(int64_t i, int32_t neighbor);
+  void Agreeing(int64_t u);
+  void ScoreAll();
+  Cluster MakeCluster(int64_t u);
+  std::vector<Cluster> BestClusters();
+
+  const EdgeView& source_;
+  const std::vector<Pair>& pairs_;
+  const ChainDepthParameters& p_;
+  std::vector<Hypothesis> hypotheses_;
+  std::vector<double> scores_;
+  std::vector<Seen> seen_;
+  std::vector<int64_t> agree_;
+};
+
+inline void Sampler::Collect(int64_t i, int32_t neighbor) {
+  const Pair& pair = pairs_[neighbor];
+  const EdgeView& view = *pair.view;
+  const double f = view.focal();
+  seen_[neighbor] = Seen();
+  const Vec2& x = source_.point(i);
+  const Vec3 ray = {x[0] / source_.focal(), x[1] / source_.focal(), 1};
+  const Vec3 a = Multiply(pair.rotation, ray);
+  const Vec3& b = pair.translation;
+  double low = p_.min_inverse_depth, high = p_.max_inverse_depth;
+  // Keep the part in front of the neighbour: a_z + rho b_z > 0, with a margin.
+  const double margin = 1e-3 * (std::abs(a[2]) + high * std::abs(b[2]));
+  if (b[2] > 0) low = std::max(low, (margin - a[2]) / b[2]);
+  if (b[2] < 0) high = std::min(high, (margin - a[2]) / b[2]);
+  if (!(low < high) || (b[2] == 0 && a[2] <= margin)) return;
+  const auto project = [&](double rho) {
+    const double z = a[2] + rho * b[2];
+    return Vec2{f * (a[0] + rho * b[0]) / z, f * (a[1] + rho * b[1]) / z};
+  };
+  const Vec2 start = project(low), end = project(high);
+  const double length = std::hypot(end[0] - start[0], end[1] - start[1]);
+  if (!(length > 1)) return;
+  const Vec2 u = {(end[0] - start[0]) / length, (end[1] - start[1]) / length};
+  const Vec2 toward = ImageDirection(pair.source_epipole, x, source_.focal());
+  const double toward_norm = std::hypot(toward[0], toward[1]);
+  const Vec2& n0 = source_.normal(i);
+  const double polarity0 = (n0[0] * toward[0] + n0[1] * toward[1]) / (toward_norm + 1e-300);
+  const Vec2& tangent0 = source_.tangent(i);
+  const double sin0 =
+      std::abs(tangent0[0] * toward[1] - tangent0[1] * toward[0]) / (toward_norm + 1e-300);
+  if (sin0 < p_.min_angle_sin) return;
+  const size_t before = hypotheses_.size();
+  int64_t count = 0;
+  double nearest = high, farthest = low;
+  view.VisitCrossings(start, end, [&](int64_t s, double t) {
+    const Vec2& q = view.point(s);
+    const Vec2& r = view.point(view.Next(s));
+    const Vec2 at = {q[0] + t * (r[0] - q[0]), q[1] + t * (r[1] - q[1])};
+    const Vec2& tangent = view.tangent(s);
+    const double sin = std::abs(u[0] * tangent[1] - u[1] * tangent[0]);
+    if (sin < p_.min_angle_sin) return;
+    const double rho = std::abs(u[0]) > std::abs(u[1])
+                           ? (at[0] * a[2] - f * a[0]) / (f * b[0] - at[0] * b[2])
+                           : (at[1] * a[2] - f * a[1]) / (f * b[1] - at[1] * b[2]);
+    if (!(rho >= low && rho <= high)) return;
+    ++count;
+    nearest = std::min(nearest, rho), farthest = std::max(farthest, rho);
+    const Vec2 direction = ImageDirection(pair.neighbor_epipole, at, f);
+    const Vec2& n = view.normal(s);
+    const double polarity =
+        (n[0] * direction[0] + n[1] * direction[1]) / std::hypot(direction[0], direction[1]);
+    constexpr double kSure = 0.1;  // nearer to the epipolar line the sign is noise
+    if (polarity * polarity0 < 0 && std::min(std::abs(polarity), std::abs(polarity0)) > kSure) {
+      return;
+    }
+    const double z = a[2] + rho * b[2];
+    const double speed =
+        f *
+        std::hypot(b[0] * z - (a[0] + rho * b[0]) * b[2], b[1] * z - (a[1] + rho * b[1]) * b[2]) /
+        (z * z);
+    if (!(speed > 0)) return;
+    hypotheses_.push_back(
+        {rho, 1 / (speed * std::min(sin, sin0)), double(s) + t, neighbor, view.polyline(s)});
+  });
+  if (hypotheses_.size() == before) return;
+  Seen& seen = seen_[neighbor];
+  seen.visible = true;
+  // Half of the crossings have the wrong polarity.
+  seen.density = 0.5 * double(count) / std::max(farthest - nearest, 0.05 * (high - low));
+}
+
+// What agrees with hypothesis u: of each neighbour the nearest hypothesis within reach, in agree_.
+inline void Sampler::Agreeing(int64_t u) {
+  const int64_t count = int64_t(hypotheses_.size());
+  const Hypothesis& center = hypotheses_[u];
+  std::fill(agree_.begin(), agree_.end(), -1);
+  agree_[center.neighbor] = u;
+  const auto consider = [&](int64_t v, double gap) {
+    const Hypothesis& other = hypotheses_[v];
+    const double variance = center.sigma * center.sigma + other.sigma * other.sigma;
+    if (gap * gap > p_.max_disagreement_px * p_.max_disagreement_px * variance) return;
+    int64_t& held = agree_[other.neighbor];
+    if (held < 0 || gap < std::abs(hypotheses_[held].inverse_depth - center.inverse_depth)) {
+      held = v;
+    }
+  };
+  const double reach = 4 * p_.max_disagreement_px * center.sigma;
+  for (int64_t v = u - 1; v >= 0; --v) {
+    const double gap = center.inverse_depth - hypotheses_[v].inverse_depth;
+    if (gap > reach) break;
+    consider(v, gap);
+  }
+  for (int64_t v = u + 1; v < count; ++v) {
+    const double gap = hypotheses_[v].inverse_depth - center.inverse_depth;
+    if (gap > reach) break;
+    consider(v, gap);
+  }
+}
+
+// Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
+// that a neighbour agrees is that of a crossing within the window of two hypotheses, x / (1 + x)
+// for x crossings expected there.
+inline void Sampler::ScoreAll() {
+  const double q = p_.detection_rate;
+  scores_.resize(hypotheses_.size());
+  for (size_t u = 0; u < hypotheses_.size(); ++u) {
+    Agreeing(int64_t(u));
+    const double sigma = hypotheses_[u].sigma;
+    double ratio = 1;
+    int count = 0;
+    for (size_t n = 0; n < pairs_.size(); ++n) {
+      if (!seen_[n].visible) continue;
+      const double other = agree_[n] >= 0 ? hypotheses_[agree_[n]].sigma : sigma;
+      const double window = 2 * p_.max_disagreement_px * std::sqrt(sigma * sigma + other * other);
+      const double x = std::clamp(window * seen_[n].density, 0.02, 50.0);
+      ratio *= agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
+      count += agree_[n] >= 0;
+    }
+    scores_[u] = count < 2 ? -std::numeric_limits<double>::infinity() : std::log(ratio);
+  }
+}
+
+inline Cluster Sampler::MakeCluster(int64_t u) {
+  Agreeing(u);
+  Cluster cluster;
+  cluster.score = scores_[u];
+  double weights = 0, sum = 0;
+  for (const int64_t v : agree_) {
+    if (v < 0) continue;
+    const Hypothesis& h = hypotheses_[v];
+    weights += 1 / (h.sigma * h.sigma), sum += h.inverse_depth / (h.sigma * h.sigma);
+    cluster.support.push_back({h.position, h.neighbor, h.polyline});
+  }
+  cluster.inverse_depth = sum / weights, cluster.sigma = 1 / std::sqrt(weights);
+  return cluster;
+}
+
+// The best clusters, none within another's reach.
+inline std::vector<Cluster> Sampler::BestClusters() {
+  std::vector<Cluster> kept;
+  while (int(kept.size()) < p_.max_clusters) {
+    const int64_t best = std::max_element(scores_.begin(), scores_.end()) - scores_.begin();
+    if (best == int64_t(scores_.size()) || std::isinf(scores_[best])) break;
+    kept.push_back(MakeCluster(best));
+    const double reach = p_.max_disagreement_px * hypotheses_[best].sigma;
+    for (size_t v = 0; v < hypotheses_.size(); ++v) {
+      if (int64_t(v) == best ||
+          std::abs(hypotheses_[v].inverse_depth - kept.back().inverse_depth) < reach) {
+        scores_[v] = -std::numeric_limits<double>::infinity();
+      }
+    }
+  }
+  return kept;
+}
+
+// Number of neighbours whose chain goes on from one cluster to the next by about `steps` points.
+inline int CountFollowed(const Cluster& from, const Cluster& to, const std::vector<Pair>& pairs,
+                         double steps) {
+  int count = 0;
+  for (size_t i = 0, j = 0; i < from.support.size() && j < to.support.size();) {
+    const Support &a = from.support[i], &b = to.support[j];
+    if (a.neighbor != b.neighbor) {
+      (a.neighbor < b.neighbor ? i : j) += 1;
+      continue;
+    }
+    if (a.polyline == b.polyline) {
+      const double moved =
+          std::abs(pairs[a.neighbor].view->Steps(a.polyline, a.position, b.position));
+      count += moved < 4 * steps;
+    }
+    ++i, ++j;
+  }
+  return count;
+}
+
+// Viterbi over the samples of one chain; returns the picked cluster of each sample or -1.
+inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
+                               const std::vector<Pair>& pairs, double steps,
+                               const ChainDepthParameters& p) {
+  const int64_t count = int64_t(states.size());
+  std::vector<std::vector<double>> score(count);
+  std::vector<std::vector<int>> back(count);
+  for (int64_t t = 0; t < count; ++t) {
+    const int n = int(states[t].size());
+    score[t].assign(n + 1, 0), back[t].assign(n + 1, 0);
+    const int before = t > 0 ? int(states[t - 1].size()) : 0;
+    for (int k = 0; k <= n; ++k) {
+      const double own = k < n ? states[t][k].score - p.none_score : 0;
+      double best = t > 0 ? -std::numeric_limits<double>::infinity() : 0;
+      for (int j = 0; t > 0 && j <= before; ++j) {
+        double penalty = j == before && k == n ? 0 : 0.5 * p.break_penalty;
+        if (j < before && k < n) {
+          const int followed = CountFollowed(states[t - 1][j], states[t][k], pairs, steps);
+          penalty = followed >= 2 ? 0 : (followed == 1 ? 0.5 : 1.0) * p.break_penalty;
+        }
+        if (score[t - 1][j] - penalty > best) best = score[t - 1][j] - penalty, back[t][k] = j;
+      }
+      score[t][k] = best + own;
+    }
+  }
+  std::vector<int> picked(count, -1);
+  if (count == 0) return picked;
+  int k = int(std::max_element(score[count - 1].begin(), score[count - 1].end()) -
+              score[count - 1].begin());
+  for (int64_t t = count - 1; t >= 0; --t) {
+    picked[t] = k < int(states[t].size()) ? k : -1;
+    k = back[t][k];
+  }
+  return picked;
+}
+
+}  // namespace chain_depths_internal
+
+// samples: point indices into `source`, those of one polyline contiguous and ascending.
+// sample_offsets: CSR of the samples by polyline. steps: points between two samples.
+inline ChainDepths ComputeChainDepths(const EdgeView& source,
+                                      const std::vector<const EdgeView*>& neighbors,
+                                      const std::vector<int64_t>& samples,
+                                      const std::vector<int64_t>& sample_offsets, double steps,
+                                      const ChainDepthParameters& parameters, int num_threads) {
+  using namespace chain_depths_internal;
+  std::vector<Pair> pairs;
+  for (const EdgeView* neighbor : neighbors) pairs.push_back(MakePair(source, *neighbor));
+  std::vector<Cluster> picked(samples.size());
+  const int64_t num_chains = int64_t(sample_offsets.size()) - 1;
+  std::vector<Sampler> samplers(std::max(1, num_threads), Sampler(source, pairs, parameters));
+  ParallelFor(num_chains, num_threads, [&](int64_t chain, int worker) {
+    std::vector<std::vector<Cluster>> states;
+    for (int64_t s = sample_offsets[chain]; s < sample_offsets[chain + 1]; ++s) {
+      states.push_back(samplers[worker].Clusters(samples[s]));
+    }
+    const std::vector<int> path = Decode(states, pairs, steps, parameters);
+    for (size_t t = 0; t < path.size(); ++t) {
+      if (path[t] >= 0) picked[sample_offsets[chain] + t] = std::move(states[t][path[t]]);
+    }
+  });
+  ChainDepths result;
+  result.support_offsets.push_back(0);
+  for (const Cluster& cluster : picked) {
+    result.inverse_depths.push_back(cluster.inverse_depth);
+    result.sigmas.push_back(cluster.sigma);
+    result.scores.push_back(cluster.score);
+    for (const Support& support : cluster.support) {
+      result.positions.push_back(support.position);
+      result.neighbors.push_back(support.neighbor);
+    }
+    result.support_offsets.push_back(int64_t(result.positions.size()));
+  }
+  return result;
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,351 @@
+// One view's edge graph with its pose, ready for epipolar look-ups: dense polylines in ideal
+// pixels (focal length `focal`, principal point at the origin) and a uniform grid over them.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <utility>
+#include <vector>
+
+#include "polyline.h"
+
+namespace colmap_edges {
+
+using Vec2 = std::array<double, 2>;
+using Vec3 = std::array<double, 3>;
+using Mat3 = std::array<double, 9>;  // row major
+
+inline Vec3 Multiply(const Mat3& m, const Vec3& v) {
+  return {m[0] * v[0] + m[1] * v[1] + m[2] * v[2], m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
+          m[6] * v[0] + m[7] * v[1] + m[8] * v[2]};
+}
+
+inline Vec3 MultiplyTransposed(const Mat3& m, const Vec3& v) {
+  return {m[0] * v[0] + m[3] * v[1] + m[6] * v[2], m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
+          m[2] * v[0] + m[5] * v[1] + m[8] * v[2]};
+}
+
+// a b^T of two rotations.
+inline Mat3 MultiplyByTransposed(const Mat3& a, const Mat3& b) {
+  Mat3 result;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      result[3 * i + j] =
+          a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
+    }
+  }
+  return result;
+}
+
+class EdgeView {
+ public:
+  // points, normals: (N, 2) ideal pixels; offsets: (P + 1) polylines; closed: (P).
+  EdgeView(const std::vector<Vec2>& points, const std::vector<Vec2>& normals,
+           std::vector<int64_t> offsets, std::vector<uint8_t> closed, const Mat3& rotation,
+           const Vec3& translation, double focal)
+      : points_(points.size()),
+        offsets_(std::move(offsets)),
+        closed_(std::move(closed)),
+        rotation_(rotation),
+        translation_(translation),
+        focal_(focal) {
+    if (offsets_.empty() || offsets_.front() != 0 || offsets_.back() != int64_t(points.size()) ||
+        normals.size() != points.size() || closed_.size() + 1 != offsets_.size() ||
+        !std::is_sorted(offsets_.begin(), offsets_.end())) {
+      throw std::invalid_argument("points, normals, offsets and closed do not fit together");
+    }
+    if (!(focal > 0)) throw std::invalid_argument("focal must be positive");
+    for (int32_t p = 0; p < num_polylines(); ++p) {
+      for (int64_t i = first(p); i <= last(p); ++i) {
+        const int64_t next = i < last(p) ? i + 1 : (closed_[p] ? first(p) : -1);
+        points_[i] = {points[i], normals[i], {1, 0}, p, int32_t(next)};
+      }
+    }
+    for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = FindTangent(i);
+    BuildGrid();
+  }
+
+  int64_t num_points() const { return int64_t(points_.size()); }
+  int64_t num_polylines() const { return int64_t(closed_.size()); }
+  const Vec2& point(int64_t i) const { return points_[i].xy; }
+  const Vec2& normal(int64_t i) const { return points_[i].normal; }
+  int32_t polyline(int64_t i) const { return points_[i].polyline; }
+  int64_t first(int32_t p) const { return offsets_[p]; }
+  int64_t last(int32_t p) const { return offsets_[p + 1] - 1; }
+  bool closed(int32_t p) const { return closed_[p] != 0; }
+  const Mat3& rotation() const { return rotation_; }
+  const Vec3& translation() const { return translation_; }
+  double focal() const { return focal_; }
+
+  // The point after i along its polyline, -1 at an open end.
+  int64_t Next(int64_t i) const { return points_[i].next; }
+
+  // The point `steps` after i (before, if negative), stopping at open ends.
+  int64_t Advance(int64_t i, int64_t steps) const {
+    const int32_t p = polyline(i);
+    const int64_t a = first(p), count = last(p) - a + 1;
+    if (!closed(p)) return std::clamp(i + steps, a, a + count - 1);
+    return a + (((i - a + steps) % count) + count) % count;
+  }
+
+  // Steps from position `from` to `to` on one polyline, the short way round a closed one.
+  double Steps(int32_t p, double from, double to) const {
+    double steps = to - from;
+    if (closed(p)) {
+      const double count = double(last(p) - first(p) + 1);
+      steps -= count * std::round(steps / count);
+    }
+    return steps;
+  }
+
+  // Point at a fractional position i + t: between point i and the one after it.
+  Vec2 At(double position) const {
+    const int64_t i = int64_t(position);
+    const int64_t j = Next(i);
+    const Vec2& a = point(i);
+    if (j < 0) return a;
+    const Vec2& b = point(j);
+    const double t = position - double(i);
+    return {a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])};
+  }
+
+  // Unit direction of the polyline around point i.
+  const Vec2& tangent(int64_t i) const { return points_[i].tangent; }
+
+  // Camera coordinates of a world point.
+  Vec3 ToCamera(const Vec3& world) const {
+    Vec3 local = Multiply(rotation_, world);
+    for (int k = 0; k < 3; ++k) local[k] += translation_[k];
+    return local;
+  }
+
+  // Bounds of all points, for clipping.
+  const Vec2& low() const { return low_; }
+  const Vec2& high() const { return high_; }
+
+  // Calls visit(i, t) for each segment i -> Next(i) crossed by the line piece a -> b, where t in
+  // [0, 1] is the fraction along the segment; each crossing once, in the order of the cells.
+  template <typename Visit>
+  void VisitCrossings(Vec2 a, Vec2 b, const Visit& visit) const;
+
+  // Calls visit(i) for each point within the square of half-width `radius` around `center`.
+  template <typename Visit>
+  void VisitNear(const Vec2& center, double radius, const Visit& visit) const;
+
+ private:
+  static constexpr double kCell = 16;            // pixels
+  static constexpr int64_t kMaxStretch = 16;     // points; keeps a stretch within few cells
+  static constexpr double kStretchDistance = 1;  // pixels between a stretch and its chord
+  static constexpr int64_t kTangentReach = 3;    // points to both sides that make a tangent
+
+  // The chord of a stretch of a polyline, from point `first` over `count` steps. What crosses the
+  // chord crosses the stretch, and all but grazing lines that cross the stretch cross the chord.
+  struct Stretch {
+    float ax, ay, bx, by;
+    int32_t first, count;
+  };
+
+  Vec2 FindTangent(int64_t i) const {
+    const Vec2& a = point(Advance(i, -kTangentReach));
+    const Vec2& b = point(Advance(i, kTangentReach));
+    const double dx = b[0] - a[0], dy = b[1] - a[1], norm = std::hypot(dx, dy);
+    return norm > 0 ? Vec2{dx / norm, dy / norm} : Vec2{1, 0};
+  }
+
+  int64_t Column(double x) const {
+    return std::clamp<int64_t>(int64_t((x - low_[0]) / kCell), 0, columns_ - 1);
+  }
+  int64_t Row(double y) const {
+    return std::clamp<int64_t>(int64_t((y - low_[1]) / kCell), 0, rows_ - 1);
+  }
+
+  std::vector<Stretch> MakeStretches() const;
+  void BuildGrid();
+  bool Clip(Vec2* a, Vec2* b) const;
+
+  // All that a crossing needs to know of a point, within one cache line.
+  struct Point {
+    Vec2 xy, normal, tangent;
+    int32_t polyline, next;
+  };
+
+  std::vector<Point> points_;
+  std::vector<int64_t> offsets_;
+  std::vector<uint8_t> closed_;
+  Mat3 rotation_;
+  Vec3 translation_;
+  double focal_;
+  Vec2 low_{0, 0}, high_{0, 0};
+  int64_t columns_ = 1, rows_ = 1;
+  std::vector<int64_t> cell_offsets_;
+  std::vector<Stretch> cell_stretches_;  // a stretch is in every cell that its box touches
+};
+
+inline std::vector<EdgeView::Stretch> EdgeView::MakeStretches() const {
+  std::vector<Stretch> stretches;
+  std::vector<int64_t> kept;
+  const auto xy = [this](int64_t i) { return point(i).data(); };
+  const auto add = [&](int64_t i, int64_t j, int64_t count) {
+    const Vec2 &a = point(i), &b = point(j);
+    stretches.push_back(
+        {float(a[0]), float(a[1]), float(b[0]), float(b[1]), int32_t(i), int32_t(count)});
+  };
+  for (int32_t p = 0; p < num_polylines(); ++p) {
+    if (first(p) > last(p)) continue;
+    kept.clear();
+    DouglasPeucker(xy, first(p), last(p), kStretchDistance, &kept);
+    for (size_t k = 0; k + 1 < kept.size(); ++k) {
+      for (int64_t i = kept[k]; i < kept[k + 1]; i += kMaxStretch) {
+        const int64_t j = std::min(i + kMaxStretch, kept[k + 1]);
+        add(i, j, j - i);
+      }
+    }
+    if (closed(p)) {
+      add(last(p), first(p), 1);
+    } else if (first(p) == last(p)) {
+      add(first(p), first(p), 0);
+    }
+  }
+  return stretches;
+}
+
+inline void EdgeView::BuildGrid() {
+  if (!points_.empty()) low_ = high_ = point(0);
+  for (const Point& p : points_) {
+    for (int k = 0; k < 2; ++k) {
+      low_[k] = std::min(low_[k], p.xy[k]), high_[k] = std::max(high_[k], p.xy[k]);
+    }
+  }
+  columns_ = int64_t((high_[0] - low_[0]) / kCell) + 1;
+  rows_ = int64_t((high_[1] - low_[1]) / kCell) + 1;
+  cell_offsets_.assign(columns_ * rows_ + 1, 0);
+  const std::vector<Stretch> stretches = MakeStretches();
+  const auto for_cells = [&](const Stretch& stretch, const auto& use) {
+    Vec2 low = point(stretch.first), high = low;
+    for (int64_t k = 1, i = stretch.first; k <= stretch.count; ++k) {
+      i = Next(i);
+      for (int d = 0; d < 2; ++d) {
+        low[d] = std::min(low[d], point(i)[d]), high[d] = std::max(high[d], point(i)[d]);
+      }
+    }
+    for (int64_t r = Row(low[1]); r <= Row(high[1]); ++r) {
+      for (int64_t c = Column(low[0]); c <= Column(high[0]); ++c) use(r * columns_ + c);
+    }
+  };
+  for (const Stretch& s : stretches) for_cells(s, [&](int64_t c) { ++cell_offsets_[c + 1]; });
+  for (size_t c = 1; c < cell_offsets_.size(); ++c) cell_offsets_[c] += cell_offsets_[c - 1];
+  cell_stretches_.resize(cell_offsets_.back());
+  std::vector<int64_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
+  for (const Stretch& s : stretches)
+    for_cells(s, [&](int64_t c) { cell_stretches_[fill[c]++] = s; });
+}
+
+// Liang-Barsky against the bounds of the points; false when nothing is left.
+inline bool EdgeView::Clip(Vec2* a, Vec2* b) const {
+  double t0 = 0, t1 = 1;
+  const Vec2 d = {(*b)[0] - (*a)[0], (*b)[1] - (*a)[1]};
+  for (int k = 0; k < 2; ++k) {
+    const double before = (*a)[k] - low_[k], after = high_[k] - (*a)[k];
+    for (const auto& [p, q] : {std::pair{-d[k], before}, std::pair{d[k], after}}) {
+      if (p == 0) {
+        if (q < 0) return false;
+      } else if (p < 0) {
+        t0 = std::max(t0, q / p);
+      } else {
+        t1 = std::min(t1, q / p);
+      }
+    }
+  }
+  if (!(t0 <= t1)) return false;
+  const Vec2 start = *a;
+  *a = {start[0] + t0 * d[0], start[1] + t0 * d[1]};
+  *b = {start[0] + t1 * d[0], start[1] + t1 * d[1]};
+  return true;
+}
+
+template <typename Visit>
+void EdgeView::VisitCrossings(Vec2 a, Vec2 b, const Visit& visit) const {
+  if (points_.empty() || !Clip(&a, &b)) return;
+  const double length = std::hypot(b[0] - a[0], b[1] - a[1]);
+  if (!(length > 0)) return;
+  const double ux = (b[0] - a[0]) / length, uy = (b[1] - a[1]) / length;
+  const auto side = [&](double x, double y) { return ux * (y - a[1]) - uy * (x - a[0]); };
+  // Walk the cells from a to b (Amanatides and Woo).
+  int64_t column = Column(a[0]), row = Row(a[1]);
+  const int64_t end_column = Column(b[0]), end_row = Row(b[1]);
+  const int step_x = ux > 0 ? 1 : -1, step_y = uy > 0 ? 1 : -1;
+  const double infinity = std::numeric_limits<double>::infinity();
+  const auto boundary = [&](int64_t cell, int step, double origin) {
+    return origin + kCell * double(cell + (step > 0 ? 1 : 0));
+  };
+  double next_x = ux != 0 ? (boundary(column, step_x, low_[0]) - a[0]) / ux : infinity;
+  double next_y = uy != 0 ? (boundary(row, step_y, low_[1]) - a[1]) / uy : infinity;
+  const double delta_x = ux != 0 ? kCell / std::abs(ux) : infinity;
+  const double delta_y = uy != 0 ? kCell / std::abs(uy) : infinity;
+  while (true) {
+    const int64_t cell = row * columns_ + column;
+    for (int64_t k = cell_offsets_[cell]; k < cell_offsets_[cell + 1]; ++k) {
+      const Stretch& stretch = cell_stretches_[k];
+      const double s0 = side(stretch.ax, stretch.ay), s1 = side(stretch.bx, stretch.by);
+      if ((s0 < 0) == (s1 < 0)) continue;
+      const double t = s0 / (s0 - s1);
+      const double x = stretch.ax + t * (stretch.bx - stretch.ax);
+      const double y = stretch.ay + t * (stretch.by - stretch.ay);
+      const double along = ux * (x - a[0]) + uy * (y - a[1]);
+      // A stretch listed in several cells counts in the one that holds the crossing.
+      if (along < 0 || along > length || Column(x) != column || Row(y) != row) continue;
+      // The step at which the stretch changes sides: near where the chord does.
+      const auto behind = [&](int64_t i) {
+        const Vec2& p = point(i);
+        return (side(float(p[0]), float(p[1])) < 0) == (s0 < 0);
+      };
+      const int64_t end = stretch.first + stretch.count - 1;
+      int64_t low = stretch.first + int64_t(t * stretch.count);
+      while (low < end && behind(low + 1)) ++low;
+      while (low > stretch.first && !behind(low)) --low;
+      const Vec2 &p = point(low), &q = point(Next(low));
+      const double before = side(p[0], p[1]), after = side(q[0], q[1]);
+      visit(low, before != after ? std::clamp(before / (before - after), 0.0, 1.0) : 0.5);
+    }
+    if (column == end_column && row == end_row) return;
+    if (std::min(next_x, next_y) > length + kCell) return;
+    if (next_x < next_y) {
+      column += step_x, next_x += delta_x;
+    } else {
+      row += step_y, next_y += delta_y;
+    }
+    if (column < 0 || column >= columns_ || row < 0 || row >= rows_) return;
+  }
+}
+
+template <typename Visit>
+void EdgeView::VisitNear(const Vec2& center, double radius, const Visit& visit) const {
+  if (points_.empty() || center[0] + radius < low_[0] || center[0] - radius > high_[0] ||
+      center[1] + radius < low_[1] || center[1] - radius > high_[1]) {
+    return;
+  }
+  for (int64_t r = Row(center[1] - radius); r <= Row(center[1] + radius); ++r) {
+    for (int64_t c = Column(center[0] - radius); c <= Column(center[0] + radius); ++c) {
+      const int64_t cell = r * columns_ + c;
+      for (int64_t k = cell_offsets_[cell]; k < cell_offsets_[cell + 1]; ++k) {
+        const Stretch& stretch = cell_stretches_[k];
+        // The last point of a stretch is the first of the next, or the open end of its polyline.
+        const int64_t end = stretch.first + stretch.count;
+        const bool at_end = stretch.count > 0 && end < num_points() && Next(end) < 0;
+        for (int64_t i = stretch.first; i < end + (at_end || stretch.count == 0); ++i) {
+          const Vec2& p = point(i);
+          if (Column(p[0]) == c && Row(p[1]) == r && std::abs(p[0] - center[0]) <= radius &&
+              std::abs(p[1] - center[1]) <= radius) {
+            visit(i);
+          }
+        }
+      }
+    }
+  }
+}
+
+}  // namespace colmap_edges

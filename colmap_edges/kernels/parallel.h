@@ -1,0 +1,38 @@
+// Runs independent pieces of work on threads; results must not depend on which thread did what.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <exception>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+namespace colmap_edges {
+
+// Calls work(index, worker) for each index in [0, count); `worker` is in [0, num_threads).
+// The first exception is thrown again on the calling thread.
+template <typename Work>
+void ParallelFor(int64_t count, int num_threads, const Work& work) {
+  std::atomic<int64_t> next{0};
+  std::exception_ptr error;
+  std::mutex error_mutex;
+  const auto run = [&](int worker) {
+    try {
+      for (int64_t i = next++; i < count; i = next++) work(i, worker);
+    } catch (...) {
+      const std::lock_guard<std::mutex> lock(error_mutex);
+      if (!error) error = std::current_exception();
+      next = count;
+    }
+  };
+  const int workers = int(std::max<int64_t>(1, std::min<int64_t>(num_threads, count)));
+  std::vector<std::thread> threads;
+  for (int worker = 1; worker < workers; ++worker) threads.emplace_back(run, worker);
+  run(0);
+  for (std::thread& thread : threads) thread.join();
+  if (error) std::rethrow_exception(error);
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,168 @@
+"""Which views look at the same part of the scene, and how deep each sees (paper: PEPC views)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from colmap_edges.model import Model
+from colmap_edges.options import ViewSelectionOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neighborhood:
+    """The neighbours of every view and the range of inverse depths it sees.
+
+    Attributes:
+        neighbors: per view its neighbours, indices into the model's views, best first.
+        inverse_depths: (V, 2) float64 smallest and largest inverse depth, 1 / world units.
+    """
+
+    neighbors: tuple[IntArray, ...]
+    inverse_depths: FloatArray
+
+
+def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
+    """Choose the neighbours of each view by shared points and triangulation angle.
+
+    Views with few points are compared by their poses alone.
+    """
+    observed = observation_matrix(model)
+    ranges = depth_ranges(model, observed)
+    neighbors = []
+    for view in range(len(model.views)):
+        scores = neighbor_scores(model, observed, view, ranges[view], options)
+        neighbors.append(pick_diverse(model, view, scores, options.num_neighbors))
+    return Neighborhood(neighbors=tuple(neighbors), inverse_depths=ranges)
+
+
+def observation_matrix(model: Model) -> csr_array:
+    """(V, N) sparse bool: view v observes point n."""
+    points = np.repeat(np.arange(len(model.point3D_ids)), np.diff(model.track_offsets))
+    shape = (len(model.views), len(model.point3D_ids))
+    ones = np.ones(len(points), np.float64)
+    matrix = csr_array((ones, (model.track_views, points)), shape=shape)
+    matrix.data[:] = 1
+    return matrix
+
+
+def depth_ranges(model: Model, observed: csr_array) -> FloatArray:
+    """(V, 2) inverse depths: of the points seen, with a margin, else of where the cameras look."""
+    ranges = np.zeros((len(model.views), 2))
+    for index, view in enumerate(model.views):
+        seen = observed.indices[observed.indptr[index] : observed.indptr[index + 1]]
+        depths = view.cam_from_world(model.points3D_xyz[seen])[:, 2]
+        depths = depths[depths > 0]
+        if len(depths) >= MIN_POINTS:
+            near, far = np.percentile(depths, [0.5, 99.5])
+            ranges[index] = 1 / (1.25 * far), 1 / (0.75 * near)
+        else:
+            ranges[index] = pose_range(model, index)
+    return ranges
+
+
+def pose_range(model: Model, index: int) -> tuple[float, float]:
+    """Inverse depths a view may see, judged by the poses of all.
+
+    Around the point nearest to all optical axes when the view looks at it, from a third to three
+    times its depth; else from the distance to the nearest other camera to infinity.
+    """
+    view = model.views[index]
+    axes = np.array([other.rotation[2] for other in model.views])
+    projectors = np.eye(3)[None] - axes[:, :, None] * axes[:, None, :]
+    normal = projectors.sum(axis=0)
+    baselines = np.linalg.norm(model.camera_centers - view.center, axis=1)
+    baselines = baselines[baselines > 0]
+    if len(baselines) == 0:
+        return 0.0, 1.0
+    if np.linalg.cond(normal) < 1e3:
+        focus = np.linalg.solve(normal, np.einsum("vij,vj->i", projectors, model.camera_centers))
+        depth = float(view.cam_from_world(focus[None])[0, 2])
+        if depth > baselines.min():
+            return 1 / (3 * depth), 3 / depth
+    return 0.0, 1 / float(baselines.min())
+
+
+def neighbor_scores(
+    model: Model,
+    observed: csr_array,
+    view: int,
+    inverse_depths: FloatArray,
+    options: ViewSelectionOptions,
+) -> FloatArray:
+    """(V,) score of every other view as a neighbour: shared points weighted by their angle."""
+    seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
+    if len(seen) < MIN_POINTS:
+        return pose_scores(model, view, inverse_depths, options)
+    points = model.points3D_xyz[seen]
+    shared = observed[:, seen].tocoo()
+    rows, columns = shared.coords
+    to_own = points - model.camera_centers[view]
+    to_other = points[columns] - model.camera_centers[rows]
+    weights = angle_weights(to_own[columns], to_other, options)
+    scores = np.bincount(rows, weights=weights, minlength=len(model.views))
+    scores[view] = 0
+    return scores
+
+
+def angle_weights(
+    rays: FloatArray, other_rays: FloatArray, options: ViewSelectionOptions
+) -> FloatArray:
+    """(N,) weight of the triangulation angle between two rays: 1 where it is wide enough."""
+    cosines = np.einsum("ij,ij->i", rays, other_rays) / (
+        np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
+    )
+    angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    narrow = np.minimum(angles / options.good_angle_deg, 1) ** 2
+    wide = np.clip((options.max_angle_deg - angles) / options.good_angle_deg, 0, 1)
+    weights: FloatArray = narrow * wide
+    return weights
+
+
+def pose_scores(
+    model: Model, view: int, inverse_depths: FloatArray, options: ViewSelectionOptions
+) -> FloatArray:
+    """(V,) score of every other view by the poses: how much of this view's frustum it sees."""
+    own = model.views[view]
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
+    ideal = own.ideal_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
+    depth = 1 / np.mean(inverse_depths)
+    local = depth * np.column_stack([ideal, np.ones(len(ideal))])
+    points = (local - own.translation) @ own.rotation
+    scores = np.zeros(len(model.views))
+    for index, other in enumerate(model.views):
+        if index == view:
+            continue
+        pixels, depths = other.project(points)
+        inside = (depths > 0) & (pixels > 0).all(1) & (pixels < (other.width, other.height)).all(1)
+        weights = angle_weights(points - own.center, points - other.center, options)
+        scores[index] = float(np.sum(weights * inside))
+    return scores
+
+
+def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> IntArray:
+    """Indices of up to `count` views with positive score, best first, baselines spread.
+
+    A view whose baseline points where one already chosen does counts less: edges along one
+    baseline need another.
+    """
+    scores = scores.copy()
+    baselines = model.camera_centers - model.camera_centers[view]
+    norms = np.linalg.norm(baselines, axis=1, keepdims=True)
+    directions = baselines / np.where(norms > 0, norms, 1)
+    chosen: list[int] = []
+    while len(chosen) < count and scores.max(initial=0) > 0:
+        best = int(np.argmax(scores))
+        chosen.append(best)
+        scores[best] = 0
+        parallel = np.abs(directions @ directions[best])
+        scores *= 1 - 0.3 * parallel**8
+    return np.array(chosen, np.int64)
