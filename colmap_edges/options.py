@@ -86,6 +86,9 @@ class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
     num_neighbors: int = option(10, "Number of views each view is compared with", ge=2)
+    num_witnesses: int = option(
+        40, "Largest number of views in which observations of an edge are looked for", ge=2
+    )
     good_angle_deg: float = option(
         5.0, "Triangulation angle from which views are compared without loss, in degrees", gt=0
     )
@@ -98,7 +101,7 @@ class ViewSelectionOptions(Options):
 class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
-    sample_step_px: int = option(4, "Distance between samples along a chain, in pixels", ge=1)
+    sample_step_px: int = option(8, "Distance between samples along a chain, in pixels", ge=1)
     max_disagreement_px: float = option(
         1.5, "Largest distance between agreeing crossings along the epipolar line, in pixels", gt=0
     )
@@ -115,3 +118,56 @@ class ChainDepthOptions(Options):
         4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
     )
     max_clusters: int = option(6, "Depths of a sample between which the chain decides", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementOptions(Options):
+    """Least squares on the depths of curves."""
+
+    radii_px: tuple[float, ...] = option(
+        (4.0, 2.0), "Search radii of observations, one a round, in pixels"
+    )
+    max_residual_px: float = option(
+        1.5, "Largest distance of an edge point to the chain that observes it, in pixels", gt=0
+    )
+    max_tangent_angle_deg: float = option(
+        15.0, "Largest angle between edge and observing chain, in degrees", gt=0, le=90
+    )
+    robust_scale_px: float = option(
+        0.7, "Residual from which an observation loses influence, in pixels", gt=0
+    )
+    max_bend_px: float = option(
+        0.2, "Second difference of disparity from which bending costs less, in pixels", gt=0
+    )
+    noise_px: float = option(0.3, "Standard deviation of a chain across itself, in pixels", gt=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracingOptions(Options):
+    """From depths along chains to 3D edges."""
+
+    views: ViewSelectionOptions = field(default_factory=ViewSelectionOptions)
+    depths: ChainDepthOptions = field(default_factory=ChainDepthOptions)
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    max_cross_check_px: float = option(
+        3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
+    )
+    min_agreeing_views: int = option(
+        2, "Other views that must find the same depth for a sample to be sure", ge=1
+    )
+    min_confirmed_ratio: float = option(
+        0.5, "Share of sure samples that a run must have", ge=0, le=1
+    )
+    min_run_samples: int = option(2, "Samples that a run must have", ge=2)
+    max_disparity_gradient: float = option(
+        1.0, "Largest change of disparity along a chain, in pixels a pixel", gt=0
+    )
+    max_bridge_px: int = option(30, "Longest stretch without depth inside a run, in pixels", ge=0)
+    extension_px: int = option(8, "How far a run is followed beyond its ends, in pixels", ge=0)
+    point_spacing_px: int = option(
+        4, "Distance of edge points along the driving chain, in pixels", ge=1
+    )
+    min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
+    min_observations: int = option(
+        4, "Observations that an edge point must have (paper: k_v)", ge=2
+    )

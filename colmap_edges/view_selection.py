@@ -23,10 +23,12 @@ class Neighborhood:
 
     Attributes:
         neighbors: per view its neighbours, indices into the model's views, best first.
+        witnesses: per view all views that may observe its edges, ascending.
         inverse_depths: (V, 2) float64 smallest and largest inverse depth, 1 / world units.
     """
 
     neighbors: tuple[IntArray, ...]
+    witnesses: tuple[IntArray, ...]
     inverse_depths: FloatArray
 
 
@@ -37,11 +39,15 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     """
     observed = observation_matrix(model)
     ranges = depth_ranges(model, observed)
-    neighbors = []
+    neighbors, witnesses = [], []
     for view in range(len(model.views)):
         scores = neighbor_scores(model, observed, view, ranges[view], options)
         neighbors.append(pick_diverse(model, view, scores, options.num_neighbors))
-    return Neighborhood(neighbors=tuple(neighbors), inverse_depths=ranges)
+        order = np.argsort(-scores, kind="stable")[: options.num_witnesses]
+        witnesses.append(np.sort(order[scores[order] > 0]))
+    return Neighborhood(
+        neighbors=tuple(neighbors), witnesses=tuple(witnesses), inverse_depths=ranges
+    )
 
 
 def observation_matrix(model: Model) -> csr_array:
@@ -108,7 +114,8 @@ def neighbor_scores(
     to_own = points - model.camera_centers[view]
     to_other = points[columns] - model.camera_centers[rows]
     weights = angle_weights(to_own[columns], to_other, options)
-    scores = np.bincount(rows, weights=weights, minlength=len(model.views))
+    scores = np.zeros(len(model.views))
+    np.add.at(scores, rows, weights)
     scores[view] = 0
     return scores
 

@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "arrays.h"
+#include "association.h"
 #include "chain_depths.h"
 #include "edge_view.h"
 #include "polyline.h"
@@ -111,6 +112,40 @@ nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const Edge
       ToArray(std::move(result.neighbors), {total}), ToArray(std::move(result.positions), {total}));
 }
 
+using Points3D = InArray<double, nb::shape<-1, 3>>;
+
+OutArray<double> AssociateArrays(const EdgeView& view, Points3D points, Points3D tangents,
+                                 InArray<int8_t, nb::ndim<1>> sides, double max_distance_px,
+                                 double min_cosine, int num_threads) {
+  const size_t count = points.shape(0);
+  if (tangents.shape(0) != count || sides.size() != count) {
+    throw std::invalid_argument("points, tangents and sides differ in length");
+  }
+  std::vector<double> positions;
+  {
+    nb::gil_scoped_release release;
+    positions = AssociateAll(view, points.data(), tangents.data(), sides.data(), int64_t(count),
+                             {max_distance_px, min_cosine}, num_threads);
+  }
+  return ToArray(std::move(positions), {count});
+}
+
+nb::tuple ChainPointsArrays(const EdgeView& view, InArray<double, nb::ndim<1>> positions) {
+  const size_t count = positions.size();
+  std::vector<double> points(2 * count), tangents(2 * count);
+  for (size_t i = 0; i < count; ++i) {
+    if (!(positions(i) >= 0 && positions(i) < double(view.num_points()))) {
+      throw std::invalid_argument("a position is not on a chain");
+    }
+    const Vec2 point = view.At(positions(i));
+    const Vec2& tangent = view.tangent(int64_t(positions(i)));
+    std::copy_n(point.begin(), 2, points.begin() + 2 * i);
+    std::copy_n(tangent.begin(), 2, tangents.begin() + 2 * i);
+  }
+  return nb::make_tuple(ToArray(std::move(points), {count, 2}),
+                        ToArray(std::move(tangents), {count, 2}));
+}
+
 }  // namespace
 }  // namespace colmap_edges
 
@@ -132,4 +167,9 @@ NB_MODULE(_kernels, m) {
         "max_disagreement_px"_a, "min_angle_sin"_a, "detection_rate"_a, "none_score"_a,
         "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
+  m.def("associate", &colmap_edges::AssociateArrays, "view"_a, "points"_a, "tangents"_a, "sides"_a,
+        "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
+        "(N,) positions on the view's chains that observe the 3D points, -1 where none.");
+  m.def("chain_points", &colmap_edges::ChainPointsArrays, "view"_a, "positions"_a,
+        "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
 }

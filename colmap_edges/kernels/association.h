@@ -1,0 +1,78 @@
+// Observations of 3D edge points in a view: the nearest point of a chain that runs the same way.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "edge_view.h"
+#include "parallel.h"
+
+namespace colmap_edges {
+
+struct AssociationParameters {
+  double max_distance_px;
+  double min_cosine;  // of the angle between the projected tangent and the chain
+};
+
+// The place on the chain around point i that is nearest to x: its fractional position.
+inline double NearestPosition(const EdgeView& view, int64_t i, const Vec2& x) {
+  const Vec2& p = view.point(i);
+  const Vec2& t = view.tangent(i);
+  const bool ahead = (x[0] - p[0]) * t[0] + (x[1] - p[1]) * t[1] > 0;
+  const int64_t from = ahead ? i : view.Advance(i, -1);
+  const int64_t to = ahead ? view.Next(i) : i;
+  if (to < 0 || from == to) return double(i);
+  const Vec2 &a = view.point(from), &b = view.point(to);
+  const double dx = b[0] - a[0], dy = b[1] - a[1], length2 = dx * dx + dy * dy;
+  if (!(length2 > 0)) return double(i);
+  const double fraction = ((x[0] - a[0]) * dx + (x[1] - a[1]) * dy) / length2;
+  return double(from) + std::fmin(std::fmax(fraction, 0.0), 0.999999);
+}
+
+// The position on a chain of `view` that observes the 3D point with the given tangent, or -1.
+// `side` is +1 where the bright side lies to the left of the tangent, seen in an image with y
+// down as the sign of cross(tangent, normal), -1 where it lies to the right, 0 where unknown.
+inline double Associate(const EdgeView& view, const Vec3& world, const Vec3& tangent, int8_t side,
+                        const AssociationParameters& parameters) {
+  const Vec3 local = view.ToCamera(world);
+  if (!(local[2] > 0)) return -1;
+  const double scale = view.focal() / local[2];
+  const Vec2 x = {scale * local[0], scale * local[1]};
+  const Vec3 turned = Multiply(view.rotation(), tangent);
+  double tx = turned[0] * local[2] - local[0] * turned[2];
+  double ty = turned[1] * local[2] - local[1] * turned[2];
+  const double norm = std::hypot(tx, ty);
+  if (!(norm > 0)) return -1;
+  tx /= norm, ty /= norm;
+  double best = parameters.max_distance_px * parameters.max_distance_px;
+  int64_t nearest = -1;
+  view.VisitNear(x, parameters.max_distance_px, [&](int64_t i) {
+    const Vec2& p = view.point(i);
+    const double dx = p[0] - x[0], dy = p[1] - x[1], distance2 = dx * dx + dy * dy;
+    if (distance2 > best || (distance2 == best && nearest >= 0)) return;
+    const Vec2& t = view.tangent(i);
+    if (std::abs(t[0] * tx + t[1] * ty) < parameters.min_cosine) return;
+    const Vec2& n = view.normal(i);
+    if (side != 0 && (tx * n[1] - ty * n[0]) * side < 0) return;
+    best = distance2, nearest = i;
+  });
+  return nearest < 0 ? -1 : NearestPosition(view, nearest, x);
+}
+
+// Positions of many points, -1 where there is none.
+inline std::vector<double> AssociateAll(const EdgeView& view, const double* points,
+                                        const double* tangents, const int8_t* sides, int64_t count,
+                                        const AssociationParameters& parameters, int num_threads) {
+  constexpr int64_t kBlock = 1024;
+  std::vector<double> positions(count);
+  ParallelFor((count + kBlock - 1) / kBlock, num_threads, [&](int64_t block, int) {
+    for (int64_t i = block * kBlock; i < std::min(count, (block + 1) * kBlock); ++i) {
+      const double *p = points + 3 * i, *t = tangents + 3 * i;
+      positions[i] = Associate(view, {p[0], p[1], p[2]}, {t[0], t[1], t[2]}, sides[i], parameters);
+    }
+  });
+  return positions;
+}
+
+}  // namespace colmap_edges

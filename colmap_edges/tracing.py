@@ -1,0 +1,349 @@
+"""2D edge graphs -> 3D edges: depths along chains, checked, joined to curves and refined.
+
+Views drive in turn. What a driver's curves cover in the other views is marked, so that each edge
+of the scene is traced once, by the view that sees it best (paper: 3D edge reconstruction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.chain_depths import ChainDepths, compute_chain_depths, make_edge_view
+from colmap_edges.cross_check import count_agreeing_views, lift
+from colmap_edges.edge_graph import EdgeGraph, offsets_of
+from colmap_edges.edges import Edges3D
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.model import Model
+from colmap_edges.options import TracingOptions
+from colmap_edges.refinement import Curves, refine_curves
+from colmap_edges.view_selection import select_views
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traced:
+    """Curves of one driver with their observations.
+
+    Attributes:
+        points: (N, 3) world points.
+        sigmas: (N,) standard deviation along the driver's ray, world units.
+        offsets: (E + 1,) CSR of the points by curve.
+        views: (K + 1,) view of each column of `positions`, the driver first.
+        positions: (N, K + 1) positions on the views' chains; NaN where not observed.
+    """
+
+    points: FloatArray
+    sigmas: FloatArray
+    offsets: IntArray
+    views: IntArray
+    positions: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What tracing looks at: the model with its edge graphs in both forms, and who sees what."""
+
+    model: Model
+    graphs: list[EdgeGraph]
+    edge_views: list[_kernels.EdgeView]
+    neighbors: tuple[IntArray, ...]
+    witnesses: tuple[IntArray, ...]
+    covered: list[BoolArray] = field(default_factory=list)
+
+
+def trace_edges(
+    model: Model, graphs: list[EdgeGraph], options: TracingOptions, num_threads: int
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Reconstruct the 3D edges of a model from the edge graphs of its views.
+
+    Args:
+        model: posed views and, where there are any, SfM points.
+        graphs: the edge graph of each view.
+        options: every step's parameters.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The 3D edges and counts in, kept and dropped by reason.
+    """
+    near = select_views(model, options.views)
+    edge_views = [
+        make_edge_view(graph, view) for graph, view in zip(graphs, model.views, strict=True)
+    ]
+    depths = [
+        compute_chain_depths(
+            v,
+            near.neighbors[v],
+            edge_views,
+            graphs[v],
+            near.inverse_depths[v],
+            options.depths,
+            num_threads,
+        )
+        for v in range(len(graphs))
+    ]
+    agreeing = [
+        count_agreeing_views(model.views, graphs, depths, v, options.max_cross_check_px)
+        for v in range(len(graphs))
+    ]
+    scene = Scene(
+        model=model,
+        graphs=graphs,
+        edge_views=edge_views,
+        neighbors=near.neighbors,
+        witnesses=near.witnesses,
+        covered=[np.zeros(len(graph.points), bool) for graph in graphs],
+    )
+    traced = []
+    for view in np.argsort([-int(a.sum()) for a in agreeing], kind="stable"):
+        curves, indices = curves_of_view(scene, int(view), depths[view], agreeing[view], options)
+        if len(indices) == 0:
+            continue
+        traced.append(trace_view(scene, int(view), curves, indices, options, num_threads))
+        mark_covered(scene, traced[-1], options)
+    edges, stats = gather(scene, traced, options)
+    stats["samples"] = int(sum(len(d.samples) for d in depths))
+    stats["samples_with_depth"] = int(sum(d.found.sum() for d in depths))
+    stats["samples_confirmed"] = int(sum((a >= 1).sum() for a in agreeing))
+    return edges, stats
+
+
+def curves_of_view(
+    scene: Scene,
+    view: int,
+    depths: ChainDepths,
+    agreeing: NDArray[np.int32],
+    options: TracingOptions,
+) -> tuple[Curves, IntArray]:
+    """Curves on the chains of one view that are not covered yet.
+
+    Returns:
+        The curves and (N,) the points of the graph that they run through.
+    """
+    graph = scene.graphs[view]
+    good = depths.found & (agreeing >= 1)
+    rows = np.flatnonzero(good)
+    linked = link_samples(graph, depths, rows, options)
+    indices, inverse, runs = densify(graph, depths, rows, linked, agreeing, options)
+    free = ~scene.covered[view][indices]
+    indices, inverse, runs = indices[free], inverse[free], runs[free]
+    # A covered stretch ends a curve as the end of its run does.
+    broken = np.ones(len(indices), bool)
+    if len(indices):
+        broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.point_spacing_px)
+    ids = np.cumsum(broken) - 1
+    long = np.bincount(ids)[ids] >= options.min_curve_points if len(ids) else free
+    indices, inverse, ids = indices[long], inverse[long], ids[long]
+    lengths = np.unique(ids, return_counts=True)[1]
+    tangent = _kernels.chain_points(scene.edge_views[view], indices.astype(np.float64))[1]
+    normal = graph.normals[indices]
+    sides = np.where(tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0] >= 0, 1, -1)
+    curves = Curves(
+        ideal=graph.ideal[indices],
+        inverse_depths=inverse,
+        offsets=offsets_of(lengths),
+        sides=sides.astype(np.int8),
+    )
+    return curves, indices
+
+
+def link_samples(
+    graph: EdgeGraph, depths: ChainDepths, rows: IntArray, options: TracingOptions
+) -> BoolArray:
+    """(n - 1,) whether sample rows[i] and rows[i + 1] belong to one curve.
+
+    They do when depth changes between them by less than a pixel of disparity a pixel of chain,
+    and no sample is missing, or at least two other views see both on one chain.
+    """
+    if len(rows) < 2:
+        return np.zeros(0, bool)
+    left, right = rows[:-1], rows[1:]
+    polylines = graph.polyline_ids[depths.samples[rows]]
+    steps = depths.samples[right] - depths.samples[left]
+    counts = np.diff(depths.support_offsets)
+    sigma = np.maximum(depths.sigmas[left], depths.sigmas[right]) * np.sqrt(counts[left])
+    change = np.abs(depths.inverse_depths[right] - depths.inverse_depths[left])
+    smooth = change <= options.max_disparity_gradient * steps * sigma
+    bridged = steps <= options.max_bridge_px
+    linked: BoolArray = (polylines[1:] == polylines[:-1]) & smooth
+    linked &= (right - left == 1) | bridged
+    return linked
+
+
+def densify(
+    graph: EdgeGraph,
+    depths: ChainDepths,
+    rows: IntArray,
+    linked: BoolArray,
+    agreeing: NDArray[np.int32],
+    options: TracingOptions,
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Points along the runs of linked samples, inverse depths linear between samples.
+
+    Runs with too few samples, or none that enough views confirm, are left out.
+
+    Returns:
+        (N,) points of the graph, (N,) inverse depths, (N,) run of each.
+    """
+    empty = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
+    if len(rows) == 0:
+        return empty
+    runs = np.concatenate([[0], np.cumsum(~linked)])
+    sizes = np.bincount(runs)
+    sure = np.bincount(runs, weights=agreeing[rows] >= options.min_agreeing_views)
+    good = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    spacing = options.point_spacing_px
+    indices, inverse, ids = [], [], []
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    for run in np.flatnonzero(good):
+        at = rows[starts[run] : starts[run + 1]]
+        polyline = graph.polyline_ids[depths.samples[at[0]]]
+        low = max(depths.samples[at[0]] - options.extension_px, graph.polyline_offsets[polyline])
+        high = min(
+            depths.samples[at[-1]] + options.extension_px, graph.polyline_offsets[polyline + 1] - 1
+        )
+        points = np.arange(low, high + 1, spacing)
+        indices.append(points)
+        inverse.append(extrapolate(points, depths.samples[at], depths.inverse_depths[at]))
+        ids.append(np.full(len(points), run))
+    if not indices:
+        return empty
+    return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
+
+
+def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
+    """Values at `at`, linear between the known places and beyond the first and last two."""
+    result = np.interp(at, known, values)
+    before, after = at < known[0], at > known[-1]
+    first = (values[1] - values[0]) / (known[1] - known[0])
+    last = (values[-1] - values[-2]) / (known[-1] - known[-2])
+    result[before] = values[0] + first * (at[before] - known[0])
+    result[after] = values[-1] + last * (at[after] - known[-1])
+    return np.where(result > 0, result, np.interp(at, known, values))
+
+
+def trace_view(
+    scene: Scene,
+    view: int,
+    curves: Curves,
+    indices: IntArray,
+    options: TracingOptions,
+    num_threads: int,
+) -> Traced:
+    """Refine the curves of one driver and find their observations."""
+    witnesses = scene.witnesses[view]
+    driver = scene.model.views[view]
+    curves, positions, sigmas = refine_curves(
+        driver,
+        curves,
+        [scene.model.views[w] for w in witnesses],
+        [scene.edge_views[w] for w in witnesses],
+        options.refinement,
+        num_threads,
+    )
+    return Traced(
+        points=lift(driver, curves.ideal, curves.inverse_depths),
+        sigmas=sigmas / curves.inverse_depths**2,
+        offsets=curves.offsets,
+        views=np.concatenate([[view], witnesses]),
+        positions=np.column_stack([indices.astype(np.float64), positions]),
+    )
+
+
+def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
+    """Mark the stretches of chains that curves are observed on, in every view."""
+    for column, view in enumerate(traced.views):
+        positions = traced.positions[:, column]
+        at = positions[np.isfinite(positions)].astype(np.int64)
+        graph = scene.graphs[view]
+        polyline = graph.polyline_ids[at]
+        reach = options.point_spacing_px
+        low = np.maximum(at - reach, graph.polyline_offsets[polyline])
+        high = np.minimum(at + reach + 1, graph.polyline_offsets[polyline + 1])
+        change = np.zeros(len(graph.points) + 1, np.int64)
+        np.add.at(change, low, 1)
+        np.add.at(change, high, -1)
+        scene.covered[view] |= np.cumsum(change[:-1]) > 0
+
+
+def gather(
+    scene: Scene, traced: list[Traced], options: TracingOptions
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Filter points by their number of observations and make the 3D edges of what is left."""
+    counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
+    every = np.concatenate(counts) if counts else np.zeros(0)
+    median = float(np.median(every)) if len(every) else 0.0
+    needed = max(options.min_observations, median / 2 + 1)
+    parts = [keep_points(t, c >= needed, options) for t, c in zip(traced, counts, strict=True)]
+    stats = {
+        "points_traced": len(every),
+        "min_observations": needed,
+        "points_dropped_few_observations": int((every < needed).sum()),
+    }
+    return make_edges(scene, parts), stats
+
+
+def keep_points(traced: Traced, keep: BoolArray, options: TracingOptions) -> Traced:
+    """Split curves where points are dropped; short pieces go with them."""
+    ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
+    # One or two weak points inside a curve stay: the curve around them holds them.
+    broken = np.ones(len(ids), bool)
+    broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
+    pieces = np.cumsum(broken) - 1
+    sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
+    keep = keep & (sizes[pieces] >= options.min_curve_points)
+    lengths = np.unique(pieces[keep], return_counts=True)[1]
+    return Traced(
+        points=traced.points[keep],
+        sigmas=traced.sigmas[keep],
+        offsets=offsets_of(lengths),
+        views=traced.views,
+        positions=traced.positions[keep],
+    )
+
+
+def make_edges(scene: Scene, parts: list[Traced]) -> Edges3D:
+    """Put the curves of all drivers together as 3D edges with tracks."""
+    points, sigmas, lengths, track_lengths, track_views, track_points = [], [], [], [], [], []
+    for part in parts:
+        seen = np.isfinite(part.positions)
+        rows, columns = np.nonzero(seen)
+        pixels = np.zeros((len(rows), 2))
+        for column, view in enumerate(part.views):
+            chosen = columns == column
+            pixels[chosen] = image_points(scene.graphs[view], part.positions[rows[chosen], column])
+        points.append(part.points)
+        sigmas.append(part.sigmas)
+        lengths.append(np.diff(part.offsets))
+        track_lengths.append(seen.sum(axis=1))
+        track_views.append(part.views[columns])
+        track_points.append(pixels)
+    num_edges = int(sum(len(length) for length in lengths))
+    return Edges3D(
+        points=np.concatenate([np.zeros((0, 3)), *points]),
+        edge_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *lengths])),
+        closed=np.zeros(num_edges, bool),
+        track_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths])),
+        track_views=np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32),
+        track_points2D=np.concatenate([np.zeros((0, 2)), *track_points]),
+        sigmas=np.concatenate([np.zeros(0), *sigmas]),
+        end_nodes=np.full((num_edges, 2), -1, np.int32),
+    )
+
+
+def image_points(graph: EdgeGraph, positions: FloatArray) -> FloatArray:
+    """(N, 2) image pixels at fractional positions on the chains of a graph."""
+    low = positions.astype(np.int64)
+    polyline = graph.polyline_ids[low]
+    last = graph.polyline_offsets[polyline + 1] - 1
+    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
+    high = np.where(low < last, low + 1, wrapped)
+    weight = (positions - low)[:, None]
+    points: FloatArray = (1 - weight) * graph.points[low] + weight * graph.points[high]
+    return points
