@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from colmap_edges.colmap_files import NewPoints, append_points, check_model_files
+from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
 FloatArray = NDArray[np.float64]
@@ -113,13 +116,22 @@ def load_model(path: Path | str) -> Model:
     """
     path = Path(path)
     try:
+        check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
     except (ValueError, IndexError, RuntimeError, OSError) as error:
+        reason = " ".join(str(error).split())
         raise ColmapEdgesError(
-            f"no readable COLMAP model in {path} ({error}); "
+            f"no readable COLMAP model in {path} ({reason}); "
             "give the folder that holds cameras, images and points3D (.bin or .txt)"
         ) from error
     return model_from_reconstruction(reconstruction)
+
+
+def camera_parameter_counts() -> dict[int, int]:
+    """Number of parameters of every camera model, by COLMAP's id of the model."""
+    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
+    cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
+    return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
 
 
 def model_from_reconstruction(reconstruction: Any) -> Model:
@@ -174,3 +186,88 @@ def tracks_by_point(
     offsets = np.zeros(len(point3D_ids) + 1, np.int64)
     np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
+
+
+def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
+    """Distances (T,) in pixels of each observation from the projection of its edge point.
+
+    NaN where the point lies behind the camera.
+    """
+    residuals = np.full(len(edges.track_views), np.nan)
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    for index in np.unique(edges.track_views):
+        rows = np.flatnonzero(edges.track_views == index)
+        projected, _ = model.views[index].project(edges.points[owners[rows]])
+        residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
+    return residuals
+
+
+def write_model(
+    model: Model,
+    edges: Edges3D,
+    path: Path | str,
+    output_type: str = "BIN",
+    colors: NDArray[np.uint8] | None = None,
+) -> IntArray:
+    """Write the model plus the edge points as points3D with tracks.
+
+    Cameras, poses and SfM points are written as they are; each observation of an edge point is
+    appended to its image's points2D, so that old indices stay.
+
+    Args:
+        model: the input model; it is not changed.
+        edges: the edge points and their tracks.
+        path: folder to write to; made when missing.
+        output_type: BIN or TXT.
+        colors: (N, 3) uint8 RGB of the edge points; black when not given.
+
+    Returns:
+        (N,) ids of the edge points in the written model.
+    """
+    path = Path(path)
+    path.mkdir(exist_ok=True)
+    points = new_points(model, edges, colors)
+    if output_type == "BIN":
+        model.reconstruction.write_binary(str(path))
+        append_points(path, points)
+    else:
+        with_points(model.reconstruction, points).write_text(str(path))
+    return points.ids
+
+
+def extend_reconstruction(
+    model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None = None
+) -> tuple[Any, IntArray]:
+    """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
+
+    Returns:
+        The reconstruction and the (N,) ids of the edge points in it.
+    """
+    points = new_points(model, edges, colors)
+    return with_points(model.reconstruction, points), points.ids
+
+
+def with_points(reconstruction: Any, points: NewPoints) -> Any:
+    """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write_binary(folder)
+        append_points(Path(folder), points)
+        return pycolmap.Reconstruction(folder)
+
+
+def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -> NewPoints:
+    """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
+    first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
+    lengths = np.diff(edges.track_offsets)
+    owners = np.repeat(np.arange(edges.num_points), lengths)
+    sums = np.bincount(owners, observation_residuals(model, edges), edges.num_points)
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    return NewPoints(
+        ids=first_id + np.arange(edges.num_points, dtype=np.int64),
+        xyz=edges.points,
+        rgb=np.zeros((edges.num_points, 3), np.uint8) if colors is None else colors,
+        errors=sums / np.maximum(lengths, 1),
+        track_offsets=edges.track_offsets,
+        track_image_ids=image_ids[edges.track_views],
+        track_points2D=edges.track_points2D,
+    )

@@ -115,3 +115,27 @@ class ChainDepthOptions(Options):
         4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
     )
     max_clusters: int = option(6, "Depths of a sample between which the chain decides", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracingOptions(Options):
+    """2D edge graphs -> 3D edges."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshingOptions(Options):
+    """Points and edges -> mesh."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineOptions(Options):
+    """Everything a run can be told: one group a stage, and what concerns the whole run."""
+
+    detection: DetectionOptions = field(default_factory=DetectionOptions)
+    edge_graph: EdgeGraphOptions = field(default_factory=EdgeGraphOptions)
+    tracing: TracingOptions = field(default_factory=TracingOptions)
+    meshing: MeshingOptions = field(default_factory=MeshingOptions)
+    use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
+    num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
+    random_seed: int = option(0, "Seed of every random choice", ge=0)
