@@ -101,6 +101,7 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     options = options_from_flags(values)
     from colmap_edges.pipeline import Paths, run  # heavy imports, after parsing
 
+    signal.signal(signal.SIGTERM, on_terminate)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
     paths = Paths(**{key: values[key] for key in ("image_path", "input_path", "output_path")})
     with progress_bars() as progress:
@@ -224,7 +225,6 @@ def on_terminate(_signal: int, _frame: Any) -> NoReturn:
 
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
-    signal.signal(signal.SIGTERM, on_terminate)
     run: Callable[..., Any] = cli.main
     try:
         code = run(argv, prog_name="colmap-edges", standalone_mode=False)

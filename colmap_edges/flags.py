@@ -40,7 +40,7 @@ def make_flag(entry: Field[Any], kind: type, group: str = "") -> click.Option:
     metavars = {bool: "0|1", int: "INT", float: "FLOAT"}
     choices = metadata.get("choices")
     flag = f"{group}.{entry.name}" if group else entry.name
-    default = {False: 0, True: 1}[entry.default] if kind is bool else entry.default
+    default = int(entry.default) if isinstance(entry.default, bool) else entry.default
     return click.Option(
         [f"--{flag}", normalize(flag).replace(".", "__")],
         type=click.Choice(choices, case_sensitive=False) if choices else types[kind],
