@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -270,4 +270,20 @@ def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -
         track_offsets=edges.track_offsets,
         track_image_ids=image_ids[edges.track_views],
         track_points2D=edges.track_points2D,
+    )
+
+
+def with_edge_points(
+    model: Model, edges: Edges3D, point3D_ids: IntArray, colors: NDArray[np.uint8]
+) -> Model:
+    """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
+    offsets = model.track_offsets[-1] + edges.track_offsets[1:]
+    return replace(
+        model,
+        points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
+        point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
+        points3D_rgb=np.concatenate([model.points3D_rgb, colors]),
+        track_offsets=np.concatenate([model.track_offsets, offsets]),
+        track_views=np.concatenate([model.track_views, edges.track_views]),
+        track_points2D=np.concatenate([model.track_points2D, edges.track_points2D]),
     )

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from colmap_edges.model import (
     load_model,
     model_from_reconstruction,
     observation_residuals,
+    with_edge_points,
     write_model,
 )
 from colmap_edges.options import PipelineOptions
@@ -121,9 +122,9 @@ def run_edges(
         return
     graphs = detect_stage(model, image_path, options, stages)
     edges = trace_stage(model, graphs, options, stages)
-    write_stage(model, edges, image_path, folder, options, stages)
+    extended = write_stage(model, edges, image_path, folder, options, stages)
     if command == "mesh":
-        mesh_stage(model, edges, folder, options, stages)
+        mesh_stage(extended, edges, folder, options, stages)
 
 
 def reconstruct(
@@ -274,8 +275,12 @@ def write_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-) -> None:
-    """Write the model with edge points, and the edges as PLY, OBJ and JSON."""
+) -> Model:
+    """Write the model with edge points, and the edges as PLY, OBJ and JSON.
+
+    Returns:
+        The model with the edge points after its own.
+    """
     with stages.stage("write") as stage:
         colors = sample_colors(edges, model, image_path)
         ids = write_model(model, edges, folder / "sparse", options.output_type, colors)
@@ -289,6 +294,7 @@ def write_stage(
             "observations": len(residuals),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
+    return with_edge_points(model, edges, ids, colors)
 
 
 def mesh_stage(
@@ -298,18 +304,26 @@ def mesh_stage(
     options: PipelineOptions,
     stages: Stages,
 ) -> None:
-    """Mesh the SfM points, with the edge points when there are edges."""
-    from colmap_edges.meshing import mesh_points, write_mesh  # type: ignore[import-not-found]
+    """Mesh all points of a model, whose last are those of `edges` when there are edges."""
+    from colmap_edges.meshing import Polylines, mesh_points, with_model_attributes, write_mesh
 
     with stages.stage("mesh") as stage:
-        points, offsets, cameras = model.points3D_xyz, model.track_offsets, model.track_views
+        polylines = None
         if edges is not None:
-            points = np.concatenate([points, edges.points])
-            offsets = np.concatenate([offsets, offsets[-1] + edges.track_offsets[1:]])
-            cameras = np.concatenate([cameras, edges.track_views])
-        mesh = mesh_points(points, offsets, cameras, model.camera_centers, options.meshing)
-        write_mesh(mesh, folder / "mesh.ply")
-        stage.counts = {"points": len(points)}
+            first = len(model.point3D_ids) - edges.num_points
+            indices = np.arange(first, len(model.point3D_ids), dtype=np.int32)
+            polylines = Polylines(indices, edges.edge_offsets, edges.closed)
+        mesh = mesh_points(
+            model.points3D_xyz,
+            model.track_offsets,
+            model.track_views,
+            model.camera_centers,
+            replace(options.meshing, num_threads=thread_count(options)),
+            polylines,
+        )
+        write_mesh(with_model_attributes(mesh, model), folder / "mesh.ply")
+        stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        stage.counts |= plain_counts(mesh.stats)
 
 
 def make_report(
