@@ -45,13 +45,21 @@ def describe_output(path: Path) -> str:
     lines = [f"output of colmap-edges {report['command']}"]
     for stage in report["stages"]:
         lines.append(f"{stage['name']}: {stage['wall_s']} s, {stage['peak_mb']} MB")
-        lines += [f"  {key.replace('_', ' ')}: {value}" for key, value in stage["counts"].items()]
+        lines += count_lines(stage["counts"], "  ")
     if (path / "sparse").is_dir():
-        lines += [
-            "sparse:",
-            *(f"  {line}" for line in describe_model(load_model(path / "sparse")).split("\n")),
-        ]
+        model = describe_model(load_model(path / "sparse"))
+        lines += ["sparse:", *(f"  {line}" for line in model.split("\n"))]
     return "\n".join(lines)
+
+
+def count_lines(counts: dict[str, Any], indent: str) -> list[str]:
+    """Counts one a line, nested ones further in."""
+    lines = []
+    for key, value in counts.items():
+        nested = isinstance(value, dict)
+        lines.append(f"{indent}{key.replace('_', ' ')}:{'' if nested else f' {value}'}")
+        lines += count_lines(value, indent + "  ") if nested else []
+    return lines
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -264,7 +264,8 @@ def trace_stage(
     edges: Edges3D
     with stages.stage("trace") as stage:
         edges, stats = trace_edges(model, graphs, options.tracing, thread_count(options))
-        stage.counts = plain_counts(stats)
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        stage.counts["details"] = plain_counts(stats)
     return edges
 
 
@@ -323,7 +324,7 @@ def mesh_stage(
         )
         write_mesh(with_model_attributes(mesh, model), folder / "mesh.ply")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-        stage.counts |= plain_counts(mesh.stats)
+        stage.counts["details"] = plain_counts(mesh.stats)
 
 
 def make_report(

@@ -106,10 +106,16 @@ def peak_memory_mb() -> float:
 
 
 def plain_counts(stats: Mapping[str, Any]) -> dict[str, Any]:
-    """`stats` as what JSON can hold: numbers of numpy become Python's."""
-    return {
-        key: plain_counts(value)
-        if isinstance(value, Mapping)
-        else (value.item() if hasattr(value, "item") else value)
-        for key, value in stats.items()
-    }
+    """`stats` as what JSON can hold: numbers of numpy become Python's, whole ones integers."""
+    return {key: plain(value) for key, value in stats.items()}
+
+
+def plain(value: Any) -> Any:
+    """One value of `plain_counts`."""
+    if isinstance(value, Mapping):
+        return plain_counts(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else round(value, 6)
+    return value
