@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -135,14 +136,18 @@ def camera_parameter_counts() -> dict[int, int]:
 
 
 def model_from_reconstruction(reconstruction: Any) -> Model:
-    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed."""
+    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed.
+
+    Raises:
+        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
+    """
     images = sorted(reconstruction.images.values(), key=lambda image: image.name)
     posed = [image for image in images if image.has_pose]
     views = tuple(view_from_image(image) for image in posed)
     points = sorted(reconstruction.points3D.items())
     ids = np.array([point3D_id for point3D_id, _ in points], np.int64)
     offsets, track_views, track_points2D = tracks_by_point(posed, ids)
-    return Model(
+    model = Model(
         views=views,
         points3D_xyz=np.array([p.xyz for _, p in points], np.float64).reshape(-1, 3),
         point3D_ids=ids,
@@ -153,6 +158,29 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
         unposed_names=tuple(image.name for image in images if not image.has_pose),
         reconstruction=reconstruction,
     )
+    check_values(model)
+    return model
+
+
+def check_values(model: Model) -> None:
+    """Check that poses, cameras and points are numbers, and names of images unique.
+
+    Raises:
+        ColmapEdgesError: naming the first that is not.
+    """
+    for view, following in zip_longest(model.views, model.views[1:]):
+        if following and view.name == following.name:
+            raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
+        if not (np.isfinite(view.rotation).all() and np.isfinite(view.translation).all()):
+            raise ColmapEdgesError(f"the pose of image {view.name} is not finite; deregister it")
+        if not np.isfinite(view.camera.params).all() or not view.focal_px > 0:
+            raise ColmapEdgesError(
+                f"the camera of image {view.name} has the parameters "
+                f"{view.camera.params_to_string()}; they must be finite and the focal length > 0"
+            )
+    bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
+    if len(bad):
+        raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
 
 
 def view_from_image(image: Any) -> View:
@@ -181,7 +209,14 @@ def tracks_by_point(
         pixels.append(np.array([o[1] for o in observed], np.float64).reshape(-1, 2))
     if not images:
         return np.zeros(len(point3D_ids) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
-    rows = np.searchsorted(point3D_ids, np.concatenate(points))
+    observed_ids = np.concatenate(points)
+    unknown = ~np.isin(observed_ids, point3D_ids)
+    if unknown.any():
+        raise ColmapEdgesError(
+            f"the images of the model observe point3D {observed_ids[unknown][0]}, which it does "
+            "not have; its images and points3D files do not belong together"
+        )
+    rows = np.searchsorted(point3D_ids, observed_ids)
     order = np.argsort(rows, kind="stable")
     offsets = np.zeros(len(point3D_ids) + 1, np.int64)
     np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])

@@ -12,6 +12,7 @@ from colmap_edges.model import (
     camera_parameter_counts,
     extend_reconstruction,
     load_model,
+    model_from_reconstruction,
     observation_residuals,
     write_model,
 )
@@ -187,6 +188,53 @@ def test_track_into_nowhere(scene_paths, tmp_path):
     path.write_bytes(data)
     with pytest.raises(ColmapEdgesError, match="point2D that its image does not have"):
         load_model(folder)
+
+
+def test_images_and_points_of_different_models(scene_paths, tmp_path):
+    folder = tmp_path / "sparse"
+    shutil.copytree(scene_paths[1], folder)
+    (folder / "points3D.bin").write_bytes(bytes(8))
+    with pytest.raises(ColmapEdgesError, match="do not belong together"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ("focal", "camera of image view_001.png has the parameters 0"),
+        ("params", "camera of image view_001.png has the parameters nan"),
+        ("pose", "pose of image view_001.png is not finite"),
+        ("point", "point3D 1 of the model is not finite"),
+        ("name", "two images of the model are named same.png"),
+    ],
+)
+def test_values_that_are_none(scene, part, message):
+    reconstruction = pycolmap.Reconstruction(scene.reconstruction)
+    image = reconstruction.images[1]
+    if part in ("focal", "params"):
+        params = np.array(image.camera.params)
+        params[:2] = 0 if part == "focal" else np.nan
+        reconstruction.cameras[1].params = params
+    elif part == "pose":
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0, np.nan, 0]))
+        reconstruction.frames[image.frame_id].rig_from_world = pose
+    elif part == "point":
+        reconstruction.points3D[1].xyz = np.array([np.inf, 0, 0])
+    else:
+        for image_id in (1, 2):
+            reconstruction.images[image_id].name = "same.png"
+    with pytest.raises(ColmapEdgesError, match=message):
+        model_from_reconstruction(reconstruction)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D", "rigs", "frames"])
+def test_damaged_text_is_one_clear_error(scene, tmp_path, name):
+    scene.reconstruction.write_text(str(tmp_path))
+    path = tmp_path / f"{name}.txt"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+    with pytest.raises(ColmapEdgesError) as caught:
+        load_model(tmp_path)
+    assert "\n" not in str(caught.value)
 
 
 def test_folder_without_model(tmp_path):
