@@ -265,6 +265,7 @@ def write_model(
     if output_type == "BIN":
         model.reconstruction.write_binary(str(path))
         append_points(path, points)
+        check_model_files(path, camera_parameter_counts())  # pycolmap is silent on a full disk
     else:
         with_points(model.reconstruction, points).write_text(str(path))
     return points.ids

@@ -63,8 +63,11 @@ def new_folder(output: Path) -> Iterator[Path]:
         recover(output, partial, previous)
         yield partial
         replace(output, partial, previous)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
+        if isinstance(error, OSError):  # inputs have errors of their own
+            reason = error.strerror or error
+            raise ColmapEdgesError(f"cannot write to {output}: {reason}") from error
         raise
     finally:
         os.close(lock)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edge_io import edge_segments
+from colmap_edges.edges import Edges3D
+from colmap_edges.model import Model
+
+Picture = NDArray[np.uint8]
 
 SHIFT = 4  # OpenCV draws at fractions of 1/16 px
 # Distinct on dark ground; BGR.
@@ -25,10 +28,8 @@ def draw_edge_graph(image: NDArray[np.uint8], graph: EdgeGraph) -> NDArray[np.ui
     Returns:
         (H, W, 3) uint8 BGR; nodes where polylines meet are small white dots.
     """
-    canvas: NDArray[Any] = cv2.cvtColor(
-        cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) // 2, cv2.COLOR_GRAY2BGR
-    )
-    fixed = np.rint((graph.points - 0.5) * (1 << SHIFT)).astype(np.int32)
+    canvas = darkened(image)
+    fixed = fixed_point(graph.points)
     offsets = graph.polyline_offsets
     for color_index, color in enumerate(COLORS):
         for closed in (False, True):
@@ -40,6 +41,44 @@ def draw_edge_graph(image: NDArray[np.uint8], graph: EdgeGraph) -> NDArray[np.ui
         center = (int(point[0]), int(point[1]))
         cv2.circle(canvas, center, 2, (255, 255, 255), -1, cv2.LINE_AA)
     return canvas
+
+
+def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: Edges3D) -> Picture:
+    """Draw the projections of the 3D edges where a view observes them, over the darkened image.
+
+    Args:
+        image: (H, W, 3) uint8 BGR of the view.
+        view_index: which of the model's views.
+        model: gives the view.
+        edges: the 3D edges; colours change from edge to edge.
+
+    Returns:
+        (H, W, 3) uint8 BGR.
+    """
+    canvas = darkened(image)
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    observed = np.zeros(edges.num_points, bool)
+    observed[owners[edges.track_views == view_index]] = True
+    segments = edge_segments(edges)
+    segments = segments[observed[segments].all(axis=1)]
+    pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])
+    lines = fixed_point(pixels).reshape(-1, 2, 1, 2)
+    edge_of_segment = np.searchsorted(edges.edge_offsets, segments[:, 0], side="right") - 1
+    for index, color in enumerate(COLORS):
+        chosen = lines[edge_of_segment % len(COLORS) == index]
+        cv2.polylines(canvas, list(chosen), False, color, 2, cv2.LINE_AA, SHIFT)
+    return canvas
+
+
+def darkened(image: NDArray[np.uint8]) -> Picture:
+    """The image at half its brightness and without colour: (H, W, 3) uint8 BGR."""
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) // 2
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Pixels of COLMAP's origin as OpenCV draws them: origin moved, in units of 1/16 px."""
+    return np.rint((points - 0.5) * (1 << SHIFT)).astype(np.int32)
 
 
 def shared_nodes(graph: EdgeGraph) -> NDArray[np.float64]:

@@ -1,4 +1,5 @@
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -134,6 +135,35 @@ def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
     call("detect", *flags)
     assert "output of colmap-edges detect" in call("info", tmp_path / "out")
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
+
+
+def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+
+    process = start("detect", *flags, preexec_fn=limit)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay, hash_folder):
+    process = start("detect", *flags, "--num_threads", 1)
+    partial = tmp_path / ".out.colmap-edges-partial"
+    deadline = time.monotonic() + 60
+    while not partial.exists() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    time.sleep(delay)
+    process.kill()
+    process.communicate()
+    call("detect", *flags, "--overwrite")
+    call("detect", *flags[:-1], tmp_path / "undisturbed")
+    digests = [hash_folder(tmp_path / name) for name in ("out", "undisturbed")]
+    assert all(digest.pop("report.json") for digest in digests)  # it holds times
+    assert digests[0] == digests[1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "undisturbed"]
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -10,12 +10,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import scenes
+from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images import bilinear, path_of_image, read_image, sample_colors
+from colmap_edges.model import extend_reconstruction, load_model
 from colmap_edges.options import PipelineOptions
 from colmap_edges.output import check_output_path, new_folder
-from colmap_edges.pipeline import Paths, map_threads, run
+from colmap_edges.overlay import draw_edges
+from colmap_edges.pipeline import Paths, map_threads, run, thread_count, write_stage
+from colmap_edges.stages import Stages
 
 
 def paths_of(scene_paths, output):
@@ -234,6 +239,39 @@ def test_threads_bound_the_images_at_once():
     assert most <= 3
 
 
+def test_edges_are_drawn_where_they_are_seen(scene, scene_model):
+    edges = scenes.true_edges(scene_model, scene, spacing=0.1)
+    view = scene_model.views[3]
+    image = np.zeros((view.height, view.width, 3), np.uint8)
+    picture = draw_edges(image, 3, scene_model, edges)
+    rows, columns = np.nonzero(picture.max(axis=2) > 100)
+    projected = np.concatenate([view.project(scenes.resample(c, 0.005))[0] for c in scene.curves])
+    drawn = np.column_stack([columns, rows]) + 0.5
+    assert len(drawn) > 300
+    assert cKDTree(projected).query(drawn)[0].max() < 2.5
+
+
+@pytest.mark.parametrize("output_type", ["BIN", "TXT"])
+def test_write_stage_writes_model_and_edges(
+    scene_model, scene_edges, scene_paths, tmp_path, output_type
+):
+    stages = Stages()
+    options = PipelineOptions(output_type=output_type)
+    extended = write_stage(scene_model, scene_edges, scene_paths[0], tmp_path, options, stages)
+    suffix = output_type.lower()
+    assert (tmp_path / "sparse" / f"points3D.{suffix}").is_file()
+    written = load_model(tmp_path / "sparse")
+    np.testing.assert_array_equal(written.point3D_ids, extended.point3D_ids)
+    np.testing.assert_allclose(written.points3D_xyz, extended.points3D_xyz, rtol=1e-14)
+    np.testing.assert_array_equal(written.points3D_rgb, extended.points3D_rgb)
+    np.testing.assert_array_equal(written.track_offsets, extended.track_offsets)
+    records = json.loads((tmp_path / "edges.json").read_text())["edges"]
+    ids = [i for record in records for i in record["point3D_ids"]]
+    found = written.points3D_xyz[np.searchsorted(written.point3D_ids, ids)]
+    np.testing.assert_allclose(found, scene_edges.points, rtol=1e-14)
+    assert stages.records()[0]["counts"]["edge_points"] == scene_edges.num_points
+
+
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "a/../../b.png", ""])
 def test_image_names_cannot_leave_the_folder(tmp_path, name):
     with pytest.raises(ColmapEdgesError, match="leads out of"):
@@ -248,8 +286,6 @@ def test_bilinear_by_hand():
 
 
 def test_colors_are_colmaps_own(scene_model, scene_paths, scene_edges):
-    from colmap_edges.model import extend_reconstruction
-
     ours = sample_colors(scene_edges, scene_model, scene_paths[0])
     extended, ids = extend_reconstruction(scene_model, scene_edges)
     extended.extract_colors_for_all_images(str(scene_paths[0]))
@@ -273,7 +309,5 @@ def test_exif_orientation_is_ignored(scene_model, tmp_path):
 
 
 def test_threads_default_to_the_allowed_cores():
-    from colmap_edges.pipeline import thread_count
-
     assert thread_count(PipelineOptions(num_threads=3)) == 3
     assert thread_count(PipelineOptions()) == len(os.sched_getaffinity(0))
