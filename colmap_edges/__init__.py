@@ -1,3 +1,40 @@
-"""3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
+"""3D edges, straight and curved, for COLMAP models, and meshes that follow them.
+
+`reconstruct(reconstruction, image_path, options)` is the whole in one call; the modules hold
+the stages. Names are imported when first used, so that the command line starts at once.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from colmap_edges.edges import Edges3D
+    from colmap_edges.errors import ColmapEdgesError
+    from colmap_edges.options import PipelineOptions
+    from colmap_edges.pipeline import EdgeReconstruction, reconstruct
 
 __version__ = "0.1.0"
+__all__ = [
+    "ColmapEdgesError",
+    "EdgeReconstruction",
+    "Edges3D",
+    "PipelineOptions",
+    "__version__",
+    "reconstruct",
+]
+_MODULES = {
+    "ColmapEdgesError": "errors",
+    "EdgeReconstruction": "pipeline",
+    "Edges3D": "edges",
+    "PipelineOptions": "options",
+    "reconstruct": "pipeline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

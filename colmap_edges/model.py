@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import tempfile
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from colmap_edges.colmap_files import NewPoints, append_points, check_model_files
+from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
 FloatArray = NDArray[np.float64]
@@ -113,24 +117,37 @@ def load_model(path: Path | str) -> Model:
     """
     path = Path(path)
     try:
+        check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
     except (ValueError, IndexError, RuntimeError, OSError) as error:
+        reason = " ".join(str(error).split())
         raise ColmapEdgesError(
-            f"no readable COLMAP model in {path} ({error}); "
+            f"no readable COLMAP model in {path} ({reason}); "
             "give the folder that holds cameras, images and points3D (.bin or .txt)"
         ) from error
     return model_from_reconstruction(reconstruction)
 
 
+def camera_parameter_counts() -> dict[int, int]:
+    """Number of parameters of every camera model, by COLMAP's id of the model."""
+    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
+    cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
+    return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
+
+
 def model_from_reconstruction(reconstruction: Any) -> Model:
-    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed."""
+    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed.
+
+    Raises:
+        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
+    """
     images = sorted(reconstruction.images.values(), key=lambda image: image.name)
     posed = [image for image in images if image.has_pose]
     views = tuple(view_from_image(image) for image in posed)
     points = sorted(reconstruction.points3D.items())
     ids = np.array([point3D_id for point3D_id, _ in points], np.int64)
     offsets, track_views, track_points2D = tracks_by_point(posed, ids)
-    return Model(
+    model = Model(
         views=views,
         points3D_xyz=np.array([p.xyz for _, p in points], np.float64).reshape(-1, 3),
         point3D_ids=ids,
@@ -141,6 +158,29 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
         unposed_names=tuple(image.name for image in images if not image.has_pose),
         reconstruction=reconstruction,
     )
+    check_values(model)
+    return model
+
+
+def check_values(model: Model) -> None:
+    """Check that poses, cameras and points are numbers, and names of images unique.
+
+    Raises:
+        ColmapEdgesError: naming the first that is not.
+    """
+    for view, following in zip_longest(model.views, model.views[1:]):
+        if following and view.name == following.name:
+            raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
+        if not (np.isfinite(view.rotation).all() and np.isfinite(view.translation).all()):
+            raise ColmapEdgesError(f"the pose of image {view.name} is not finite; deregister it")
+        if not np.isfinite(view.camera.params).all() or not view.focal_px > 0:
+            raise ColmapEdgesError(
+                f"the camera of image {view.name} has the parameters "
+                f"{view.camera.params_to_string()}; they must be finite and the focal length > 0"
+            )
+    bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
+    if len(bad):
+        raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
 
 
 def view_from_image(image: Any) -> View:
@@ -169,8 +209,117 @@ def tracks_by_point(
         pixels.append(np.array([o[1] for o in observed], np.float64).reshape(-1, 2))
     if not images:
         return np.zeros(len(point3D_ids) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
-    rows = np.searchsorted(point3D_ids, np.concatenate(points))
+    observed_ids = np.concatenate(points)
+    unknown = ~np.isin(observed_ids, point3D_ids)
+    if unknown.any():
+        raise ColmapEdgesError(
+            f"the images of the model observe point3D {observed_ids[unknown][0]}, which it does "
+            "not have; its images and points3D files do not belong together"
+        )
+    rows = np.searchsorted(point3D_ids, observed_ids)
     order = np.argsort(rows, kind="stable")
     offsets = np.zeros(len(point3D_ids) + 1, np.int64)
     np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
+
+
+def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
+    """Distances (T,) in pixels of each observation from the projection of its edge point.
+
+    NaN where the point lies behind the camera.
+    """
+    residuals = np.full(len(edges.track_views), np.nan)
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    for index in np.unique(edges.track_views):
+        rows = np.flatnonzero(edges.track_views == index)
+        projected, _ = model.views[index].project(edges.points[owners[rows]])
+        residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
+    return residuals
+
+
+def write_model(
+    model: Model,
+    edges: Edges3D,
+    path: Path | str,
+    output_type: str = "BIN",
+    colors: NDArray[np.uint8] | None = None,
+) -> IntArray:
+    """Write the model plus the edge points as points3D with tracks.
+
+    Cameras, poses and SfM points are written as they are; each observation of an edge point is
+    appended to its image's points2D, so that old indices stay.
+
+    Args:
+        model: the input model; it is not changed.
+        edges: the edge points and their tracks.
+        path: folder to write to; made when missing.
+        output_type: BIN or TXT.
+        colors: (N, 3) uint8 RGB of the edge points; black when not given.
+
+    Returns:
+        (N,) ids of the edge points in the written model.
+    """
+    path = Path(path)
+    path.mkdir(exist_ok=True)
+    points = new_points(model, edges, colors)
+    if output_type == "BIN":
+        model.reconstruction.write_binary(str(path))
+        append_points(path, points)
+        check_model_files(path, camera_parameter_counts())  # pycolmap is silent on a full disk
+    else:
+        with_points(model.reconstruction, points).write_text(str(path))
+    return points.ids
+
+
+def extend_reconstruction(
+    model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None = None
+) -> tuple[Any, IntArray]:
+    """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
+
+    Returns:
+        The reconstruction and the (N,) ids of the edge points in it.
+    """
+    points = new_points(model, edges, colors)
+    return with_points(model.reconstruction, points), points.ids
+
+
+def with_points(reconstruction: Any, points: NewPoints) -> Any:
+    """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write_binary(folder)
+        append_points(Path(folder), points)
+        return pycolmap.Reconstruction(folder)
+
+
+def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -> NewPoints:
+    """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
+    first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
+    lengths = np.diff(edges.track_offsets)
+    owners = np.repeat(np.arange(edges.num_points), lengths)
+    sums = np.bincount(owners, observation_residuals(model, edges), edges.num_points)
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    return NewPoints(
+        ids=first_id + np.arange(edges.num_points, dtype=np.int64),
+        xyz=edges.points,
+        rgb=np.zeros((edges.num_points, 3), np.uint8) if colors is None else colors,
+        errors=sums / np.maximum(lengths, 1),
+        track_offsets=edges.track_offsets,
+        track_image_ids=image_ids[edges.track_views],
+        track_points2D=edges.track_points2D,
+    )
+
+
+def with_edge_points(
+    model: Model, edges: Edges3D, point3D_ids: IntArray, colors: NDArray[np.uint8]
+) -> Model:
+    """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
+    offsets = model.track_offsets[-1] + edges.track_offsets[1:]
+    return replace(
+        model,
+        points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
+        point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
+        points3D_rgb=np.concatenate([model.points3D_rgb, colors]),
+        track_offsets=np.concatenate([model.track_offsets, offsets]),
+        track_views=np.concatenate([model.track_views, edges.track_views]),
+        track_points2D=np.concatenate([model.track_points2D, edges.track_points2D]),
+    )

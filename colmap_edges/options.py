@@ -124,8 +124,8 @@ class ChainDepthOptions(Options):
 class RefinementOptions(Options):
     """Least squares on the depths of curves."""
 
-    radii_px: tuple[float, ...] = option(
-        (4.0, 2.0), "Search radii of observations, one a round, in pixels"
+    search_radius_px: float = option(
+        4.0, "Radius in which observations are first looked for, in pixels", gt=0
     )
     max_residual_px: float = option(
         1.5, "Largest distance of an edge point to the chain that observes it, in pixels", gt=0
@@ -146,9 +146,6 @@ class RefinementOptions(Options):
 class TracingOptions(Options):
     """From depths along chains to 3D edges."""
 
-    views: ViewSelectionOptions = field(default_factory=ViewSelectionOptions)
-    depths: ChainDepthOptions = field(default_factory=ChainDepthOptions)
-    refinement: RefinementOptions = field(default_factory=RefinementOptions)
     max_cross_check_px: float = option(
         3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
     )
@@ -171,3 +168,25 @@ class TracingOptions(Options):
     min_observations: int = option(
         4, "Observations that an edge point must have (paper: k_v)", ge=2
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshingOptions(Options):
+    """Points and edges -> mesh."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineOptions(Options):
+    """Everything a run can be told: one group a stage, and what concerns the whole run."""
+
+    detection: DetectionOptions = field(default_factory=DetectionOptions)
+    edge_graph: EdgeGraphOptions = field(default_factory=EdgeGraphOptions)
+    view_selection: ViewSelectionOptions = field(default_factory=ViewSelectionOptions)
+    chain_depth: ChainDepthOptions = field(default_factory=ChainDepthOptions)
+    tracing: TracingOptions = field(default_factory=TracingOptions)
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    meshing: MeshingOptions = field(default_factory=MeshingOptions)
+    use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
+    num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
+    random_seed: int = option(0, "Seed of every random choice", ge=0)

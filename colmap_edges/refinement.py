@@ -187,7 +187,7 @@ def refine_curves(
         The refined curves, the (N, K) positions of their observations, NaN where none, and (N,)
         standard deviations of inverse depth for `options.noise_px` across each chain.
     """
-    for radius in options.radii_px:
+    for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = associate(
             driver, curves, edge_views, radius, options.max_tangent_angle_deg, num_threads
         )

@@ -18,7 +18,7 @@ from colmap_edges.edge_graph import EdgeGraph, offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model
-from colmap_edges.options import TracingOptions
+from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.view_selection import select_views
 
@@ -59,7 +59,7 @@ class Scene:
 
 
 def trace_edges(
-    model: Model, graphs: list[EdgeGraph], options: TracingOptions, num_threads: int
+    model: Model, graphs: list[EdgeGraph], options: PipelineOptions, num_threads: int
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
@@ -72,7 +72,7 @@ def trace_edges(
     Returns:
         The 3D edges and counts in, kept and dropped by reason.
     """
-    near = select_views(model, options.views)
+    near = select_views(model, options.view_selection)
     edge_views = [
         make_edge_view(graph, view) for graph, view in zip(graphs, model.views, strict=True)
     ]
@@ -83,13 +83,13 @@ def trace_edges(
             edge_views,
             graphs[v],
             near.inverse_depths[v],
-            options.depths,
+            options.chain_depth,
             num_threads,
         )
         for v in range(len(graphs))
     ]
     agreeing = [
-        count_agreeing_views(model.views, graphs, depths, v, options.max_cross_check_px)
+        count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
         for v in range(len(graphs))
     ]
     scene = Scene(
@@ -102,12 +102,15 @@ def trace_edges(
     )
     traced = []
     for view in np.argsort([-int(a.sum()) for a in agreeing], kind="stable"):
-        curves, indices = curves_of_view(scene, int(view), depths[view], agreeing[view], options)
+        driver = int(view)
+        curves, indices = curves_of_view(
+            scene, driver, depths[driver], agreeing[driver], options.tracing
+        )
         if len(indices) == 0:
             continue
-        traced.append(trace_view(scene, int(view), curves, indices, options, num_threads))
-        mark_covered(scene, traced[-1], options)
-    edges, stats = gather(scene, traced, options)
+        traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
+        mark_covered(scene, traced[-1], options.tracing)
+    edges, stats = gather(scene, traced, options.tracing)
     stats["samples"] = int(sum(len(d.samples) for d in depths))
     stats["samples_with_depth"] = int(sum(d.found.sum() for d in depths))
     stats["samples_confirmed"] = int(sum((a >= 1).sum() for a in agreeing))
@@ -233,7 +236,7 @@ def trace_view(
     view: int,
     curves: Curves,
     indices: IntArray,
-    options: TracingOptions,
+    options: PipelineOptions,
     num_threads: int,
 ) -> Traced:
     """Refine the curves of one driver and find their observations."""

@@ -1,0 +1,237 @@
+"""The command line: parse, call the pipeline, say what came out, exit."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+from colmap_edges import __version__
+from colmap_edges.errors import ColmapEdgesError, OptionError
+from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
+from colmap_edges.stages import Progress, no_progress
+
+RUN_FLAGS = {"num_threads", "random_seed"}
+DETECT_FLAGS = RUN_FLAGS | {"detection", "edge_graph"}
+RECONSTRUCT_FLAGS = DETECT_FLAGS | {"tracing", "output_type"}
+MESH_FLAGS = RECONSTRUCT_FLAGS | {"meshing", "use_edges"}
+# What to open the files of an output folder with.
+VIEWERS = {
+    "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",
+    "edges.ply": "3D edges: MeshLab, Blender",
+    "edges.obj": "3D edges as polylines: Blender, CloudCompare",
+    "edges.json": "what each edge is: its points in the model, length, views, residual",
+    "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
+    "edge_graphs": "2D edge graphs: numpy.load",
+    "overlays": "pictures of the 2D edge graphs",
+    "report.json": "options, versions, counts, times and memory of every stage",
+}
+
+
+class Command(click.Command):
+    """A command that lists the flags of each option group under the group's name."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the flags, those of no group first."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record:
+                group = param.opts[0].removeprefix("--").rpartition(".")[0]
+                groups.setdefault(group, []).append(record)
+        for group in sorted(groups, key=lambda name: name != ""):
+            with formatter.section(group or "Options"):
+                formatter.write_dl(groups[group], col_max=45)
+
+
+def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
+    """Take what the TOML file says as defaults; flags of the command line go before."""
+    if value:
+        ctx.default_map = read_config(ctx, value)
+
+
+def path_flag(name: str, help: str, *, required: bool = True) -> click.Option:
+    """Make a flag that takes a path."""
+    return click.Option(
+        [f"--{name}"], type=click.Path(path_type=Path), required=required, help=help
+    )
+
+
+def run_flags(names: set[str]) -> list[click.Parameter]:
+    """Make the flags of a command that runs stages."""
+    return [
+        path_flag("image_path", "Folder of the images"),
+        path_flag("input_path", "Folder of the COLMAP model (bin or txt)"),
+        path_flag("output_path", "Folder to make; it appears when the run is complete"),
+        click.Option(
+            ["--config"],
+            type=click.Path(path_type=Path, exists=True, dir_okay=False),
+            is_eager=True,
+            expose_value=False,
+            callback=load_config,
+            help="TOML file with flags as keys, groups as tables; flags given here go before",
+        ),
+        click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
+        click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
+        *make_flags(names),
+    ]
+
+
+def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
+    """Make the command that runs the pipeline up to the stage `name`."""
+
+    def callback(**values: Any) -> None:
+        with one_line_errors(values["verbose"]):
+            run_command(name, values)
+
+    return Command(name, params=run_flags(names), callback=callback, help=help)
+
+
+def run_command(name: str, values: dict[str, Any]) -> None:
+    """Run one command with the values of its flags and print the summary."""
+    options = options_from_flags(values)
+    from colmap_edges.pipeline import Paths, run  # heavy imports, after parsing
+
+    signal.signal(signal.SIGTERM, on_terminate)  # after pycolmap, which sets its own handler
+    started = time.perf_counter()
+    paths = Paths(**{key: values[key] for key in ("image_path", "input_path", "output_path")})
+    with progress_bars() as progress:
+        report = run(name, paths, options, overwrite=values["overwrite"], progress=progress)
+    click.echo(summary(report, paths.output_path, time.perf_counter() - started))
+
+
+def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
+    """Say what came out, where the files are and what opens them."""
+    lines = []
+    for stage in report["stages"]:
+        counts = (f"{value:,} {key.replace('_', ' ')}" for key, value in scalars(stage["counts"]))
+        lines.append(f"{stage['name']:>8}  {stage['wall_s']:6.1f} s  {', '.join(counts)}")
+    lines.append(f"Done in {seconds:.1f} s. In {output}:")
+    for name, what in VIEWERS.items():
+        if (output / name).exists():
+            lines.append(f"  {name:12} {what}")
+    return "\n".join(lines)
+
+
+def scalars(counts: dict[str, Any]) -> Iterator[tuple[str, float]]:
+    """The counts that are single numbers."""
+    for key, value in counts.items():
+        if isinstance(value, int | float):
+            yield key, value
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """Yield a function that shows one bar a stage on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield no_progress
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeElapsedColumn as Elapsed
+
+    columns = (TextColumn("{task.description:>8}"), BarColumn(), MofNCompleteColumn(), Elapsed())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def show(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(name, total=total)
+            bars.update(tasks[name], completed=done, total=total)
+
+        yield show
+
+
+@contextmanager
+def one_line_errors(verbose: bool) -> Iterator[None]:
+    """Turn known errors into one line and exit 1; usage errors exit 2."""
+    logging.basicConfig(
+        level=logging.DEBUG if verbose else logging.WARNING,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    try:
+        yield
+    except OptionError as error:
+        raise click.UsageError(str(error)) from error
+    except (ColmapEdgesError, OSError, MemoryError) as error:
+        if verbose:
+            traceback.print_exc()
+        message = " ".join(str(error).split()) or "out of memory"
+        click.echo(f"Error: {message}", err=True)
+        raise click.exceptions.Exit(1) from error
+
+
+@click.command(cls=Command, name="info")
+@click.argument("path", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--verbose", is_flag=True, help="Show where errors arise")
+def info(path: Path, verbose: bool) -> None:
+    """Say what PATH holds: a COLMAP model, or an output folder."""
+    with one_line_errors(verbose):
+        from colmap_edges.info import describe
+
+        click.echo(describe(path))
+
+
+def version_text() -> str:
+    """Versions of this program and of what it computes with."""
+    parts = [f"colmap-edges {__version__}"]
+    for name in ("pycolmap", "opencv-contrib-python-headless", "numpy"):
+        try:
+            parts.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(parts)
+
+
+@click.group(context_settings={"token_normalize_func": normalize, "max_content_width": 100})
+@click.version_option(message=version_text(), version=__version__)
+def cli() -> None:
+    """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
+
+
+cli.add_command(
+    make_run_command(
+        "detect", "Detect 2D edge graphs: one .npz and one overlay an image.", DETECT_FLAGS
+    )
+)
+cli.add_command(
+    make_run_command(
+        "reconstruct",
+        "Reconstruct 3D edges and write them into the COLMAP model.",
+        RECONSTRUCT_FLAGS,
+    )
+)
+cli.add_command(
+    make_run_command(
+        "mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS
+    )
+)
+cli.add_command(info)
+
+
+def on_terminate(_signal: int, _frame: Any) -> NoReturn:
+    """Leave as on an error, so that what was begun is cleaned up."""
+    raise SystemExit(143)
+
+
+def main(argv: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
+    run: Callable[..., Any] = cli.main
+    try:
+        code = run(argv, prog_name="colmap-edges", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("Interrupted; nothing was written.", err=True)
+        sys.exit(130)
+    sys.exit(code if isinstance(code, int) else 0)

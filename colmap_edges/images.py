@@ -1,0 +1,98 @@
+"""Photographs in: where they are, reading them, sampling their colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.edges import Edges3D
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.model import Model, View
+
+# COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
+COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
+
+def path_of_image(image_path: Path, name: str) -> Path:
+    """Path of the image `name` of a model below the folder `image_path`.
+
+    Raises:
+        ColmapEdgesError: when the name leads out of the folder.
+    """
+    relative = PurePosixPath(name)
+    if relative.is_absolute() or ".." in relative.parts or not name:
+        raise ColmapEdgesError(
+            f"image name {name!r} leads out of {image_path}; rename the image in the model"
+        )
+    return image_path / relative
+
+
+def check_images_exist(views: Iterable[View], image_path: Path) -> None:
+    """Check that the image of every view is there, before work starts.
+
+    Raises:
+        ColmapEdgesError: naming the first that is missing and how many are.
+    """
+    missing = [v.name for v in views if not path_of_image(image_path, v.name).is_file()]
+    if missing:
+        more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+        raise ColmapEdgesError(
+            f"image {missing[0]}{more} of the model is not in {image_path}; "
+            "give the folder the model was made from as --image_path"
+        )
+
+
+def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
+    """Read the image of a view, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
+
+    Raises:
+        ColmapEdgesError: when it cannot be read or is not of its camera's size.
+    """
+    path = path_of_image(image_path, view.name)
+    try:
+        data = np.fromfile(path, np.uint8)
+        image = cv2.imdecode(data, COLOR) if len(data) else None
+    except (OSError, cv2.error) as error:
+        raise ColmapEdgesError(f"cannot read image {path}: {error}") from error
+    if image is None:
+        raise ColmapEdgesError(f"cannot read image {path}: damaged, or no image format known here")
+    height, width = image.shape[:2]
+    if (width, height) != (view.width, view.height):
+        raise ColmapEdgesError(
+            f"image {path} is {width}x{height}, its camera {view.width}x{view.height}; "
+            "give the images the model was made from (undistorted ones for an undistorted model)"
+        )
+    return np.asarray(image, np.uint8)
+
+
+def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.uint8]:
+    """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
+    sums = np.zeros((edges.num_points, 3))
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    order = np.argsort(edges.track_views, kind="stable")
+    bounds = np.searchsorted(edges.track_views[order], np.arange(len(model.views) + 1))
+    for index, view in enumerate(model.views):
+        rows = order[bounds[index] : bounds[index + 1]]
+        if len(rows):
+            image = read_image(view, image_path)
+            np.add.at(sums, owners[rows], bilinear(image, edges.track_points2D[rows] - 0.5))
+    counts = np.maximum(np.diff(edges.track_offsets), 1)
+    colors: NDArray[np.uint8] = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
+    return colors
+
+
+def bilinear(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (N, C) of `image` (H, W, C) at `points` (N, 2), centre of first pixel (0, 0)."""
+    limits = np.array(image.shape[1::-1]) - 1
+    clipped = np.clip(points, 0, limits)
+    low = np.minimum(clipped.astype(np.int64), np.maximum(limits - 1, 0))
+    high = np.minimum(low + 1, limits)
+    fx, fy = (clipped - low).T[:, :, None]
+    top = image[low[:, 1], low[:, 0]] * (1 - fx) + image[low[:, 1], high[:, 0]] * fx
+    bottom = image[high[:, 1], low[:, 0]] * (1 - fx) + image[high[:, 1], high[:, 0]] * fx
+    values: NDArray[np.float64] = top * (1 - fy) + bottom * fy
+    return values

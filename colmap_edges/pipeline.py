@@ -1,0 +1,351 @@
+"""The stages in order: read, detect, trace, write, mesh; and the report of what they did."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import colmap_edges
+from colmap_edges.detection import detect_chains
+from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
+from colmap_edges.edge_io import write_json, write_obj, write_ply
+from colmap_edges.edges import Edges3D
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
+from colmap_edges.model import (
+    Model,
+    extend_reconstruction,
+    load_model,
+    model_from_reconstruction,
+    observation_residuals,
+    with_edge_points,
+    write_model,
+)
+from colmap_edges.options import PipelineOptions
+from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
+from colmap_edges.overlay import draw_edge_graph
+from colmap_edges.stages import Progress, Stages, no_progress, plain_counts
+
+# What a visitor of a detected image gets: its place among the views, its pixels, its graph.
+Visitor = Callable[[int, "np.ndarray[Any, Any]", EdgeGraph], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Paths:
+    """Where a run reads and writes, absolute.
+
+    Attributes:
+        image_path: folder of the images.
+        input_path: folder of the COLMAP model.
+        output_path: folder to make.
+    """
+
+    image_path: Path
+    input_path: Path
+    output_path: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeReconstruction:
+    """What `reconstruct` gives back.
+
+    Attributes:
+        edges: the 3D edges with their tracks.
+        point3D_ids: (N,) ids of the edge points in `reconstruction`.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points.
+        stages: records of the stages, as in report.json.
+    """
+
+    edges: Edges3D
+    point3D_ids: np.ndarray[Any, np.dtype[np.int64]]
+    reconstruction: Any
+    stages: list[dict[str, Any]]
+
+
+def run(
+    command: str,
+    paths: Paths,
+    options: PipelineOptions,
+    *,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Run `detect`, `reconstruct` or `mesh` from folders to a folder.
+
+    The output folder appears whole at the end, or not at all.
+
+    Returns:
+        The report, as written to report.json.
+
+    Raises:
+        ColmapEdgesError: on bad input or options.
+    """
+    paths = Paths(**{name: path.resolve() for name, path in vars(paths).items()})
+    check_paths(paths, overwrite)
+    with new_folder(paths.output_path) as folder:
+        stages = Stages(progress)
+        with stages.stage("read") as stage:
+            model = load_model(paths.input_path)
+            check_model(model, str(paths.input_path))
+            stage.counts = model_counts(model)
+        if command == "mesh" and not options.use_edges:
+            mesh_stage(model, None, folder, options, stages)
+        else:
+            check_images_exist(model.views, paths.image_path)
+            run_edges(command, model, paths.image_path, folder, options, stages)
+        report = make_report(command, paths, options, stages)
+        text = json.dumps(report, indent=2, default=str) + "\n"
+        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+    return report
+
+
+def run_edges(
+    command: str,
+    model: Model,
+    image_path: Path,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+) -> None:
+    """Run the stages of `command` that need images into `folder`."""
+    if command == "detect":
+        detect_stage(model, image_path, options, stages, graph_writer(model, folder))
+        return
+    graphs = detect_stage(model, image_path, options, stages)
+    edges = trace_stage(model, graphs, options, stages)
+    extended = write_stage(model, edges, image_path, folder, options, stages)
+    if command == "mesh":
+        mesh_stage(extended, edges, folder, options, stages)
+
+
+def reconstruct(
+    reconstruction: Any, image_path: Path | str, options: PipelineOptions | None = None
+) -> EdgeReconstruction:
+    """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
+
+    Args:
+        reconstruction: the sparse model; it is not changed.
+        image_path: folder of its images.
+        options: defaults when not given.
+
+    Raises:
+        ColmapEdgesError: on bad input.
+    """
+    options = options or PipelineOptions()
+    image_path = Path(image_path)
+    stages = Stages()
+    model = model_from_reconstruction(reconstruction)
+    check_model(model, "the reconstruction")
+    check_images_exist(model.views, image_path)
+    edges = trace_stage(model, detect_stage(model, image_path, options, stages), options, stages)
+    extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
+    return EdgeReconstruction(
+        edges=edges, point3D_ids=ids, reconstruction=extended, stages=stages.records()
+    )
+
+
+def check_paths(paths: Paths, overwrite: bool) -> None:
+    """Check that the inputs are folders and the output can be made."""
+    for name in ("image_path", "input_path"):
+        path = getattr(paths, name)
+        if not path.is_dir():
+            raise ColmapEdgesError(f"{name} {path} is no folder")
+    check_output_path(paths.output_path, [paths.image_path, paths.input_path], overwrite)
+
+
+def check_model(model: Model, where: str) -> None:
+    """Check that there is something to work on.
+
+    Raises:
+        ColmapEdgesError: with fewer than two posed images.
+    """
+    if len(model.views) < 2:
+        raise ColmapEdgesError(
+            f"{where} has {len(model.views)} images with poses; "
+            "3D edges need at least 2: run `colmap mapper` on more images first"
+        )
+
+
+def model_counts(model: Model) -> dict[str, Any]:
+    """Counts of the input model."""
+    return {
+        "images_with_poses": len(model.views),
+        "images_without_poses": len(model.unposed_names),
+        "points3D": len(model.point3D_ids),
+        "observations": len(model.track_views),
+    }
+
+
+def thread_count(options: PipelineOptions) -> int:
+    """Number of threads the options ask for."""
+    if options.num_threads > 0:
+        return options.num_threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def detect_stage(
+    model: Model,
+    image_path: Path,
+    options: PipelineOptions,
+    stages: Stages,
+    visit: Visitor | None = None,
+) -> list[EdgeGraph]:
+    """Detect the 2D edge graph of every view, in the views' order.
+
+    As many images are in memory at once as there are threads.
+    """
+    with stages.stage("detect", len(model.views)) as stage:
+
+        def detect(index: int) -> tuple[int, EdgeGraph]:
+            view = model.views[index]
+            image = read_image(view, image_path)
+            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            chains = detect_chains(gray, options.detection)
+            graph = build_edge_graph(chains, view, options.edge_graph)
+            if visit:
+                visit(index, image, graph)
+            stage.advance()
+            return len(chains.offsets) - 1, graph
+
+        found = map_threads(detect, len(model.views), thread_count(options))
+        graphs = [graph for _, graph in found]
+        stage.counts = {
+            "images": len(graphs),
+            "chains": sum(count for count, _ in found),
+            "polylines": sum(graph.num_polylines for graph in graphs),
+            "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
+            "edge_pixels": sum(len(graph.points) for graph in graphs),
+        }
+    return graphs
+
+
+def map_threads(function: Callable[[int], Any], count: int, num_threads: int) -> list[Any]:
+    """Results of `function` on 0..count-1, in order; the first error stops the rest."""
+    executor = ThreadPoolExecutor(num_threads)
+    try:
+        return list(executor.map(function, range(count)))
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def graph_writer(model: Model, folder: Path) -> Visitor:
+    """Make the visitor that writes each view's edge graph as .npz and overlay PNG."""
+
+    def write(index: int, image: np.ndarray[Any, Any], graph: EdgeGraph) -> None:
+        name = model.views[index].name
+        arrays = path_of_image(folder / "edge_graphs", name + ".npz")
+        picture = path_of_image(folder / "overlays", name + ".png")
+        for path in (arrays, picture):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(arrays, **vars(graph))
+        done, encoded = cv2.imencode(".png", draw_edge_graph(image, graph))
+        if not done:
+            raise ColmapEdgesError(f"cannot encode the overlay {picture}")
+        picture.write_bytes(encoded.tobytes())
+
+    return write
+
+
+def trace_stage(
+    model: Model, graphs: list[EdgeGraph], options: PipelineOptions, stages: Stages
+) -> Edges3D:
+    """Reconstruct 3D edges from the 2D edge graphs."""
+    from colmap_edges.tracing import trace_edges
+
+    edges: Edges3D
+    with stages.stage("trace") as stage:
+        edges, stats = trace_edges(model, graphs, options, thread_count(options))
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        stage.counts["details"] = plain_counts(stats)
+    return edges
+
+
+def write_stage(
+    model: Model,
+    edges: Edges3D,
+    image_path: Path,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+) -> Model:
+    """Write the model with edge points, and the edges as PLY, OBJ and JSON.
+
+    Returns:
+        The model with the edge points after its own.
+    """
+    with stages.stage("write") as stage:
+        colors = sample_colors(edges, model, image_path)
+        ids = write_model(model, edges, folder / "sparse", options.output_type, colors)
+        residuals = observation_residuals(model, edges)
+        write_ply(edges, colors, folder / "edges.ply")
+        write_obj(edges, folder / "edges.obj")
+        write_json(edges, model, ids, residuals, folder / "edges.json")
+        stage.counts = {
+            "edges": edges.num_edges,
+            "edge_points": edges.num_points,
+            "observations": len(residuals),
+            "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
+        }
+    return with_edge_points(model, edges, ids, colors)
+
+
+def mesh_stage(
+    model: Model,
+    edges: Edges3D | None,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+) -> None:
+    """Mesh all points of a model, whose last are those of `edges` when there are edges."""
+    from colmap_edges.meshing import Polylines, mesh_points, with_model_attributes, write_mesh
+
+    with stages.stage("mesh") as stage:
+        polylines = None
+        if edges is not None:
+            first = len(model.point3D_ids) - edges.num_points
+            indices = np.arange(first, len(model.point3D_ids), dtype=np.int32)
+            polylines = Polylines(indices, edges.edge_offsets, edges.closed)
+        mesh = mesh_points(
+            model.points3D_xyz,
+            model.track_offsets,
+            model.track_views,
+            model.camera_centers,
+            replace(options.meshing, num_threads=thread_count(options)),
+            polylines,
+        )
+        write_mesh(with_model_attributes(mesh, model), folder / "mesh.ply")
+        stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        stage.counts["details"] = plain_counts(mesh.stats)
+
+
+def make_report(
+    command: str, paths: Paths, options: PipelineOptions, stages: Stages
+) -> dict[str, Any]:
+    """Gather what report.json holds."""
+    return {
+        "command": command,
+        "versions": versions(),
+        "paths": asdict(paths),
+        "options": asdict(options),
+        "stages": stages.records(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what it computes with."""
+    found = {"colmap-edges": colmap_edges.__version__}
+    for name in ("numpy", "opencv-contrib-python-headless", "pycolmap", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,45 @@
+"""Shared fixtures: a synthetic scene on disk, made once a session."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+import scenes
+
+from colmap_edges.model import load_model
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return scenes.make_scene()
+
+
+@pytest.fixture(scope="session")
+def scene_paths(scene, tmp_path_factory):
+    """(image_path, input_path) of the scene; read-only by agreement."""
+    return scene.write(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="session")
+def scene_model(scene_paths):
+    return load_model(scene_paths[1])
+
+
+@pytest.fixture(scope="session")
+def scene_edges(scene, scene_model):
+    """The true edges with noisy observations."""
+    return scenes.true_edges(scene_model, scene, noise_px=0.3)
+
+
+@pytest.fixture
+def hash_folder():
+    """A function that gives the digest of every file below a folder."""
+
+    def digest(folder: Path) -> dict[str, str]:
+        return {
+            str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        }
+
+    return digest

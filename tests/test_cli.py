@@ -1,0 +1,180 @@
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import colmap_edges
+
+
+def start(*args, **kwargs):
+    command = [sys.executable, "-m", "colmap_edges", *map(str, args)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    return subprocess.Popen(command, text=True, **pipes, **kwargs)
+
+
+def call(*args, code=0):
+    process = start(*args)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == code, output + errors
+    assert "Traceback" not in errors
+    return output + errors
+
+
+@pytest.fixture
+def flags(scene_paths, tmp_path):
+    return [
+        *("--image_path", scene_paths[0], "--input_path", scene_paths[1]),
+        *("--output_path", tmp_path / "out"),
+    ]
+
+
+@pytest.mark.parametrize("command", ["detect", "reconstruct", "mesh", "info"])
+def test_help_names_the_flags(command):
+    assert "--verbose" in call(command, "--help")
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys; from colmap_edges.cli import main\n"
+        "try: main(['mesh', '--help'])\n"
+        "finally: print(sorted({'numpy', 'cv2', 'pycolmap', 'rich', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_version():
+    assert f"colmap-edges {colmap_edges.__version__}, pycolmap" in call("--version")
+
+
+def test_detect_says_where_files_are(flags, tmp_path):
+    output = call("detect", *flags)
+    assert str(tmp_path / "out") in output
+    assert "overlays" in output
+    assert len(list((tmp_path / "out" / "overlays").iterdir())) == 10
+
+
+def test_hyphens_and_case_do_not_matter(scene_paths, tmp_path):
+    call(
+        *("detect", "--image-path", scene_paths[0], "--INPUT-path", scene_paths[1]),
+        *("--output-path", tmp_path / "out", "--edgegraph.max-gap-px", "3.5"),
+    )
+    report = (tmp_path / "out" / "report.json").read_text()
+    assert '"max_gap_px": 3.5' in report
+
+
+def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text(
+        "num_threads = 1\nrandom-seed = 7\n[EdgeGraph]\nmax_gap_px = 2.5\n"
+        "filter_regular_length = true\n"
+    )
+    call("detect", *flags, "--config", config, "--random_seed", "8")
+    report = (tmp_path / "out" / "report.json").read_text()
+    for text in ('"max_gap_px": 2.5', '"num_threads": 1', '"random_seed": 8'):
+        assert text in report
+    assert '"filter_regular_length": true' in report
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; the nearest is EdgeGraph.max"),
+        ("num_thread = 2", "unknown key num_thread; the nearest is num_threads"),
+        ("[EdgeGraph]\nmax_gap_px = 'wide'", "'wide' is not a valid float"),
+        ("[Detection]\nmin_chain_length_px = 12.5", "'12.5' is not a valid int"),
+        ("[EdgeGraph\n", "cannot read"),
+    ],
+)
+def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
+    config = tmp_path / "config.toml"
+    config.write_text(text)
+    assert message in call("detect", *flags, "--config", config, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--EdgeGraph.max_gap", "1"], "No such option"),
+        (["--EdgeGraph.max_gap_px", "-1"], "EdgeGraph.max_gap_px is -1.0; it must be >= 0"),
+        (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
+        (["--num_threads", "many"], "not a valid int"),
+    ],
+)
+def test_usage_errors_exit_2(flags, tmp_path, args, message):
+    assert message in call("detect", *flags, *args, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_flag_exits_2():
+    assert "--image_path" in call("detect", code=2)
+
+
+def test_bad_input_exits_1_in_one_line(flags, tmp_path):
+    (tmp_path / "empty").mkdir()
+    args = [*flags[:3], tmp_path / "empty", *flags[4:]]
+    output = call("detect", *args, code=1)
+    assert output.startswith("Error: no readable COLMAP model")
+    assert output.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_overwrite_is_asked_for(flags, tmp_path):
+    call("detect", *flags)
+    assert "--overwrite" in call("detect", *flags, code=1)
+    call("detect", *flags, "--overwrite")
+
+
+def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
+    assert "images: 10 with poses" in call("info", scene_paths[1])
+    call("detect", *flags)
+    assert "output of colmap-edges detect" in call("info", tmp_path / "out")
+    assert "no readable COLMAP model" in call("info", tmp_path, code=1)
+
+
+def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+
+    process = start("detect", *flags, preexec_fn=limit)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay, hash_folder):
+    process = start("detect", *flags, "--num_threads", 1)
+    partial = tmp_path / ".out.colmap-edges-partial"
+    deadline = time.monotonic() + 60
+    while not partial.exists() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    time.sleep(delay)
+    process.kill()
+    process.communicate()
+    call("detect", *flags, "--overwrite")
+    call("detect", *flags[:-1], tmp_path / "undisturbed")
+    digests = [hash_folder(tmp_path / name) for name in ("out", "undisturbed")]
+    assert all(digest.pop("report.json") for digest in digests)  # it holds times
+    assert digests[0] == digests[1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "undisturbed"]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interruption_leaves_nothing(flags, tmp_path, number, code):
+    process = start("detect", *flags, "--num_threads", 1, start_new_session=True)
+    partial = tmp_path / ".out.colmap-edges-partial"
+    deadline = time.monotonic() + 60
+    while not (partial / "edge_graphs").exists() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.kill(process.pid, number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in errors
+    assert not any(path.name.startswith((".out", "out")) for path in tmp_path.iterdir())

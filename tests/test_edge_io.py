@@ -1,0 +1,87 @@
+import json
+
+import numpy as np
+import pymeshlab
+import pytest
+
+from colmap_edges.edge_io import edge_lengths, edge_segments, write_json, write_obj, write_ply
+from colmap_edges.edges import Edges3D
+from colmap_edges.model import observation_residuals
+
+
+@pytest.fixture
+def square_and_line():
+    """A closed unit square and an open line of length 5, each point seen in views 0 and 2."""
+    points = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 3], [0, 3, 3], [2, 3, 3]], float
+    )
+    return Edges3D(
+        points=points,
+        edge_offsets=np.array([0, 4, 7]),
+        closed=np.array([True, False]),
+        track_offsets=np.arange(8) * 2,
+        track_views=np.tile(np.array([0, 2], np.int32), 7),
+        track_points2D=np.zeros((14, 2)),
+        sigmas=np.full(7, np.nan),
+        end_nodes=np.array([[-1, -1], [4, 5]], np.int32),
+    )
+
+
+def test_segments_close_closed_edges_only(square_and_line):
+    expected = [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6]]
+    assert edge_segments(square_and_line).tolist() == expected
+
+
+def test_lengths(square_and_line):
+    np.testing.assert_allclose(edge_lengths(square_and_line), [4, 5])
+
+
+def test_no_edges_at_all(tmp_path):
+    none = Edges3D(
+        points=np.zeros((0, 3)),
+        edge_offsets=np.zeros(1, np.int64),
+        closed=np.zeros(0, bool),
+        track_offsets=np.zeros(1, np.int64),
+        track_views=np.zeros(0, np.int32),
+        track_points2D=np.zeros((0, 2)),
+        sigmas=np.zeros(0),
+        end_nodes=np.zeros((0, 2), np.int32),
+    )
+    assert edge_segments(none).shape == (0, 2)
+    write_ply(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.ply")
+    write_obj(none, tmp_path / "edges.obj")
+    assert b"element edge 0" in (tmp_path / "edges.ply").read_bytes()
+
+
+def test_meshlab_reads_ply(square_and_line, tmp_path):
+    colors = np.arange(21, dtype=np.uint8).reshape(7, 3)
+    write_ply(square_and_line, colors, tmp_path / "edges.ply")
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "edges.ply"))
+    mesh = meshes.current_mesh()
+    np.testing.assert_allclose(mesh.vertex_matrix(), square_and_line.points)
+    assert mesh.edge_matrix().tolist() == edge_segments(square_and_line).tolist()
+    np.testing.assert_allclose(mesh.vertex_color_matrix()[:, :3] * 255, colors, atol=1e-3)
+
+
+def test_obj_names_every_polyline(square_and_line, tmp_path):
+    write_obj(square_and_line, tmp_path / "edges.obj")
+    lines = (tmp_path / "edges.obj").read_text().splitlines()
+    assert [line for line in lines if line.startswith("l ")] == ["l 1 2 3 4 1", "l 5 6 7"]
+    vertices = [list(map(float, line.split()[1:])) for line in lines if line.startswith("v ")]
+    np.testing.assert_array_equal(vertices, square_and_line.points)
+
+
+def test_json_says_what_each_edge_is(scene_model, scene_edges, tmp_path):
+    ids = 1000 + np.arange(scene_edges.num_points)
+    residuals = observation_residuals(scene_model, scene_edges)
+    write_json(scene_edges, scene_model, ids, residuals, tmp_path / "edges.json")
+    records = json.loads((tmp_path / "edges.json").read_text())["edges"]
+    assert [r["id"] for r in records] == list(range(scene_edges.num_edges))
+    assert [i for r in records for i in r["point3D_ids"]] == ids.tolist()
+    assert [r["closed"] for r in records] == scene_edges.closed.tolist()
+    np.testing.assert_allclose([r["length"] for r in records], edge_lengths(scene_edges))
+    # Noise of 0.3 px in x and y: the mean distance is 0.3 sqrt(pi / 2) = 0.376 px.
+    assert np.mean([r["residual_px"] for r in records]) == pytest.approx(0.376, abs=0.02)
+    known = {view.image_id for view in scene_model.views}
+    assert all(set(r["image_ids"]) <= known and r["num_views"] >= 5 for r in records)

@@ -1,0 +1,313 @@
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import scenes
+from scipy.spatial import cKDTree
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images import bilinear, path_of_image, read_image, sample_colors
+from colmap_edges.model import extend_reconstruction, load_model
+from colmap_edges.options import PipelineOptions
+from colmap_edges.output import check_output_path, new_folder
+from colmap_edges.overlay import draw_edges
+from colmap_edges.pipeline import Paths, map_threads, run, thread_count, write_stage
+from colmap_edges.stages import Stages
+
+
+def paths_of(scene_paths, output):
+    return Paths(image_path=scene_paths[0], input_path=scene_paths[1], output_path=output)
+
+
+def copy_scene(scene_paths, folder):
+    for source, name in zip(scene_paths, ("images", "sparse"), strict=True):
+        shutil.copytree(source, folder / name)
+    return folder / "images", folder / "sparse"
+
+
+def detect(scene_paths, output, **options):
+    return run("detect", paths_of(scene_paths, output), PipelineOptions(**options))
+
+
+def test_detect_writes_a_graph_and_a_picture_an_image(scene, scene_paths, tmp_path):
+    report = detect(scene_paths, tmp_path / "out")
+    for name, image in scene.images.items():
+        graph = np.load(tmp_path / "out" / "edge_graphs" / f"{name}.npz")
+        assert len(graph["points"]) == graph["polyline_offsets"][-1] > 500
+        picture = cv2.imread(str(tmp_path / "out" / "overlays" / f"{name}.png"))
+        assert picture.shape[:2] == image.shape
+    counts = report["stages"][1]["counts"]
+    assert counts["images"] == len(scene.images)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["stages"] == report["stages"]
+
+
+def test_detect_is_the_same_on_any_number_of_threads(scene_paths, tmp_path, hash_folder):
+    digests = []
+    for threads in (1, 3):
+        output = tmp_path / str(threads)
+        detect(scene_paths, output, num_threads=threads)
+        digests.append(hash_folder(output / "edge_graphs") | hash_folder(output / "overlays"))
+    assert digests[0] == digests[1]
+
+
+def test_stages_have_times_and_memory(scene_paths, tmp_path):
+    stages = detect(scene_paths, tmp_path / "out")["stages"]
+    assert [stage["name"] for stage in stages] == ["read", "detect"]
+    assert all(stage["wall_s"] > 0 and stage["peak_mb"] > 20 for stage in stages)
+
+
+def test_input_is_left_as_it_was(scene_paths, tmp_path, hash_folder):
+    before = [hash_folder(path) for path in scene_paths]
+    detect(scene_paths, tmp_path / "out")
+    assert [hash_folder(path) for path in scene_paths] == before
+
+
+def damage(kind, images, sparse):
+    first = sorted(images.iterdir())[0]
+    if kind == "missing image":
+        first.unlink()
+    elif kind == "unreadable image":
+        first.write_bytes(b"no picture")
+    elif kind == "empty image":
+        first.write_bytes(b"")
+    elif kind == "image of another size":
+        cv2.imwrite(str(first), np.zeros((50, 70, 3), np.uint8))
+    elif kind == "truncated model":
+        data = (sparse / "points3D.bin").read_bytes()
+        (sparse / "points3D.bin").write_bytes(data[: len(data) // 2])
+    elif kind == "no model":
+        shutil.rmtree(sparse)
+        sparse.mkdir()
+    elif kind == "model without images":
+        for name in ("images", "frames", "points3D"):
+            (sparse / f"{name}.bin").write_bytes(bytes(8))
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("missing image", "view_001.png of the model is not in"),
+        ("unreadable image", "cannot read image .*view_001.png"),
+        ("empty image", "cannot read image .*view_001.png"),
+        ("image of another size", "view_001.png is 70x50, its camera 480x360"),
+        ("truncated model", "points3D.bin is damaged"),
+        ("no model", "no readable COLMAP model"),
+        ("model without images", "0 images with poses"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(scene_paths, tmp_path, kind, message):
+    inputs = copy_scene(scene_paths, tmp_path)
+    damage(kind, *inputs)
+    with pytest.raises(ColmapEdgesError, match=message) as caught:
+        detect(inputs, tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "sparse"]
+
+
+@pytest.mark.parametrize("relation", [".", "below/out", ".."])
+@pytest.mark.parametrize("name", ["images", "sparse"])
+def test_output_on_an_input_is_refused(scene_paths, tmp_path, relation, name, hash_folder):
+    copy_scene(scene_paths, tmp_path / "work")
+    (tmp_path / "work" / name / "below").mkdir()
+    before = hash_folder(tmp_path)
+    inputs = tmp_path / "work" / "images", tmp_path / "work" / "sparse"
+    with pytest.raises(ColmapEdgesError, match="choose a folder apart"):
+        run(
+            "detect",
+            paths_of(inputs, tmp_path / "work" / name / relation),
+            PipelineOptions(),
+            overwrite=True,
+        )
+    assert hash_folder(tmp_path) == before
+
+
+def test_output_cannot_be_made(scene_paths, tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ColmapEdgesError, match="is no folder"):
+        detect(scene_paths, tmp_path / "missing" / "out")
+    with pytest.raises(ColmapEdgesError, match="a file of that name"):
+        detect(scene_paths, tmp_path / "file")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs Linux's /proc")
+def test_unwritable_parent(scene_paths):
+    with pytest.raises(ColmapEdgesError, match="cannot write to /proc/"):
+        detect(scene_paths, Path("/proc/edges"))
+
+
+def test_foreign_folder_is_never_overwritten(tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "precious.jpg").write_text("x")
+    with pytest.raises(ColmapEdgesError, match="no output of colmap-edges"):
+        check_output_path(tmp_path / "photos", [], overwrite=True)
+    with pytest.raises(ColmapEdgesError, match="--overwrite"):
+        check_output_path(tmp_path / "photos", [], overwrite=False)
+    (tmp_path / "empty").mkdir()
+    check_output_path(tmp_path / "empty", [], overwrite=False)
+
+
+def test_earlier_output_stays_until_the_new_one_is_complete(tmp_path):
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        (folder / "a").write_text("first")
+    with pytest.raises(RuntimeError), new_folder(output) as folder:
+        (folder / "a").write_text("second")
+        raise RuntimeError
+    assert (output / "a").read_text() == "first"
+    with new_folder(output) as folder:
+        (folder / "b").write_text("third")
+    assert [p.name for p in output.iterdir()] == ["b"]
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_second_run_into_one_output_is_refused(tmp_path):
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        (folder / "a").write_text("mine")
+        with pytest.raises(ColmapEdgesError, match="another run"), new_folder(output):
+            pass
+        assert (folder / "a").read_text() == "mine"
+    assert (output / "a").read_text() == "mine"
+
+
+def test_leftovers_of_a_killed_run_are_cleaned(tmp_path):
+    output = tmp_path / "out"
+    script = (
+        "import sys, time; from pathlib import Path\n"
+        "from colmap_edges.output import new_folder\n"
+        "with new_folder(Path(sys.argv[1])) as folder:\n"
+        "    (folder / 'half').mkdir(); (folder / 'half' / 'a').write_text('x')\n"
+        "    print('ready', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, str(output)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "ready\n"
+    process.kill()
+    process.communicate()
+    assert not output.exists()
+    with new_folder(output) as folder:
+        assert not any(folder.iterdir())
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_output_moved_aside_by_a_killed_run_comes_back(tmp_path):
+    previous = tmp_path / ".out.colmap-edges-previous"
+    previous.mkdir()
+    (previous / "a").write_text("old")
+    with pytest.raises(RuntimeError), new_folder(tmp_path / "out"):
+        raise RuntimeError
+    assert (tmp_path / "out" / "a").read_text() == "old"
+
+
+def test_first_error_in_threads_stops_the_rest():
+    begun = []
+
+    def work(index):
+        begun.append(index)
+        if index == 1:
+            raise ColmapEdgesError("one")
+        time.sleep(0.02)
+
+    with pytest.raises(ColmapEdgesError, match="one"):
+        map_threads(work, 200, 2)
+    assert len(begun) < 100
+
+
+def test_threads_bound_the_images_at_once():
+    at_once, most, lock = 0, 0, threading.Lock()
+
+    def work(index):
+        nonlocal at_once, most
+        with lock:
+            at_once += 1
+            most = max(most, at_once)
+        time.sleep(0.005)
+        with lock:
+            at_once -= 1
+        return index
+
+    assert map_threads(work, 30, 3) == list(range(30))
+    assert most <= 3
+
+
+def test_edges_are_drawn_where_they_are_seen(scene, scene_model):
+    edges = scenes.true_edges(scene_model, scene, spacing=0.1)
+    view = scene_model.views[3]
+    image = np.zeros((view.height, view.width, 3), np.uint8)
+    picture = draw_edges(image, 3, scene_model, edges)
+    rows, columns = np.nonzero(picture.max(axis=2) > 100)
+    projected = np.concatenate([view.project(scenes.resample(c, 0.005))[0] for c in scene.curves])
+    drawn = np.column_stack([columns, rows]) + 0.5
+    assert len(drawn) > 300
+    assert cKDTree(projected).query(drawn)[0].max() < 2.5
+
+
+@pytest.mark.parametrize("output_type", ["BIN", "TXT"])
+def test_write_stage_writes_model_and_edges(
+    scene_model, scene_edges, scene_paths, tmp_path, output_type
+):
+    stages = Stages()
+    options = PipelineOptions(output_type=output_type)
+    extended = write_stage(scene_model, scene_edges, scene_paths[0], tmp_path, options, stages)
+    suffix = output_type.lower()
+    assert (tmp_path / "sparse" / f"points3D.{suffix}").is_file()
+    written = load_model(tmp_path / "sparse")
+    np.testing.assert_array_equal(written.point3D_ids, extended.point3D_ids)
+    np.testing.assert_allclose(written.points3D_xyz, extended.points3D_xyz, rtol=1e-14)
+    np.testing.assert_array_equal(written.points3D_rgb, extended.points3D_rgb)
+    np.testing.assert_array_equal(written.track_offsets, extended.track_offsets)
+    records = json.loads((tmp_path / "edges.json").read_text())["edges"]
+    ids = [i for record in records for i in record["point3D_ids"]]
+    found = written.points3D_xyz[np.searchsorted(written.point3D_ids, ids)]
+    np.testing.assert_allclose(found, scene_edges.points, rtol=1e-14)
+    assert stages.records()[0]["counts"]["edge_points"] == scene_edges.num_points
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "a/../../b.png", ""])
+def test_image_names_cannot_leave_the_folder(tmp_path, name):
+    with pytest.raises(ColmapEdgesError, match="leads out of"):
+        path_of_image(tmp_path, name)
+
+
+def test_bilinear_by_hand():
+    image = np.array([[[0], [100]], [[50], [250]]], np.uint8)
+    points = np.array([[0, 0], [1, 1], [0.5, 0], [0.5, 0.5], [-3, 9]])
+    assert bilinear(image, points).ravel().tolist() == [0, 250, 50, 100, 50]
+    assert bilinear(image[:1, :1], np.array([[0.4, 0.7]])).tolist() == [[0]]
+
+
+def test_colors_are_colmaps_own(scene_model, scene_paths, scene_edges):
+    ours = sample_colors(scene_edges, scene_model, scene_paths[0])
+    extended, ids = extend_reconstruction(scene_model, scene_edges)
+    extended.extract_colors_for_all_images(str(scene_paths[0]))
+    theirs = np.array([extended.points3D[i].color for i in ids])
+    inside = np.abs(ours.astype(int) - theirs).max(axis=1)
+    assert np.mean(inside <= 1) > 0.99
+
+
+def test_exif_orientation_is_ignored(scene_model, tmp_path):
+    view = scene_model.views[0]
+    image = np.zeros((view.height, view.width, 3), np.uint8)
+    _, data = cv2.imencode(".jpg", image)
+    exif = bytes.fromhex(
+        "ffe1002245786966000049492a000800000001001201030001000000060000000000000000"
+    )
+    exif = exif[:2] + (len(exif) - 2).to_bytes(2, "big") + exif[4:]
+    path = tmp_path / view.name
+    path.write_bytes(data.tobytes()[:2] + exif + data.tobytes()[2:])
+    assert cv2.imread(str(path)).shape == (view.width, view.height, 3)
+    assert read_image(view, tmp_path).shape == (view.height, view.width, 3)
+
+
+def test_threads_default_to_the_allowed_cores():
+    assert thread_count(PipelineOptions(num_threads=3)) == 3
+    assert thread_count(PipelineOptions()) == len(os.sched_getaffinity(0))
