@@ -172,14 +172,18 @@ def mesh_points(
         ValueError: when the arrays do not fit together.
     """
     extension = load_extension()
+    polyline_offsets, polyline_points = closed_rows(edges)
     vertices, faces, sources, stats = extension.mesh_points(
         np.ascontiguousarray(points, np.float64).reshape(-1, 3),
         np.ascontiguousarray(visibility_offsets, np.int64),
         np.ascontiguousarray(visibility_cameras, np.int32),
         np.ascontiguousarray(camera_centers, np.float64).reshape(-1, 3),
+        polyline_offsets,
+        polyline_points,
         method=options.method,
         sigma_factor=options.sigma_factor,
         quality_weight=options.quality_weight,
+        min_segment_factor=options.min_segment_factor,
         long_facet_factor=options.long_facet_factor,
         min_component_faces=options.min_component_faces,
         num_threads=options.num_threads or os.cpu_count() or 1,
@@ -192,10 +196,31 @@ def mesh_points(
     return Mesh(
         vertices=vertices,
         faces=faces,
-        point3D_ids=np.where(sources[:, 0] == sources[:, 1], sources[:, 0], -1).astype(np.int64),
+        point3D_ids=sources[:, 0].astype(np.int64),
         colors=np.zeros((len(vertices), 3), np.uint8),
         stats=stats,
     )
+
+
+def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Offsets and point indices of polylines, the first point repeated at the end of closed ones.
+
+    Raises:
+        ValueError: when the arrays do not fit together.
+    """
+    if edges is None:
+        return np.zeros(1, np.int64), np.zeros(0, np.int32)
+    offsets = np.ascontiguousarray(edges.offsets, np.int64)
+    indices = np.ascontiguousarray(edges.point_indices, np.int32)
+    closed = np.asarray(edges.closed, bool)
+    if len(offsets) != len(closed) + 1 or offsets[0] != 0 or offsets[-1] != len(indices):
+        raise ValueError(
+            f"polylines: {len(offsets)} offsets, up to {offsets[-1:]}, do not fit "
+            f"{len(closed)} flags and {len(indices)} points"
+        )
+    loops = closed & (np.diff(offsets) > 2)
+    indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
+    return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
 
 
 def load_extension() -> Any:

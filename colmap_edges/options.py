@@ -92,6 +92,12 @@ class MeshingOptions(Options):
     quality_weight: float = option(
         0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0
     )
+    min_segment_factor: float = option(
+        0.25,
+        "Split 3D edges until they are edges of the mesh, down to this length in medians of their "
+        "segments; 0 splits none",
+        ge=0,
+    )
     long_facet_factor: float = option(
         25.0, "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all", ge=0
     )

@@ -45,11 +45,15 @@ nb::ndarray<nb::numpy, T> ToArray(const std::vector<Item>& values) {
 
 nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>& offsets,
                      const Vector<Index>& cameras, const Matrix<double, 3>& centers,
+                     const Vector<std::int64_t>& polyline_offsets, const Vector<Index>& polylines,
                      const std::string& method, double sigma_factor, double quality_weight,
-                     double long_facet_factor, int min_component_faces, int num_threads) {
-  const mesher::MesherInput input{ToPoints(points), ToRows(offsets, cameras), ToPoints(centers)};
+                     double min_segment_factor, double long_facet_factor, int min_component_faces,
+                     int num_threads) {
+  const mesher::MesherInput input{ToPoints(points), ToRows(offsets, cameras), ToPoints(centers),
+                                  ToRows(polyline_offsets, polylines)};
   mesher::MesherOptions options;
   options.method = method;
+  options.min_segment_factor = min_segment_factor;
   options.visibility = {sigma_factor, quality_weight, num_threads};
   options.surface = {long_facet_factor, min_component_faces};
   mesher::MesherResult result;
@@ -58,7 +62,7 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
     result = mesher::MeshPoints(input, options);
   }
   return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 3>(result.faces),
-                        ToArray<Index, 2>(result.sources), result.stats);
+                        ToArray<Index, 1>(result.sources), result.stats);
 }
 
 }  // namespace
@@ -66,6 +70,7 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
 NB_MODULE(_mesher, m) {
   m.doc() = "Delaunay meshing of sparse points with visibility";
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
-        "camera_centers"_a, nb::kw_only(), "method"_a, "sigma_factor"_a, "quality_weight"_a,
-        "long_facet_factor"_a, "min_component_faces"_a, "num_threads"_a);
+        "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, nb::kw_only(), "method"_a,
+        "sigma_factor"_a, "quality_weight"_a, "min_segment_factor"_a, "long_facet_factor"_a,
+        "min_component_faces"_a, "num_threads"_a);
 }

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "conforming.h"
 #include "min_cut.h"
 
 namespace mesher {
@@ -26,16 +27,25 @@ class Stopwatch {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
-void CheckInput(const MesherInput& input) {
-  const auto& offsets = input.visibility.offsets;
-  if (offsets.size() != input.points.size() + 1 || offsets.front() != 0 ||
-      offsets.back() != static_cast<std::int64_t>(input.visibility.values.size()) ||
+void CheckRows(const Rows& rows, std::size_t limit, const std::string& name) {
+  const auto& offsets = rows.offsets;
+  if (offsets.empty() || offsets.front() != 0 ||
+      offsets.back() != static_cast<std::int64_t>(rows.values.size()) ||
       !std::is_sorted(offsets.begin(), offsets.end()))
-    throw std::invalid_argument("visibility offsets must rise from 0 to the number of rays");
-  for (Index camera : input.visibility.values)
-    if (camera < 0 || camera >= static_cast<Index>(input.cameras.size()))
-      throw std::invalid_argument("visibility names camera " + std::to_string(camera) + " of " +
-                                  std::to_string(input.cameras.size()));
+    throw std::invalid_argument(name + " offsets must rise from 0 to the number of values, " +
+                                std::to_string(rows.values.size()));
+  for (Index value : rows.values)
+    if (value < 0 || value >= static_cast<Index>(limit))
+      throw std::invalid_argument(name + " holds index " + std::to_string(value) + " of " +
+                                  std::to_string(limit));
+}
+
+void CheckInput(const MesherInput& input) {
+  CheckRows(input.visibility, input.cameras.size(), "visibility");
+  CheckRows(input.polylines, input.points.size(), "polylines");
+  if (input.visibility.offsets.size() != input.points.size() + 1)
+    throw std::invalid_argument("visibility has " + std::to_string(input.visibility.size()) +
+                                " rows for " + std::to_string(input.points.size()) + " points");
   if (!std::all_of(input.cameras.begin(), input.cameras.end(), IsFinite))
     throw std::invalid_argument("camera centers must be finite");
 }
@@ -58,6 +68,7 @@ class UnitFrame {
     if (largest > 0 && std::isfinite(largest)) scale_ = std::ldexp(1.0, -std::ilogb(largest));
   }
   Vec3 operator()(const Vec3& p) const { return scale_ * (p - center_); }
+  Vec3 Inverse(const Vec3& p) const { return (1 / scale_) * p + center_; }
 
  private:
   Vec3 center_;
@@ -67,11 +78,29 @@ class UnitFrame {
 // The input as the triangulation wants it: distinct points in canonical order, each with the
 // cameras that see it or a duplicate of it.
 struct Scene {
+  UnitFrame frame;
   std::vector<Vec3> points;
   std::vector<Index> sources;  // index of an input point at this place
   Rows rays;
   std::vector<Vec3> cameras;
+  Rows polylines;
 };
+
+// Polylines of vertices, interrupted at points that were dropped.
+Rows MapPolylines(const Rows& polylines, const std::vector<Index>& vertex_of) {
+  Rows mapped;
+  auto finish = [&] { mapped.offsets.push_back(static_cast<std::int64_t>(mapped.values.size())); };
+  for (std::int64_t row = 0; row < polylines.size(); ++row) {
+    for (const Index* point = polylines.begin(row); point != polylines.end(row); ++point) {
+      if (vertex_of[*point] == kNone)
+        finish();
+      else
+        mapped.values.push_back(vertex_of[*point]);
+    }
+    finish();
+  }
+  return mapped;
+}
 
 Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) {
   std::vector<Index> finite;
@@ -83,7 +112,8 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   }
   const UnitFrame frame(points);
   for (Vec3& p : points) p = frame(p);
-  Scene scene;
+  Scene scene{frame, {}, {}, {}, {}, {}};
+  std::vector<Index> vertex_of(input.points.size(), kNone);
   for (const Vec3& camera : input.cameras) scene.cameras.push_back(frame(camera));
 
   const Rows places = SortDistinctPoints(points);
@@ -92,9 +122,11 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   for (std::int64_t place = 0; place < places.size(); ++place) {
     const Vec3& point = points[*places.begin(place)];
     cameras.clear();
-    for (const Index* i = places.begin(place); i != places.end(place); ++i)
+    for (const Index* i = places.begin(place); i != places.end(place); ++i) {
+      vertex_of[finite[*i]] = static_cast<Index>(place);
       cameras.insert(cameras.end(), input.visibility.begin(finite[*i]),
                      input.visibility.end(finite[*i]));
+    }
     std::sort(cameras.begin(), cameras.end());
     cameras.erase(std::unique(cameras.begin(), cameras.end()), cameras.end());
     for (Index camera : cameras) {
@@ -106,6 +138,7 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
     scene.points.push_back(point);
     scene.sources.push_back(finite[*places.begin(place)]);
   }
+  scene.polylines = MapPolylines(input.polylines, vertex_of);
   stats["points"] = static_cast<double>(input.points.size());
   stats["points_not_finite"] = static_cast<double>(input.points.size() - points.size());
   stats["points_duplicate"] = static_cast<double>(points.size() - scene.points.size());
@@ -114,10 +147,20 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   return scene;
 }
 
-// Without any cell if the points span no volume.
-Triangulation Triangulate(const Scene& scene) {
-  const DelaunayBuilder builder(scene.points);
-  return builder.dimension() == 3 ? builder.Flatten() : Triangulation{};
+// Without any cell if the points span no volume. Adds the rays of points that it adds.
+Triangulation Triangulate(const MesherOptions& options, Scene& scene,
+                          std::map<std::string, double>& stats) {
+  DelaunayBuilder builder(scene.points);
+  if (builder.dimension() < 3) return {};
+  if (options.min_segment_factor > 0) {
+    const double min_length =
+        options.min_segment_factor * TypicalSegmentLength(scene.polylines, scene.points);
+    const ConformingStats conforming = Conform(scene.polylines, min_length, builder, scene.rays);
+    stats["edge_segments"] = conforming.segments;
+    stats["edge_segments_missing"] = conforming.segments_missing;
+    stats["edge_points_added"] = conforming.points_added;
+  }
+  return builder.Flatten();
 }
 
 std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, const Scene& scene,
@@ -131,13 +174,14 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
   return std::move(cut.is_source);
 }
 
-void AddSurface(const MesherInput& input, const Scene& scene, const Surface& surface,
-                MesherResult& result) {
+void AddSurface(const MesherInput& input, const Scene& scene, const Triangulation& triangulation,
+                const Surface& surface, MesherResult& result) {
+  const Index num_sources = static_cast<Index>(scene.sources.size());
   for (const auto& [a, b] : surface.vertices) {
-    const Index source_a = scene.sources[a], source_b = scene.sources[b];
-    result.sources.push_back({source_a, source_b});
-    const Vec3 &at_a = input.points[source_a], &at_b = input.points[source_b];
-    result.vertices.push_back(a == b ? at_a : 0.5 * at_a + 0.5 * at_b);
+    const Index source = a == b && a < num_sources ? scene.sources[a] : kNone;
+    const Vec3 middle = 0.5 * triangulation.points[a] + 0.5 * triangulation.points[b];
+    result.sources.push_back(source);
+    result.vertices.push_back(source == kNone ? scene.frame.Inverse(middle) : input.points[source]);
   }
   result.faces = surface.faces;
   const SurfaceStats& stats = surface.stats;
@@ -154,16 +198,16 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
   CheckInput(input);
   MesherResult result;
   Stopwatch watch(result.stats);
-  const Scene scene = MakeScene(input, result.stats);
+  Scene scene = MakeScene(input, result.stats);
   watch.Lap("sorting");
-  const Triangulation triangulation = Triangulate(scene);
+  const Triangulation triangulation = Triangulate(options, scene, result.stats);
   result.stats["cells"] = triangulation.num_cells();
   watch.Lap("triangulation");
   if (triangulation.cells.empty()) return result;
   const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);
   watch.Lap("labelling");
   const Surface surface = ExtractSurface(triangulation, is_free, options.surface);
-  AddSurface(input, scene, surface, result);
+  AddSurface(input, scene, triangulation, surface, result);
   watch.Lap("surface");
   return result;
 }

@@ -17,10 +17,13 @@ struct MesherInput {
   std::vector<Vec3> points;
   Rows visibility;  // point -> cameras
   std::vector<Vec3> cameras;
+  Rows polylines;  // rows of points that the mesh should follow
 };
 
 struct MesherOptions {
   std::string method = "graphcut";
+  // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
+  double min_segment_factor = 0.25;
   VisibilityOptions visibility;
   SurfaceOptions surface;
 };
@@ -28,8 +31,7 @@ struct MesherOptions {
 struct MesherResult {
   std::vector<Vec3> vertices;
   std::vector<std::array<Index, 3>> faces;
-  // Indices of the input points that a vertex lies at (twice the same) or between.
-  std::vector<std::array<Index, 2>> sources;
+  std::vector<Index> sources;  // input point at a vertex, kNone for those that were added
   std::map<std::string, double> stats;
 };
 

@@ -233,8 +233,8 @@ def test_points_without_volume_are_one_clear_line(points):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"cameras": [40]}, "camera 40 of 40"),
-        ({"cameras": [-1]}, "camera -1 of 40"),
+        ({"cameras": [40]}, "index 40 of 40"),
+        ({"cameras": [-1]}, "index -1 of 40"),
         ({"offsets": [0]}, "offsets"),
         ({"offsets": [1, *range(2, 801), 800]}, "offsets"),
         ({"centers": np.full((40, 3), np.nan)}, "finite"),
