@@ -172,7 +172,26 @@ class TracingOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class MeshingOptions(Options):
-    """Points and edges -> mesh."""
+    """Points and rays -> triangle mesh; every option is free of the model's unit."""
+
+    method: str = option("graphcut", "How cells are told apart: minimum cut", choices=("graphcut",))
+    sigma_factor: float = option(
+        1.0, "Softness of a point's depth (sigma), in lower quartiles of edge lengths", gt=0
+    )
+    quality_weight: float = option(
+        0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0
+    )
+    min_segment_factor: float = option(
+        0.25,
+        "Split 3D edges until they are edges of the mesh, down to this length in medians of their "
+        "segments; 0 splits none",
+        ge=0,
+    )
+    long_facet_factor: float = option(
+        25.0, "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all", ge=0
+    )
+    min_component_faces: int = option(1, "Drop connected components of fewer triangles", ge=1)
+    num_threads: int = option(0, "Threads; 0 takes all cores", ge=0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,273 @@
+"""Points and the cameras that see them -> triangle mesh: Python face of the CGAL extension."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.options import MeshingOptions
+
+if TYPE_CHECKING:
+    from colmap_edges.edges import Edges3D
+    from colmap_edges.model import Model
+
+MESH_FORMATS = (".ply", ".obj", ".glb")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A triangle mesh whose vertices know the 3D points they came from.
+
+    Attributes:
+        vertices: (V, 3) float64, world units.
+        faces: (F, 3) int32 indices into `vertices`, counter-clockwise seen from free space.
+        point3D_ids: (V,) int64; -1 for edge points and for vertices the mesher added.
+        colors: (V, 3) uint8.
+        stats: counts of what came in, was kept and was dropped, and seconds per step.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    point3D_ids: NDArray[np.int64]
+    colors: NDArray[np.uint8]
+    stats: Mapping[str, float] = field(default_factory=dict)
+
+
+class Polylines(NamedTuple):
+    """Polylines through points, in CSR arrays.
+
+    Attributes:
+        point_indices: (P,) int32 indices into the points that are meshed.
+        offsets: (E + 1,) int64; polyline e is point_indices[offsets[e]:offsets[e + 1]].
+        closed: (E,) bool; the last point of a closed polyline connects to its first.
+    """
+
+    point_indices: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+    closed: NDArray[np.bool_]
+
+
+def mesh(
+    reconstruction_or_path: Any,
+    edges: Edges3D | None = None,
+    method: str | None = None,
+    options: MeshingOptions | None = None,
+) -> Mesh:
+    """Mesh the points of a COLMAP model, with or without 3D edges.
+
+    Args:
+        reconstruction_or_path: a model folder, a pycolmap.Reconstruction or a `Model`.
+        edges: 3D edges of this model that the mesh should follow.
+        method: overrides `options.method`.
+        options: how to mesh; the defaults suit any model.
+
+    Raises:
+        ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
+            is not built.
+    """
+    model = as_model(reconstruction_or_path)
+    options = options or MeshingOptions()
+    if method is not None:
+        options = replace(options, method=method)
+    points, offsets, cameras = model.points3D_xyz, model.track_offsets, model.track_views
+    polylines = None
+    if edges is not None:
+        num_points = len(points)
+        points = np.concatenate([points, edges.points])
+        offsets = np.concatenate([offsets, offsets[-1] + edges.track_offsets[1:]])
+        cameras = np.concatenate([cameras, edges.track_views])
+        indices = np.arange(num_points, num_points + edges.num_points, dtype=np.int32)
+        polylines = Polylines(indices, edges.edge_offsets, edges.closed)
+    result = mesh_points(points, offsets, cameras, model.camera_centers, options, polylines)
+    return with_model_attributes(result, model)
+
+
+def as_model(source: Any) -> Model:
+    """Take a `Model` as it is, a pycolmap.Reconstruction apart, and read anything else."""
+    from colmap_edges import model as model_module
+
+    if isinstance(source, model_module.Model):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return model_module.load_model(Path(source))
+    return model_module.model_from_reconstruction(source)
+
+
+def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
+    """Replace the point indices in `point3D_ids` by the model's ids, and add its colours."""
+    sources = mesh_of_indices.point3D_ids
+    is_sfm = (sources >= 0) & (sources < len(model.point3D_ids))
+    ids = np.full(len(sources), -1, np.int64)
+    ids[is_sfm] = model.point3D_ids[sources[is_sfm]]
+    colors = np.zeros((len(sources), 3), np.uint8)
+    colors[is_sfm] = model.points3D_rgb[sources[is_sfm]]
+    colors = spread_colors(colors, is_sfm, mesh_of_indices.faces)
+    return replace(mesh_of_indices, point3D_ids=ids, colors=colors)
+
+
+def spread_colors(
+    colors: NDArray[np.uint8], is_known: NDArray[np.bool_], faces: NDArray[np.int32]
+) -> NDArray[np.uint8]:
+    """Colour unknown vertices by the mean of their known neighbours, ring by ring.
+
+    Args:
+        colors: (V, 3) uint8.
+        is_known: (V,) which of them are right.
+        faces: (F, 3) triangles.
+
+    Returns:
+        (V, 3) uint8; vertices that no known vertex is connected to stay as they are.
+    """
+    values, known = colors.astype(np.float64), is_known.copy()
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    sides = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)
+    while True:
+        useful = sides[~known[sides[:, 0]] & known[sides[:, 1]]]
+        if not len(useful):
+            return np.rint(values).astype(np.uint8)
+        counts = np.bincount(useful[:, 0], minlength=len(values))
+        for channel in range(3):
+            weights = values[useful[:, 1], channel]
+            sums = np.bincount(useful[:, 0], weights, minlength=len(values))
+            values[counts > 0, channel] = sums[counts > 0] / counts[counts > 0]
+        known |= counts > 0
+
+
+def mesh_points(
+    points: NDArray[np.float64],
+    visibility_offsets: NDArray[np.int64],
+    visibility_cameras: NDArray[np.int32],
+    camera_centers: NDArray[np.float64],
+    options: MeshingOptions,
+    edges: Polylines | None = None,
+) -> Mesh:
+    """Mesh points that cameras see.
+
+    Points with coordinates that are not finite are left out; coinciding points become one that
+    all their cameras see. The result does not depend on the order of points and rays, nor on the
+    number of threads.
+
+    Args:
+        points: (N, 3) float64.
+        visibility_offsets: (N + 1,) int64; the cameras that see point i are
+            visibility_cameras[visibility_offsets[i]:visibility_offsets[i + 1]].
+        visibility_cameras: (R,) int32 indices into `camera_centers`.
+        camera_centers: (C, 3) float64.
+        options: how to mesh.
+        edges: polylines through the points that the mesh should follow.
+
+    Returns:
+        The mesh; `point3D_ids` holds indices into `points`, -1 for vertices the mesher added.
+
+    Raises:
+        ColmapEdgesError: when the points span no volume or the mesher is not built.
+        ValueError: when the arrays do not fit together.
+    """
+    extension = load_extension()
+    polyline_offsets, polyline_points = closed_rows(edges)
+    vertices, faces, sources, stats = extension.mesh_points(
+        np.ascontiguousarray(points, np.float64).reshape(-1, 3),
+        np.ascontiguousarray(visibility_offsets, np.int64),
+        np.ascontiguousarray(visibility_cameras, np.int32),
+        np.ascontiguousarray(camera_centers, np.float64).reshape(-1, 3),
+        polyline_offsets,
+        polyline_points,
+        method=options.method,
+        sigma_factor=options.sigma_factor,
+        quality_weight=options.quality_weight,
+        min_segment_factor=options.min_segment_factor,
+        long_facet_factor=options.long_facet_factor,
+        min_component_faces=options.min_component_faces,
+        num_threads=options.num_threads or os.cpu_count() or 1,
+    )
+    if not stats["cells"]:
+        raise ColmapEdgesError(
+            f"nothing to mesh: the {len(points)} points span no volume; "
+            "give a model with more 3D points"
+        )
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        point3D_ids=sources[:, 0].astype(np.int64),
+        colors=np.zeros((len(vertices), 3), np.uint8),
+        stats=stats,
+    )
+
+
+def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Offsets and point indices of polylines, the first point repeated at the end of closed ones.
+
+    Raises:
+        ValueError: when the arrays do not fit together.
+    """
+    if edges is None:
+        return np.zeros(1, np.int64), np.zeros(0, np.int32)
+    offsets = np.ascontiguousarray(edges.offsets, np.int64)
+    indices = np.ascontiguousarray(edges.point_indices, np.int32)
+    closed = np.asarray(edges.closed, bool)
+    if len(offsets) != len(closed) + 1 or offsets[0] != 0 or offsets[-1] != len(indices):
+        raise ValueError(
+            f"polylines: {len(offsets)} offsets, up to {offsets[-1:]}, do not fit "
+            f"{len(closed)} flags and {len(indices)} points"
+        )
+    loops = closed & (np.diff(offsets) > 2)
+    indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
+    return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
+
+
+def load_extension() -> Any:
+    """Import the compiled mesher.
+
+    Raises:
+        ColmapEdgesError: when it was not built.
+    """
+    try:
+        from colmap_edges import _mesher  # type: ignore[attr-defined, unused-ignore]
+    except ImportError as error:
+        raise ColmapEdgesError(
+            f"the mesher is not built ({error}); "
+            "run: apt-get install libcgal-dev, then reinstall colmap-edges"
+        ) from error
+    return _mesher
+
+
+def write_mesh(mesh: Mesh, path: Path | str) -> None:
+    """Write a mesh with colours as PLY, OBJ or GLB: the whole file or none.
+
+    Raises:
+        ColmapEdgesError: when the suffix is another one or the file cannot be written.
+    """
+    import trimesh
+
+    path = Path(path)
+    if path.suffix.lower() not in MESH_FORMATS:
+        raise ColmapEdgesError(
+            f"cannot write a mesh as {path.name!r}; choose one of: {', '.join(MESH_FORMATS)}"
+        )
+    exported = trimesh.Trimesh(
+        mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False, validate=False
+    ).export(file_type=path.suffix.lower()[1:])
+    data = exported.encode() if isinstance(exported, str) else exported
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
+            temporary = Path(file.name)
+            file.write(data)
+        temporary.chmod(0o666 & ~current_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise ColmapEdgesError(f"cannot write the mesh to {path}: {error}") from error
+
+
+def current_umask() -> int:
+    """The process's umask, which can only be read by setting it."""
+    umask = os.umask(0o022)
+    os.umask(umask)
+    return umask

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Python face of the mesher: converts arrays, releases the GIL, calls the core, converts back.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/string.h>
+
+#include <cstring>
+
+#include "mesher.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+using mesher::Index;
+
+template <typename T, int Columns>
+using Matrix = nb::ndarray<const T, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+template <typename T>
+using Vector = nb::ndarray<const T, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+
+std::vector<mesher::Vec3> ToPoints(const Matrix<double, 3>& array) {
+  std::vector<mesher::Vec3> points(array.shape(0));
+  for (std::size_t i = 0; i < points.size(); ++i)
+    points[i] = {array(i, 0), array(i, 1), array(i, 2)};
+  return points;
+}
+
+mesher::Rows ToRows(const Vector<std::int64_t>& offsets, const Vector<Index>& values) {
+  return {{offsets.data(), offsets.data() + offsets.size()},
+          {values.data(), values.data() + values.size()}};
+}
+
+// A numpy array that owns a copy of `values`, `Columns` numbers an item.
+template <typename T, std::size_t Columns, typename Item>
+nb::ndarray<nb::numpy, T> ToArray(const std::vector<Item>& values) {
+  static_assert(sizeof(Item) == Columns * sizeof(T));
+  T* data = new T[std::max<std::size_t>(values.size() * Columns, 1)];
+  if (!values.empty()) std::memcpy(data, values.data(), values.size() * sizeof(Item));
+  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return nb::ndarray<nb::numpy, T>(data, {values.size(), Columns}, owner);
+}
+
+nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>& offsets,
+                     const Vector<Index>& cameras, const Matrix<double, 3>& centers,
+                     const Vector<std::int64_t>& polyline_offsets, const Vector<Index>& polylines,
+                     const std::string& method, double sigma_factor, double quality_weight,
+                     double min_segment_factor, double long_facet_factor, int min_component_faces,
+                     int num_threads) {
+  const mesher::MesherInput input{ToPoints(points), ToRows(offsets, cameras), ToPoints(centers),
+                                  ToRows(polyline_offsets, polylines)};
+  mesher::MesherOptions options;
+  options.method = method;
+  options.min_segment_factor = min_segment_factor;
+  options.visibility = {sigma_factor, quality_weight, num_threads};
+  options.surface = {long_facet_factor, min_component_faces};
+  mesher::MesherResult result;
+  {
+    nb::gil_scoped_release release;
+    result = mesher::MeshPoints(input, options);
+  }
+  return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 3>(result.faces),
+                        ToArray<Index, 1>(result.sources), result.stats);
+}
+
+}  // namespace
+
+NB_MODULE(_mesher, m) {
+  m.doc() = "Delaunay meshing of sparse points with visibility";
+  m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
+        "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, nb::kw_only(), "method"_a,
+        "sigma_factor"_a, "quality_weight"_a, "min_segment_factor"_a, "long_facet_factor"_a,
+        "min_component_faces"_a, "num_threads"_a);
+}

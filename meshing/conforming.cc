@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "conforming.h"
+
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+namespace mesher {
+namespace {
+
+using Segment = std::pair<Index, Index>;
+
+std::vector<Segment> SegmentsOf(const Rows& polylines) {
+  std::vector<Segment> segments;
+  for (std::int64_t row = 0; row < polylines.size(); ++row)
+    for (const Index* v = polylines.begin(row); v + 1 < polylines.end(row); ++v)
+      if (v[0] != v[1]) segments.push_back(std::minmax(v[0], v[1]));
+  std::sort(segments.begin(), segments.end());
+  segments.erase(std::unique(segments.begin(), segments.end()), segments.end());
+  return segments;
+}
+
+class Splitter {
+ public:
+  Splitter(double min_length, DelaunayBuilder& builder, Rows& rays)
+      : min_length_(min_length), builder_(builder), rays_(rays) {}
+
+  // Splits until nothing is left to split; insertions may break edges that were there before, so
+  // all pieces are looked at again until none has changed.
+  Index Split(std::vector<Segment> pieces) {
+    bool has_changed = true;
+    while (has_changed) {
+      has_changed = false;
+      std::vector<Segment> next;
+      missing_ = 0;
+      for (const Segment& piece : pieces) has_changed |= SplitOne(piece, next);
+      pieces.swap(next);
+    }
+    return missing_;
+  }
+
+ private:
+  // Pieces of `piece` go to `pieces`; returns whether a point was added.
+  bool SplitOne(const Segment& piece, std::vector<Segment>& pieces) {
+    const auto [a, b] = piece;
+    if (builder_.IsEdge(a, b)) {
+      pieces.push_back(piece);
+      return false;
+    }
+    const Vec3 at_a = builder_.points()[a], at_b = builder_.points()[b];
+    const Index before = builder_.num_vertices();
+    if (Norm(at_b - at_a) < 2 * min_length_) {
+      pieces.push_back(piece);
+      ++missing_;
+      return false;
+    }
+    const Index middle = builder_.Insert(0.5 * at_a + 0.5 * at_b, a);
+    const bool is_new = middle == before;
+    if (is_new) AddRays(a, b);
+    if (middle != a && middle != b) {
+      SplitOne({a, middle}, pieces);
+      SplitOne({middle, b}, pieces);
+    }
+    return is_new;
+  }
+
+  void AddRays(Index a, Index b) {
+    const std::vector<Index> of_a(rays_.begin(a), rays_.end(a)), of_b(rays_.begin(b), rays_.end(b));
+    std::set_intersection(of_a.begin(), of_a.end(), of_b.begin(), of_b.end(),
+                          std::back_inserter(rays_.values));
+    rays_.offsets.push_back(static_cast<std::int64_t>(rays_.values.size()));
+  }
+
+  const double min_length_;
+  DelaunayBuilder& builder_;
+  Rows& rays_;
+  Index missing_ = 0;
+};
+
+}  // namespace
+
+ConformingStats Conform(const Rows& polylines, double min_length, DelaunayBuilder& builder,
+                        Rows& rays) {
+  std::vector<Segment> segments = SegmentsOf(polylines);
+  ConformingStats stats;
+  stats.segments = static_cast<Index>(segments.size());
+  const Index before = builder.num_vertices();
+  stats.segments_missing = Splitter(min_length, builder, rays).Split(std::move(segments));
+  stats.points_added = builder.num_vertices() - before;
+  return stats;
+}
+
+double TypicalSegmentLength(const Rows& polylines, const std::vector<Vec3>& points) {
+  std::vector<double> lengths;
+  for (const auto& [a, b] : SegmentsOf(polylines)) lengths.push_back(Norm(points[b] - points[a]));
+  if (lengths.empty()) return 0;
+  auto median = lengths.begin() + lengths.size() / 2;
+  std::nth_element(lengths.begin(), median, lengths.end());
+  return *median;
+}
+
+}  // namespace mesher

@@ -1,0 +1,215 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "mesher.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+
+#include "conforming.h"
+#include "min_cut.h"
+
+namespace mesher {
+namespace {
+
+// Seconds since the last call, under a name.
+class Stopwatch {
+ public:
+  explicit Stopwatch(std::map<std::string, double>& stats) : stats_(stats) {}
+  void Lap(const std::string& name) {
+    const auto now = std::chrono::steady_clock::now();
+    stats_["seconds_" + name] += std::chrono::duration<double>(now - last_).count();
+    last_ = now;
+  }
+
+ private:
+  std::map<std::string, double>& stats_;
+  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
+
+void CheckRows(const Rows& rows, std::size_t limit, const std::string& name) {
+  const auto& offsets = rows.offsets;
+  if (offsets.empty() || offsets.front() != 0 ||
+      offsets.back() != static_cast<std::int64_t>(rows.values.size()) ||
+      !std::is_sorted(offsets.begin(), offsets.end()))
+    throw std::invalid_argument(name + " offsets must rise from 0 to the number of values, " +
+                                std::to_string(rows.values.size()));
+  for (Index value : rows.values)
+    if (value < 0 || value >= static_cast<Index>(limit))
+      throw std::invalid_argument(name + " holds index " + std::to_string(value) + " of " +
+                                  std::to_string(limit));
+}
+
+void CheckInput(const MesherInput& input) {
+  CheckRows(input.visibility, input.cameras.size(), "visibility");
+  CheckRows(input.polylines, input.points.size(), "polylines");
+  if (input.visibility.offsets.size() != input.points.size() + 1)
+    throw std::invalid_argument("visibility has " + std::to_string(input.visibility.size()) +
+                                " rows for " + std::to_string(input.points.size()) + " points");
+  if (!std::all_of(input.cameras.begin(), input.cameras.end(), IsFinite))
+    throw std::invalid_argument("camera centers must be finite");
+}
+
+// Shift and power-of-two scale that bring the points to the unit cube around the origin, where
+// neither huge offsets nor tiny units cost digits. Scaling by a power of two rounds nothing.
+class UnitFrame {
+ public:
+  explicit UnitFrame(const std::vector<Vec3>& points) {
+    if (points.empty()) return;
+    Vec3 low = points[0], high = points[0];
+    for (const Vec3& p : points)
+      for (int axis = 0; axis < 3; ++axis) {
+        low[axis] = std::min(low[axis], p[axis]);
+        high[axis] = std::max(high[axis], p[axis]);
+      }
+    const Vec3 size = high - low;
+    center_ = 0.5 * low + 0.5 * high;
+    const double largest = std::max({size.x, size.y, size.z});
+    if (largest > 0 && std::isfinite(largest)) scale_ = std::ldexp(1.0, -std::ilogb(largest));
+  }
+  Vec3 operator()(const Vec3& p) const { return scale_ * (p - center_); }
+  Vec3 Inverse(const Vec3& p) const { return (1 / scale_) * p + center_; }
+
+ private:
+  Vec3 center_;
+  double scale_ = 1;
+};
+
+// The input as the triangulation wants it: distinct points in canonical order, each with the
+// cameras that see it or a duplicate of it.
+struct Scene {
+  UnitFrame frame;
+  std::vector<Vec3> points;
+  std::vector<Index> sources;  // index of an input point at this place
+  Rows rays;
+  std::vector<Vec3> cameras;
+  Rows polylines;
+};
+
+// Polylines of vertices, interrupted at points that were dropped.
+Rows MapPolylines(const Rows& polylines, const std::vector<Index>& vertex_of) {
+  Rows mapped;
+  auto finish = [&] { mapped.offsets.push_back(static_cast<std::int64_t>(mapped.values.size())); };
+  for (std::int64_t row = 0; row < polylines.size(); ++row) {
+    for (const Index* point = polylines.begin(row); point != polylines.end(row); ++point) {
+      if (vertex_of[*point] == kNone)
+        finish();
+      else
+        mapped.values.push_back(vertex_of[*point]);
+    }
+    finish();
+  }
+  return mapped;
+}
+
+Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) {
+  std::vector<Index> finite;
+  std::vector<Vec3> points;
+  for (std::size_t i = 0; i < input.points.size(); ++i) {
+    if (!IsFinite(input.points[i])) continue;
+    finite.push_back(static_cast<Index>(i));
+    points.push_back(input.points[i]);
+  }
+  const UnitFrame frame(points);
+  for (Vec3& p : points) p = frame(p);
+  Scene scene{frame, {}, {}, {}, {}, {}};
+  std::vector<Index> vertex_of(input.points.size(), kNone);
+  for (const Vec3& camera : input.cameras) scene.cameras.push_back(frame(camera));
+
+  const Rows places = SortDistinctPoints(points);
+  std::int64_t on_camera = 0;
+  std::vector<Index> cameras;
+  for (std::int64_t place = 0; place < places.size(); ++place) {
+    const Vec3& point = points[*places.begin(place)];
+    cameras.clear();
+    for (const Index* i = places.begin(place); i != places.end(place); ++i) {
+      vertex_of[finite[*i]] = static_cast<Index>(place);
+      cameras.insert(cameras.end(), input.visibility.begin(finite[*i]),
+                     input.visibility.end(finite[*i]));
+    }
+    std::sort(cameras.begin(), cameras.end());
+    cameras.erase(std::unique(cameras.begin(), cameras.end()), cameras.end());
+    for (Index camera : cameras) {
+      const bool coincides = scene.cameras[camera] == point;
+      on_camera += coincides;
+      if (!coincides) scene.rays.values.push_back(camera);
+    }
+    scene.rays.offsets.push_back(static_cast<std::int64_t>(scene.rays.values.size()));
+    scene.points.push_back(point);
+    scene.sources.push_back(finite[*places.begin(place)]);
+  }
+  scene.polylines = MapPolylines(input.polylines, vertex_of);
+  stats["points"] = static_cast<double>(input.points.size());
+  stats["points_not_finite"] = static_cast<double>(input.points.size() - points.size());
+  stats["points_duplicate"] = static_cast<double>(points.size() - scene.points.size());
+  stats["rays"] = static_cast<double>(scene.rays.values.size());
+  stats["rays_of_zero_length"] = static_cast<double>(on_camera);
+  return scene;
+}
+
+// Without any cell if the points span no volume. Adds the rays of points that it adds.
+Triangulation Triangulate(const MesherOptions& options, Scene& scene,
+                          std::map<std::string, double>& stats) {
+  DelaunayBuilder builder(scene.points);
+  if (builder.dimension() < 3) return {};
+  if (options.min_segment_factor > 0) {
+    const double min_length =
+        options.min_segment_factor * TypicalSegmentLength(scene.polylines, scene.points);
+    const ConformingStats conforming = Conform(scene.polylines, min_length, builder, scene.rays);
+    stats["edge_segments"] = conforming.segments;
+    stats["edge_segments_missing"] = conforming.segments_missing;
+    stats["edge_points_added"] = conforming.points_added;
+  }
+  return builder.Flatten();
+}
+
+std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, const Scene& scene,
+                                         const MesherOptions& options, MesherResult& result,
+                                         Stopwatch& watch) {
+  CutProblem problem =
+      VisibilityProblem(triangulation, scene.rays, scene.cameras, options.visibility);
+  watch.Lap("visibility");
+  Cut cut = MinimumCut(triangulation.cells, std::move(problem));
+  result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
+  return std::move(cut.is_source);
+}
+
+void AddSurface(const MesherInput& input, const Scene& scene, const Triangulation& triangulation,
+                const Surface& surface, MesherResult& result) {
+  const Index num_sources = static_cast<Index>(scene.sources.size());
+  for (const auto& [a, b] : surface.vertices) {
+    const Index source = a == b && a < num_sources ? scene.sources[a] : kNone;
+    const Vec3 middle = 0.5 * triangulation.points[a] + 0.5 * triangulation.points[b];
+    result.sources.push_back(source);
+    result.vertices.push_back(source == kNone ? scene.frame.Inverse(middle) : input.points[source]);
+  }
+  result.faces = surface.faces;
+  const SurfaceStats& stats = surface.stats;
+  result.stats["boundary_facets"] = stats.boundary_facets;
+  result.stats["long_facets_dropped"] = stats.long_facets_dropped;
+  result.stats["component_faces_dropped"] = stats.component_faces_dropped;
+  result.stats["vertices_split"] = stats.vertices_split;
+  result.stats["edges_split"] = stats.edges_split;
+}
+
+}  // namespace
+
+MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) {
+  CheckInput(input);
+  MesherResult result;
+  Stopwatch watch(result.stats);
+  Scene scene = MakeScene(input, result.stats);
+  watch.Lap("sorting");
+  const Triangulation triangulation = Triangulate(options, scene, result.stats);
+  result.stats["cells"] = triangulation.num_cells();
+  watch.Lap("triangulation");
+  if (triangulation.cells.empty()) return result;
+  const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);
+  watch.Lap("labelling");
+  const Surface surface = ExtractSurface(triangulation, is_free, options.surface);
+  AddSurface(input, scene, triangulation, surface, result);
+  watch.Lap("surface");
+  return result;
+}
+
+}  // namespace mesher

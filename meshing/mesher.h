@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Points and who sees them in, a surface out.
+#pragma once
+
+#include <array>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "surface.h"
+#include "types.h"
+#include "visibility.h"
+
+namespace mesher {
+
+struct MesherInput {
+  std::vector<Vec3> points;
+  Rows visibility;  // point -> cameras
+  std::vector<Vec3> cameras;
+  Rows polylines;  // rows of points that the mesh should follow
+};
+
+struct MesherOptions {
+  std::string method = "graphcut";
+  // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
+  double min_segment_factor = 0.25;
+  VisibilityOptions visibility;
+  SurfaceOptions surface;
+};
+
+struct MesherResult {
+  std::vector<Vec3> vertices;
+  std::vector<std::array<Index, 3>> faces;
+  std::vector<Index> sources;  // input point at a vertex, kNone for those that were added
+  std::map<std::string, double> stats;
+};
+
+// An empty result without cells (`stats`) if the points span no volume. Throws
+// std::invalid_argument for malformed input.
+MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options);
+
+}  // namespace mesher

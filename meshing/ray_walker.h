@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Walks from a vertex of the triangulation towards a camera, cell by cell.
+//
+// Points are projected along the ray to a plane, where the ray is the origin and the side on which
+// an edge passes it is the sign of a 2D cross product. A sign too close to call is computed
+// exactly, and a ray that meets an edge or a vertex is treated as if its target were moved by an
+// infinitesimal: every ray has one answer, always the same, and no walk can run in circles.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "predicates.h"
+#include "triangulation.h"
+
+namespace mesher {
+
+// The ray leaves `cell` through its facet `facet` into `next`, `distance` away from the vertex.
+struct Crossing {
+  Index cell;
+  int facet;
+  Index next;
+  double distance;
+};
+
+class RayWalker {
+ public:
+  RayWalker(const Triangulation& triangulation, Index vertex, const Vec3& target)
+      : triangulation_(triangulation),
+        vertex_(vertex),
+        origin_(triangulation.points[vertex]),
+        target_(target) {
+    const Vec3 ray = target - origin_;
+    length_ = Norm(ray);
+    direction_ = (1 / length_) * ray;
+    // The coordinate axis least aligned with the ray makes the frame well conditioned.
+    const Vec3 size{std::abs(ray.x), std::abs(ray.y), std::abs(ray.z)};
+    const Vec3 axis = size.x <= size.y && size.x <= size.z ? Vec3{1, 0, 0}
+                      : size.y <= size.z                   ? Vec3{0, 1, 0}
+                                                           : Vec3{0, 0, 1};
+    const Vec3 normal = Cross(axis, direction_);
+    axis_u_ = (1 / Norm(normal)) * normal;
+    axis_v_ = Cross(direction_, axis_u_);
+    FindStart();
+  }
+
+  double length() const { return length_; }
+
+  // The cells around the vertex that the ray and its prolongation behind the vertex enter; kNone
+  // where they leave the convex hull at once.
+  Index front() const { return front_; }
+  Index behind() const { return behind_; }
+
+  // Calls visit(cell) for the infinite cells around the vertex whose hull facet faces the ray (if
+  // `ahead`) or its prolongation: those that a ray passes which leaves the convex hull at once.
+  template <typename Visit>
+  void VisitOutside(bool ahead, Visit&& visit) const {
+    for (const Index* c = triangulation_.stars.begin(vertex_);
+         c != triangulation_.stars.end(vertex_); ++c) {
+      if (!triangulation_.cells[*c].IsInfinite()) continue;
+      const double facing = HullFacing(triangulation_.cells[*c]);
+      if (ahead ? facing > 0 : facing < 0) visit(*c);
+    }
+  }
+
+  // Facet of `behind` opposite the vertex and the distance at which the prolongation meets it.
+  // Only valid if there is such a cell.
+  Crossing BehindExit() const {
+    const Cell& cell = triangulation_.cells[behind_];
+    int facet = 0;
+    while (cell.vertices[facet] != vertex_) ++facet;
+    Projected corners[3];
+    for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[facet][i]]);
+    return {behind_, facet, cell.neighbors[facet], -Depth(corners)};
+  }
+
+  // Calls visit(Crossing) for every facet between the vertex and the target, in order; returns the
+  // last cell, which holds the target or lies outside the convex hull. Needs a cell in front.
+  // Distances of crossings whose facet lies wholly beyond `far` (and before the target) are only
+  // known to be beyond it.
+  template <typename Visit>
+  Index Walk(double far, Visit&& visit) const {
+    Index cell_index = front_;
+    int exit = 0;
+    while (triangulation_.cells[front_].vertices[exit] != vertex_) ++exit;
+    Projected corners[3];
+    for (int i = 0; i < 3; ++i)
+      corners[i] = Project(triangulation_.cells[front_].vertices[kFacet[exit][i]]);
+
+    while (true) {
+      double distance = Nearest(corners);
+      if (distance <= far || Farthest(corners) >= length_ * (1 - kNearTarget)) {
+        distance = Depth(corners);
+        if (IsBeyondTarget(corners, distance)) return cell_index;
+      }
+      const Index next_index = triangulation_.cells[cell_index].neighbors[exit];
+      visit(Crossing{cell_index, exit, next_index, distance});
+      const Cell& next = triangulation_.cells[next_index];
+      const int entry = triangulation_.MirrorIndex(cell_index, next_index);
+      const Index apex_vertex = next.vertices[entry];
+      if (apex_vertex == kInfinite) return next_index;
+
+      // Seen along the ray, the facet (0, 1, 2) turns counter-clockwise around it; the apex
+      // replaces the corner opposite the side through which the ray leaves.
+      const Projected apex = Project(apex_vertex);
+      const int replaced = ReplacedCorner(corners, apex);
+      const Index leaving = corners[replaced].vertex;
+      corners[replaced] = apex;
+      exit = 0;
+      while (next.vertices[exit] != leaving) ++exit;
+      cell_index = next_index;
+    }
+  }
+
+ private:
+  // Relative errors of a cross product of projected points stay well below this.
+  static constexpr double kSignError = 1e-14;
+  // Facets this close to the target, relative to the ray's length, are compared exactly.
+  static constexpr double kNearTarget = 1e-9;
+
+  struct Projected {
+    double u, v, depth, size;
+    Index vertex;
+  };
+
+  Projected Project(Index vertex) const {
+    const Vec3 p = triangulation_.points[vertex] - origin_;
+    return {Dot(axis_u_, p), Dot(axis_v_, p), Dot(direction_, p),
+            std::abs(p.x) + std::abs(p.y) + std::abs(p.z), vertex};
+  }
+
+  static double SideValue(const Projected& a, const Projected& b) { return a.u * b.v - a.v * b.u; }
+
+  // On which side of the ray the edge from a to b passes.
+  int Side(const Projected& a, const Projected& b) const {
+    const double value = SideValue(a, b);
+    const double bound = kSignError * a.size * b.size;
+    if (value > bound) return 1;
+    if (value < -bound) return -1;
+    const auto& points = triangulation_.points;
+    return PerturbedOrientation(origin_, target_, points[a.vertex], points[b.vertex]);
+  }
+
+  int ReplacedCorner(const Projected corners[3], const Projected& apex) const {
+    const int side0 = Side(corners[0], apex);
+    if (side0 == 0) return 0;
+    if (side0 > 0) return Side(corners[2], apex) < 0 ? 1 : 0;
+    return Side(corners[1], apex) > 0 ? 2 : 0;
+  }
+
+  static double Nearest(const Projected corners[3]) {
+    return std::min({corners[0].depth, corners[1].depth, corners[2].depth});
+  }
+  static double Farthest(const Projected corners[3]) {
+    return std::max({corners[0].depth, corners[1].depth, corners[2].depth});
+  }
+
+  // Where the ray's line crosses the plane of a facet that it passes through.
+  static double Depth(const Projected corners[3]) {
+    const double weights[3] = {SideValue(corners[1], corners[2]), SideValue(corners[2], corners[0]),
+                               SideValue(corners[0], corners[1])};
+    const double sum = weights[0] + weights[1] + weights[2];
+    const double depth = (weights[0] * corners[0].depth + weights[1] * corners[1].depth +
+                          weights[2] * corners[2].depth) /
+                         sum;
+    if (!std::isfinite(depth)) return Nearest(corners);
+    return std::min(std::max(depth, Nearest(corners)), Farthest(corners));
+  }
+
+  bool IsBeyondTarget(const Projected corners[3], double distance) const {
+    if (distance < length_ * (1 - kNearTarget)) return false;
+    if (distance > length_ * (1 + kNearTarget)) return true;
+    const auto& points = triangulation_.points;
+    return Orientation(points[corners[0].vertex], points[corners[1].vertex],
+                       points[corners[2].vertex], target_) <= 0;
+  }
+
+  void FindStart() {
+    for (const Index* c = triangulation_.stars.begin(vertex_);
+         c != triangulation_.stars.end(vertex_); ++c) {
+      const Cell& cell = triangulation_.cells[*c];
+      int at = 0;
+      while (cell.vertices[at] != vertex_) ++at;
+      if (cell.IsInfinite()) continue;
+      Projected corners[3];
+      for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[at][i]]);
+      const int side = Side(corners[0], corners[1]);
+      if (side == 0 || Side(corners[1], corners[2]) != side || Side(corners[2], corners[0]) != side)
+        continue;
+      (side > 0 ? front_ : behind_) = *c;
+    }
+  }
+
+  // Cosine between the ray and the outward normal of an infinite cell's hull facet.
+  double HullFacing(const Cell& cell) const {
+    int at = 0;
+    while (cell.vertices[at] != kInfinite) ++at;
+    const auto& points = triangulation_.points;
+    const Vec3& a = points[cell.vertices[kFacet[at][0]]];
+    const Vec3& b = points[cell.vertices[kFacet[at][1]]];
+    const Vec3& c = points[cell.vertices[kFacet[at][2]]];
+    // Seen from the infinite vertex the facet turns clockwise: its normal points to the inside.
+    const Vec3 inward = Cross(b - a, c - a);
+    const double norm = Norm(inward);
+    return norm > 0 ? -Dot(inward, direction_) / norm : -1;
+  }
+
+  const Triangulation& triangulation_;
+  const Index vertex_;
+  const Vec3 origin_, target_;
+  double length_;
+  Vec3 direction_, axis_u_, axis_v_;
+  Index front_ = kNone, behind_ = kNone;
+};
+
+}  // namespace mesher

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// From free and solid cells to an oriented, manifold triangle surface.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "triangulation.h"
+
+namespace mesher {
+
+struct SurfaceOptions {
+  double long_facet_factor = 25;  // facets with a longer side, in 95th percentiles of all, are
+                                  // dropped; 0 keeps all
+  Index min_component_faces = 1;  // smaller connected components are dropped
+};
+
+struct SurfaceStats {
+  Index boundary_facets = 0;
+  Index long_facets_dropped = 0;
+  Index component_faces_dropped = 0;
+  Index vertices_split = 0;  // copies made where several sheets of surface touched
+  Index edges_split = 0;     // midpoints added for the same reason
+};
+
+// A vertex lies at a vertex of the triangulation (twice the same) or midway between two.
+struct Surface {
+  std::vector<std::array<Index, 2>> vertices;
+  std::vector<std::array<Index, 3>> faces;
+  SurfaceStats stats;
+};
+
+// The facets between free and solid cells, normals towards free space. Where solid cells touch
+// along an edge or in a vertex only, the surface is cut open there and keeps its shape: in the
+// result every edge has one or two faces and the faces around a vertex form one fan or one disk.
+Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
+                       const SurfaceOptions& options);
+
+}  // namespace mesher

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "visibility.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "parallel.h"
+#include "ray_walker.h"
+
+namespace mesher {
+namespace {
+
+// Weight 1 - exp(-d^2 / 2 sigma^2) of a crossing at distance d from a point.
+class SoftWeight {
+ public:
+  explicit SoftWeight(double sigma) : factor_(-0.5 / (sigma * sigma)), far_(6 * sigma) {}
+
+  double far() const { return far_; }
+  std::int64_t operator()(double distance) const {
+    if (distance >= far_) return kRayWeight;
+    return std::llround(kRayWeight * -std::expm1(factor_ * distance * distance));
+  }
+
+ private:
+  double factor_, far_;
+};
+
+void AddRay(const Triangulation& triangulation, const RayWalker& walker, const SoftWeight& weight,
+            CutProblem& problem) {
+  if (walker.front() == kNone) {
+    walker.VisitOutside(true, [&](Index cell) { AtomicAdd(problem.source[cell], kRayWeight); });
+  } else {
+    const Index last = walker.Walk(weight.far(), [&](const Crossing& crossing) {
+      const int back = triangulation.MirrorIndex(crossing.cell, crossing.next);
+      AtomicAdd(problem.arcs[4 * std::size_t(crossing.next) + back], weight(crossing.distance));
+    });
+    AtomicAdd(problem.source[last], kRayWeight);
+  }
+  if (walker.behind() == kNone) {
+    walker.VisitOutside(false, [&](Index cell) { AtomicAdd(problem.sink[cell], kRayWeight); });
+  } else {
+    const Crossing exit = walker.BehindExit();
+    AtomicAdd(problem.arcs[4 * std::size_t(exit.cell) + exit.facet], weight(exit.distance));
+    AtomicAdd(problem.sink[exit.next], kRayWeight);
+  }
+}
+
+struct Sphere {
+  Vec3 center;
+  bool is_flat;
+};
+
+Sphere Circumsphere(const Triangulation& triangulation, const Cell& cell) {
+  const auto& points = triangulation.points;
+  const Vec3& origin = points[cell.vertices[0]];
+  const Vec3 a = points[cell.vertices[1]] - origin;
+  const Vec3 b = points[cell.vertices[2]] - origin;
+  const Vec3 c = points[cell.vertices[3]] - origin;
+  const double volume = 2 * Dot(a, Cross(b, c));
+  const Vec3 sum = Dot(a, a) * Cross(b, c) + Dot(b, b) * Cross(c, a) + Dot(c, c) * Cross(a, b);
+  const Vec3 center = origin + (1 / volume) * sum;
+  return {center, volume == 0 || !IsFinite(center)};
+}
+
+// Cosine of the angle between a facet (normal pointing out of the cell) and the cell's sphere; 1
+// for half spaces, which infinite and flat cells have in place of a sphere.
+double SphereCosine(const Sphere& sphere, const Vec3& corner, const Vec3& outward) {
+  if (sphere.is_flat) return 1;
+  const Vec3 radius = sphere.center - corner;
+  const double norm = Norm(radius) * Norm(outward);
+  return norm > 0 ? -Dot(radius, outward) / norm : 1;
+}
+
+// Penalty between 0 and 2 for facets whose empty spheres lie deep on either side.
+void AddQuality(const Triangulation& triangulation, const VisibilityOptions& options,
+                CutProblem& problem) {
+  std::vector<Sphere> spheres(triangulation.cells.size());
+  ParallelChunks(triangulation.num_cells(), options.num_threads, [&](auto begin, auto end) {
+    for (auto c = begin; c < end; ++c) {
+      const Cell& cell = triangulation.cells[c];
+      spheres[c] = cell.IsInfinite() ? Sphere{{}, true} : Circumsphere(triangulation, cell);
+    }
+  });
+  const double unit = options.quality_weight * kRayWeight;
+  const auto& points = triangulation.points;
+  ParallelChunks(triangulation.num_cells(), options.num_threads, [&](auto begin, auto end) {
+    for (auto c = begin; c < end; ++c) {
+      const Cell& cell = triangulation.cells[c];
+      for (int i = 0; i < 4; ++i) {
+        const Index a = cell.vertices[kFacet[i][0]], b = cell.vertices[kFacet[i][1]],
+                    d = cell.vertices[kFacet[i][2]];
+        const Index other = cell.neighbors[i];
+        if (other < c) continue;
+        if (a == kInfinite || b == kInfinite || d == kInfinite) continue;
+        const Vec3 outward = Cross(points[b] - points[a], points[d] - points[a]);
+        const double cosine = std::min(SphereCosine(spheres[c], points[a], outward),
+                                       SphereCosine(spheres[other], points[a], -1.0 * outward));
+        const std::int64_t penalty = std::llround(unit * (1 - cosine));
+        problem.arcs[4 * c + i] += penalty;
+        problem.arcs[4 * std::size_t(other) + triangulation.MirrorIndex(c, other)] += penalty;
+      }
+    }
+  });
+}
+
+}  // namespace
+
+double TypicalSpacing(const Triangulation& triangulation) {
+  std::vector<Index> seen_from(triangulation.points.size(), kNone);
+  std::vector<double> lengths;
+  lengths.reserve(8 * triangulation.points.size());
+  for (Index v = 0; v < triangulation.num_vertices(); ++v) {
+    for (const Index* c = triangulation.stars.begin(v); c != triangulation.stars.end(v); ++c) {
+      for (Index other : triangulation.cells[*c].vertices) {
+        if (other <= v || seen_from[other] == v) continue;
+        seen_from[other] = v;
+        lengths.push_back(Norm(triangulation.points[other] - triangulation.points[v]));
+      }
+    }
+  }
+  auto quartile = lengths.begin() + lengths.size() / 4;
+  std::nth_element(lengths.begin(), quartile, lengths.end());
+  return *quartile;
+}
+
+CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
+                             const std::vector<Vec3>& cameras, const VisibilityOptions& options) {
+  CutProblem problem(triangulation.cells.size());
+  const SoftWeight weight(options.sigma_factor * TypicalSpacing(triangulation));
+  ParallelChunks(triangulation.num_vertices(), options.num_threads, [&](auto begin, auto end) {
+    for (auto v = begin; v < end; ++v)
+      for (const Index* camera = rays.begin(v); camera != rays.end(v); ++camera)
+        AddRay(triangulation, RayWalker(triangulation, v, cameras[*camera]), weight, problem);
+  });
+  AddQuality(triangulation, options, problem);
+  return problem;
+}
+
+}  // namespace mesher

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What the rays between points and cameras say about each cell: free space or solid.
+#pragma once
+
+#include "min_cut.h"
+#include "triangulation.h"
+
+namespace mesher {
+
+struct VisibilityOptions {
+  double sigma_factor = 1;      // softness of a point's depth, in units of the spacing of points
+  double quality_weight = 0.2;  // weight of well-shaped surfaces against one ray
+  int num_threads = 1;
+};
+
+// Unit of the whole-number weights: one ray.
+constexpr std::int64_t kRayWeight = 1 << 20;
+
+// Length that a quarter of the triangulation's edges fall short of.
+double TypicalSpacing(const Triangulation& triangulation);
+
+// Soft visibility (Labatut et al. 2009) and surface quality as a minimum cut problem. Row v of
+// `rays` holds the cameras that see vertex v; none of them may coincide with the vertex.
+CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
+                             const std::vector<Vec3>& cameras, const VisibilityOptions& options);
+
+}  // namespace mesher

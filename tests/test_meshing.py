@@ -1,0 +1,290 @@
+"""The mesher on analytic solids, on malformed and degenerate input, and its invariances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from colmap_edges import meshing
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.options import MeshingOptions
+
+pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension is not built")
+
+OPTIONS = MeshingOptions()
+
+
+def fibonacci_sphere(count):
+    """`count` evenly spread points on the unit sphere."""
+    i = np.arange(count) + 0.5
+    z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)]) * np.sqrt(
+        1 - z[:, None] ** 2
+    ) + np.column_stack([np.zeros((count, 2)), z])
+
+
+def visible_if_facing(points, normals, centers):
+    """Every point is seen by the cameras on the outer side of its tangent plane."""
+    facing = ((centers[None] - points[:, None]) * normals[:, None]).sum(2) > 1e-9
+    offsets = np.concatenate([[0], np.cumsum(facing.sum(1))])
+    return offsets.astype(np.int64), np.nonzero(facing)[1].astype(np.int32)
+
+
+def sphere_scene(count=800, num_cameras=40):
+    points = fibonacci_sphere(count)
+    centers = 3 * fibonacci_sphere(num_cameras)
+    return points, *visible_if_facing(points, points, centers), centers
+
+
+def box_scene(step=0.1):
+    """A regular grid of coplanar points on each side of the unit cube."""
+    ticks = np.arange(0, 1 + step / 2, step)
+    u, v = (a.ravel() for a in np.meshgrid(ticks, ticks))
+    points, normals = [], []
+    for axis in range(3):
+        for side in (0.0, 1.0):
+            face, normal = np.zeros((len(u), 3)), np.zeros((len(u), 3))
+            face[:, axis], face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = side, u, v
+            normal[:, axis] = 2 * side - 1
+            points.append(face)
+            normals.append(normal)
+    points, normals = np.concatenate(points), np.concatenate(normals)
+    centers = 0.5 + 2.5 * fibonacci_sphere(30)
+    return points, *visible_if_facing(points, normals, centers), centers
+
+
+def as_trimesh(mesh):
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def face_set(mesh):
+    """The triangles as sorted triples of positions' input indices."""
+    return {tuple(sorted(face)) for face in mesh.point3D_ids[mesh.faces].tolist()}
+
+
+def assert_manifold(mesh):
+    """Every edge has one or two faces, turning the same way; faces around a vertex form one fan."""
+    sides = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    assert len(np.unique(sides, axis=0)) == len(sides), "a directed edge occurs twice"
+    assert len(np.unique(mesh.faces)) == len(mesh.vertices), "a vertex is unused"
+    around = [[] for _ in mesh.vertices]
+    for a, b, c in mesh.faces.tolist():
+        for v, p, q in ((a, b, c), (b, c, a), (c, a, b)):
+            around[v].append((p, q))
+    for links in around:
+        starts, nexts = {p for p, _ in links}, dict(links)
+        begin = next(iter(starts - set(nexts.values())), links[0][0])
+        walked, at = 0, begin
+        while at in nexts and walked < len(links):
+            at, walked = nexts[at], walked + 1
+        assert walked == len(links), "the faces around a vertex form several fans"
+
+
+def test_sphere_is_watertight_and_round():
+    mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
+    solid = as_trimesh(mesh)
+    assert solid.is_watertight and solid.is_winding_consistent
+    assert solid.euler_number == 2
+    assert len(mesh.vertices) == 800
+    assert 0.97 < solid.volume / (4 / 3 * np.pi) < 1
+
+
+def test_box_of_grids_is_exact():
+    mesh = meshing.mesh_points(*box_scene(), OPTIONS)
+    solid = as_trimesh(mesh)
+    assert_manifold(mesh)
+    assert solid.is_watertight and solid.euler_number == 2
+    assert solid.volume == pytest.approx(1, abs=1e-12)
+    assert solid.area == pytest.approx(6, abs=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3, 1e-150, 1e100])
+def test_scale_does_not_matter(scale):
+    points, offsets, cameras, centers = sphere_scene()
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    scaled = meshing.mesh_points(points * scale, offsets, cameras, centers * scale, OPTIONS)
+    assert face_set(scaled) == face_set(reference)
+
+
+def test_huge_offset_does_not_matter():
+    points, offsets, cameras, centers = sphere_scene()
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    offset = np.array([5e5, 5e6, 300.0])
+    moved = meshing.mesh_points(points + offset, offsets, cameras, centers + offset, OPTIONS)
+    assert face_set(moved) == face_set(reference)
+
+
+@given(seed=st.integers(0, 2**31))
+@settings(max_examples=10, deadline=None)
+def test_order_of_points_and_rays_does_not_matter(seed):
+    points, offsets, cameras, centers = sphere_scene(count=300)
+    rng = np.random.default_rng(seed)
+    points = points * rng.uniform(0.7, 1.3, (len(points), 1))
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    order = rng.permutation(len(points))
+    rows = [rng.permutation(cameras[offsets[i] : offsets[i + 1]]) for i in order]
+    shuffled = meshing.mesh_points(
+        points[order],
+        np.concatenate([[0], np.cumsum([len(row) for row in rows])]),
+        np.concatenate(rows),
+        centers,
+        OPTIONS,
+    )
+    np.testing.assert_array_equal(shuffled.vertices, reference.vertices)
+    np.testing.assert_array_equal(shuffled.faces, reference.faces)
+    np.testing.assert_array_equal(order[shuffled.point3D_ids], reference.point3D_ids)
+
+
+def test_number_of_threads_does_not_matter():
+    scene = noisy_scene(np.random.default_rng(1), 2000)
+    one = meshing.mesh_points(*scene, replace(OPTIONS, num_threads=1))
+    many = meshing.mesh_points(*scene, replace(OPTIONS, num_threads=7))
+    np.testing.assert_array_equal(one.faces, many.faces)
+    np.testing.assert_array_equal(one.vertices, many.vertices)
+
+
+def noisy_scene(rng, count, num_cameras=12):
+    """Random points, each seen by random cameras: as contradictory as rays can be."""
+    points, centers = rng.normal(size=(count, 3)), 2 * rng.normal(size=(num_cameras, 3))
+    counts = rng.integers(0, 5, count)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    return points, offsets, rng.integers(0, num_cameras, offsets[-1]).astype(np.int32), centers
+
+
+@given(seed=st.integers(0, 2**31), grid=st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_contradictory_rays_make_a_manifold(seed, grid):
+    rng = np.random.default_rng(seed)
+    points, offsets, cameras, centers = noisy_scene(rng, 300)
+    if grid:
+        points, centers = np.rint(3 * points), np.rint(3 * centers)
+    options = replace(OPTIONS, quality_weight=0.0, long_facet_factor=float(rng.choice([0, 0.5, 2])))
+    mesh = meshing.mesh_points(points, offsets, cameras, centers, options)
+    assert_manifold(mesh)
+
+
+def test_duplicates_unite_their_cameras():
+    points, offsets, cameras, centers = sphere_scene()
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    counts = np.diff(offsets)
+    first = np.repeat(np.arange(len(points)), counts), np.arange(len(cameras)) % 2 == 0
+    rows = [np.bincount(first[0][keep], minlength=len(points)) for keep in (first[1], ~first[1])]
+    split = meshing.mesh_points(
+        np.concatenate([points, points]),
+        np.concatenate([[0], np.cumsum(np.concatenate(rows))]),
+        np.concatenate([cameras[first[1]], cameras[~first[1]]]),
+        centers,
+        OPTIONS,
+    )
+    np.testing.assert_array_equal(split.faces, reference.faces)
+    assert split.stats["points_duplicate"] == len(points)
+
+
+def test_points_that_are_not_finite_are_dropped_and_counted():
+    points, offsets, cameras, centers = sphere_scene()
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    extra = np.array([[np.nan, 0, 0], [0, np.inf, 0]])
+    mesh = meshing.mesh_points(
+        np.concatenate([points, extra]),
+        np.concatenate([offsets, [offsets[-1] + 1, offsets[-1] + 2]]),
+        np.concatenate([cameras, [0, 1]]).astype(np.int32),
+        centers,
+        OPTIONS,
+    )
+    np.testing.assert_array_equal(mesh.faces, reference.faces)
+    assert mesh.stats["points_not_finite"] == 2
+
+
+def test_points_on_cameras_and_rays_through_vertices():
+    grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), -1).reshape(-1, 3)
+    centers = grid[[0, 62, 124]]
+    offsets = np.arange(len(grid) + 1) * 3
+    cameras = np.tile(np.arange(3, dtype=np.int32), len(grid))
+    mesh = meshing.mesh_points(grid, offsets, cameras, centers, OPTIONS)
+    assert mesh.stats["rays_of_zero_length"] == 3
+    assert_manifold(mesh)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.zeros((10, 3)),
+        np.full((10, 3), np.nan),
+        np.eye(3),
+        np.outer(np.arange(10.0), [1, 2, 3]),
+        np.column_stack([fibonacci_sphere(50)[:, :2], np.zeros(50)]),
+    ],
+    ids=["none", "one place", "nan", "three", "line", "plane"],
+)
+def test_points_without_volume_are_one_clear_line(points):
+    offsets = np.arange(len(points) + 1)
+    with pytest.raises(ColmapEdgesError, match=r"^[^\n]*span no volume[^\n]*$"):
+        meshing.mesh_points(
+            points, offsets, np.zeros(len(points), np.int32), np.ones((1, 3)), OPTIONS
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cameras": [40]}, "index 40 of 40"),
+        ({"cameras": [-1]}, "index -1 of 40"),
+        ({"offsets": [0]}, "offsets"),
+        ({"offsets": [1, *range(2, 801), 800]}, "offsets"),
+        ({"centers": np.full((40, 3), np.nan)}, "finite"),
+    ],
+)
+def test_arrays_that_do_not_fit_raise_value_error(change, message):
+    points, offsets, cameras, centers = sphere_scene()
+    cameras = np.concatenate([change.get("cameras", []), cameras[1:]]).astype(np.int32)
+    cameras = cameras if "cameras" in change else sphere_scene()[2]
+    offsets = np.array(change.get("offsets", offsets))
+    with pytest.raises(ValueError, match=message):
+        meshing.mesh_points(points, offsets, cameras, change.get("centers", centers), OPTIONS)
+
+
+def test_one_camera_sees_a_height_field():
+    x, y = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
+    points = np.column_stack([x.ravel(), y.ravel(), 0.1 * np.sin(3 * x).ravel()])
+    offsets = np.arange(len(points) + 1)
+    mesh = meshing.mesh_points(
+        points, offsets, np.zeros(len(points), np.int32), np.array([[0, 0, 3.0]]), OPTIONS
+    )
+    assert_manifold(mesh)
+    upward = as_trimesh(mesh).face_normals[:, 2] > 0
+    assert as_trimesh(mesh).area_faces[upward].sum() > 3.5
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_written_mesh_is_read_back(tmp_path, suffix):
+    mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
+    mesh = replace(mesh, colors=np.full((len(mesh.vertices), 3), [10, 200, 30], np.uint8))
+    path = tmp_path / f"mesh{suffix}"
+    meshing.write_mesh(mesh, path)
+    read = trimesh.load(path, force="mesh", process=False)
+    np.testing.assert_allclose(read.vertices, mesh.vertices, atol=1e-6)
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+    np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], mesh.colors)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_unwritable_mesh_is_one_clear_line(tmp_path):
+    mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
+    with pytest.raises(ColmapEdgesError, match="choose one of"):
+        meshing.write_mesh(mesh, tmp_path / "mesh.xyz")
+    with pytest.raises(ColmapEdgesError, match="cannot write the mesh"):
+        meshing.write_mesh(mesh, tmp_path / "missing" / "mesh.ply")
+
+
+def test_colors_spread_to_unknown_vertices():
+    colors = np.array([[0, 0, 0], [100, 0, 0], [9, 9, 9], [9, 9, 9], [7, 7, 7]], np.uint8)
+    faces = np.array([[0, 1, 2], [1, 2, 3]], np.int32)
+    known = np.array([True, True, False, False, False])
+    spread = meshing.spread_colors(colors, known, faces)
+    assert spread.tolist() == [[0, 0, 0], [100, 0, 0], [50, 0, 0], [100, 0, 0], [7, 7, 7]]
