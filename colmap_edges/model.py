@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -151,7 +152,7 @@ def view_from_image(image: Any) -> View:
         name=image.name,
         width=image.camera.width,
         height=image.camera.height,
-        camera=image.camera,
+        camera=copy.copy(image.camera),  # the original dies with the reconstruction
         rotation=np.array(matrix[:, :3]),
         translation=np.array(matrix[:, 3]),
     )

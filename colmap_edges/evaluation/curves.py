@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation._io import FloatArray, IntArray, View
 from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, make_score, scores
 from colmap_edges.evaluation.ply import read_ply
 from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.model import FloatArray, IntArray, View
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +190,7 @@ def visibility(points: FloatArray, views: Sequence[View], caster: RayCaster | No
     nearest_seen = np.full(len(points), np.inf)
     nearest = np.full(len(points), np.inf)
     for view in views:
-        depth, pixels = view.depth(points), view.project(points)
+        pixels, depth = view.project(points)
         size = np.where(depth > 0, depth / view.focal_px, np.inf)
         with np.errstate(invalid="ignore"):
             seen = (depth > 0) & (pixels >= 0).all(axis=1)

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation._io import FloatArray, Model, View
+from colmap_edges.evaluation.observations import observed_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
+from colmap_edges.model import FloatArray, Model, View
 
 logger = logging.getLogger(__name__)
 
@@ -144,16 +145,16 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
     """Depth of a mesh at the observations of points it was not made from (held-out points).
 
     Returns:
-        Signed errors mesh - point along the optical axis in world units (O,), NaN where the mesh
-        is not hit; depths of the points (O,).
+        Signed errors mesh - point along the optical axis in world units (T,), NaN where the mesh
+        is not hit; depths of the points (T,).
     """
-    errors = np.full(len(model.observation_points), np.nan)
-    depths = np.full(len(model.observation_points), np.nan)
+    points = model.points3D_xyz[observed_points(model)]
+    errors = np.full(len(points), np.nan)
+    depths = np.full(len(points), np.nan)
     for index, view in enumerate(model.views):
-        seen = np.flatnonzero(model.observation_views == index)
+        seen = np.flatnonzero(model.track_views == index)
         if not len(seen):
             continue
-        points = model.points[model.observation_points[seen]]
-        depths[seen] = view.depth(points)
-        errors[seen] = caster.depth_at(view, model.observation_pixels[seen]) - depths[seen]
+        depths[seen] = view.cam_from_world(points[seen])[:, 2]
+        errors[seen] = caster.depth_at(view, model.track_points2D[seen]) - depths[seen]
     return errors, depths

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.evaluation._io import FloatArray, IntArray, Model
 from colmap_edges.evaluation.curves import Curves
 from colmap_edges.evaluation.depth import ReferenceDepth
+from colmap_edges.evaluation.observations import observed_points, select_points
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
+from colmap_edges.model import FloatArray, IntArray, Model
 
 GROSS_SEGMENT_RATIO = 20.0
 
@@ -86,12 +87,12 @@ def depth_window_errors(
         (N,) errors, one for each pair of point and reference view.
     """
     index = {view.name: number for number, view in enumerate(model.views)}
+    points = model.points3D_xyz[observed_points(model)]
     errors = []
     for reference in references:
-        seen = model.observation_views == index.get(reference.view.name, -1)
-        points = model.points[model.observation_points[seen]]
-        depth = reference.view.depth(points)
-        pixels = reference.view.project(points) * reference.scale
+        seen = model.track_views == index.get(reference.view.name, -1)
+        pixels, depth = reference.view.project(points[seen])
+        pixels = pixels * reference.scale
         inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
         cells = np.floor(pixels[inside]).astype(np.int64)
         errors.append(_smallest_error(reference.depth, cells, depth[inside], window))
@@ -132,18 +133,19 @@ def reprojection_errors(model: Model) -> ReprojectionErrors:
 
     A point behind a camera that claims to see it counts as infinitely far.
     """
-    distance = np.full(len(model.observation_points), np.inf)
+    points = model.points3D_xyz[observed_points(model)]
+    distance = np.full(len(points), np.inf)
     for index, view in enumerate(model.views):
-        seen = model.observation_views == index
-        pixels = view.project(model.points[model.observation_points[seen]])
-        distance[seen] = np.linalg.norm(pixels - model.observation_pixels[seen], axis=1)
+        seen = model.track_views == index
+        pixels, _ = view.project(points[seen])
+        distance[seen] = np.linalg.norm(pixels - model.track_points2D[seen], axis=1)
     distance = np.nan_to_num(distance, nan=np.inf)
-    counts = np.bincount(model.observation_points, minlength=len(model.points))
+    counts = np.diff(model.track_offsets)
     nan = float("nan")
     return ReprojectionErrors(
         distance_px=summarize(distance[np.isfinite(distance)]),
         within_1_px=float(np.mean(distance < 1)) if len(distance) else nan,
-        points=len(model.points),
+        points=len(model.points3D_xyz),
         observations_mean=float(counts.mean()) if len(counts) else nan,
         observations_median=float(np.median(counts)) if len(counts) else nan,
     )
@@ -171,4 +173,4 @@ def segment_lengths(curves: Curves) -> SegmentLengths:
 
 def edge_points(model: Model, input_model: Model) -> Model:
     """The points of `model` whose ids `input_model` does not hold."""
-    return model.select(~np.isin(model.point_ids, input_model.point_ids))
+    return select_points(model, ~np.isin(model.point3D_ids, input_model.point3D_ids))

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation._io import FloatArray
 from colmap_edges.evaluation.depth import DepthErrors
+from colmap_edges.model import FloatArray
 
 Picture = NDArray[np.uint8]
 _UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)

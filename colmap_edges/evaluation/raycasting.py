@@ -10,7 +10,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation._io import FloatArray, View
+from colmap_edges.evaluation.observations import pixel_rays
+from colmap_edges.model import FloatArray, View
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -83,5 +84,4 @@ class RayCaster:
 
     def depth_at(self, view: View, pixels: FloatArray) -> FloatArray:
         """Depths (N,) along the optical axis of `view` at `pixels` (N, 2); NaN off the mesh."""
-        rays = np.column_stack([view.unproject(pixels), np.ones(len(pixels))])
-        return self.cast(view.center, rays @ view.rotation)
+        return self.cast(view.center, pixel_rays(view, pixels))

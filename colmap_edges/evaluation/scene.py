@@ -12,9 +12,9 @@ import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import clouds, curves, depth, edges, pictures
-from colmap_edges.evaluation._io import Model, load_model
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.statistics import summarize
+from colmap_edges.model import Model, load_model
 
 logger = logging.getLogger(__name__)
 Record = dict[str, Any]
@@ -102,7 +102,7 @@ def _against_depth(
 
 
 def _against_points(caster: RayCaster, model: Model) -> Record:
-    if not len(model.points):
+    if not len(model.points3D_xyz):
         raise ColmapEdgesError("without a reference the model must hold points, and it has none")
     errors, depths = depth.observation_depth_errors(caster, model)
     known = np.isfinite(errors)

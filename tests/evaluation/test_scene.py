@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import trimesh
 
 from colmap_edges.evaluation import curves, depth, edges, scene
-from colmap_edges.evaluation._io import load_model
+from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.model import load_model
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -102,7 +104,7 @@ def test_window_takes_the_nearer_side_of_a_depth_step(model_path):
     truth = np.full((60, 80), 150, dtype=np.float32)
     truth[30:, :] = 100.5  # the step runs through the points at y = 0
     reference = depth.ReferenceDepth(view=model.views[2], depth=truth, scale=1.0)
-    middle = model.select(model.points[:, 1] == 0)
+    middle = select_points(model, model.points3D_xyz[:, 1] == 0)
     errors = edges.depth_window_errors(middle, [reference])
     np.testing.assert_allclose(errors, 0.5 / 100.5, rtol=1e-5)
     assert len(errors) == 7
@@ -110,10 +112,8 @@ def test_window_takes_the_nearer_side_of_a_depth_step(model_path):
 
 def test_reprojection_errors_of_moved_points(model_path):
     model = load_model(model_path)
-    moved = np.add(model.points, (0.5, 0, 0))
-    errors = edges.reprojection_errors(
-        type(model)(**{**model.__dict__, "points": moved})  # half a unit is half a pixel here
-    )
+    moved = np.add(model.points3D_xyz, (0.5, 0, 0))  # half a unit is half a pixel here
+    errors = edges.reprojection_errors(replace(model, points3D_xyz=moved))
     assert errors.distance_px.median == pytest.approx(0.5)
     assert errors.within_1_px == 1.0
     assert errors.observations_mean == 5
