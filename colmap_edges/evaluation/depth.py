@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.observations import observed_points
@@ -28,11 +30,13 @@ class ReferenceDepth:
         depth: (H, W) along the optical axis in world units, 0 where unknown.
         scale: Size of the map over the size of the image: the centre of its pixel (row, column)
             lies at ((column + 0.5) / scale, (row + 0.5) / scale) in the image.
+        pixels: (H, W, 2) where in the image each depth was measured; None: at the pixel centres.
     """
 
     view: View
     depth: NDArray[np.float32]
     scale: float
+    pixels: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +60,10 @@ class DepthErrors:
         return summarize(self.errors[np.isfinite(self.errors)])
 
 
-def pixel_centres(reference: ReferenceDepth) -> FloatArray:
-    """Image coordinates (H * W, 2) of the pixel centres of a depth map, row by row."""
+def measured_pixels(reference: ReferenceDepth) -> FloatArray:
+    """Image coordinates (H * W, 2) of what a depth map holds, row by row."""
+    if reference.pixels is not None:
+        return reference.pixels.reshape(-1, 2)
     rows, columns = np.indices(reference.depth.shape)
     centres = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64) + 0.5
     return centres / reference.scale
@@ -95,7 +101,7 @@ def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> NDArray[n
     """Depth map (H, W) of the mesh of `caster` in `view`, 0 where it is not hit."""
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
     empty = ReferenceDepth(view=view, depth=np.zeros(shape, dtype=np.float32), scale=scale)
-    depth = caster.depth_at(view, pixel_centres(empty)).reshape(shape)
+    depth = caster.depth_at(view, measured_pixels(empty)).reshape(shape)
     return np.nan_to_num(depth, nan=0.0).astype(np.float32)
 
 
@@ -111,6 +117,43 @@ def render_references(
     return references
 
 
+def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
+    """Depth of those points (N, 3) of a dense cloud that `view` sees.
+
+    The map is so coarse that neighbouring points fall at most half a pixel apart. Of the points in
+    a pixel the nearest counts, with the ray through its own projection; it is hidden when a point
+    up to two pixels away is nearer by more than twelve times a pixel's length at its depth (what a
+    surface seen at 80 degrees falls back by over two pixels).
+    """
+    pixels, depths = view.project(points)
+    inside = (depths > 0) & (pixels >= 0).all(axis=1)
+    inside &= (pixels < (view.width, view.height)).all(axis=1)
+    pixels, depths = pixels[inside], depths[inside]
+    scale = _cloud_scale(points[inside], depths, view)
+    shape = (int(np.ceil(view.height * scale)), int(np.ceil(view.width * scale)))
+    cells = np.ravel_multi_index(tuple(np.floor(pixels * scale).astype(int).T[::-1]), shape)
+    order = np.lexsort((depths, cells))
+    cells, first = np.unique(cells[order], return_index=True)
+    nearest = order[first]
+    buffer = np.full(shape, np.inf)
+    buffer.flat[cells] = depths[nearest]
+    front = minimum_filter(buffer, size=5, mode="nearest").flat[cells]
+    seen = depths[nearest] <= front * (1 + 12 / (view.focal_px * scale))
+    depth, where = np.zeros(shape, dtype=np.float32), np.zeros((*shape, 2))
+    depth.flat[cells[seen]] = depths[nearest[seen]]
+    where.reshape(-1, 2)[cells[seen]] = pixels[nearest[seen]]
+    return ReferenceDepth(view=view, depth=depth, scale=scale, pixels=where)
+
+
+def _cloud_scale(points: FloatArray, depths: FloatArray, view: View) -> float:
+    if len(points) < 2:
+        return 1.0
+    chosen = np.random.default_rng(0).permutation(len(points))[:5000]
+    spacing, _ = cKDTree(points).query(points[chosen], k=2)
+    spacing_px = float(np.median(spacing[:, 1] * view.focal_px / depths[chosen]))
+    return float(np.clip(0.5 / max(spacing_px, 1e-9), 8 / max(view.width, view.height), 1.0))
+
+
 def central_view(model: Model) -> View:
     """The middle view of the sequence in order of names (the paper's "central camera")."""
     if not model.views:
@@ -119,10 +162,10 @@ def central_view(model: Model) -> View:
 
 
 def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
-    """Depth of the mesh minus the reference through the centres of the reference's pixels."""
+    """Depth of the mesh minus the reference, along the rays of the reference's pixels."""
     known = (reference.depth > 0) & np.isfinite(reference.depth)
     errors = np.full(reference.depth.shape, np.nan)
-    pixels = pixel_centres(reference)[known.ravel()]
+    pixels = measured_pixels(reference)[known.ravel()]
     if len(pixels):
         errors[known] = caster.depth_at(reference.view, pixels) - reference.depth[known]
     answered = int(np.isfinite(errors).sum())

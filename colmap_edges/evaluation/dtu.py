@@ -30,7 +30,7 @@ PAPER_SCANS = (6, 23, 28, 37, 98, 118)
 THINNING_MM = 0.2
 MAX_DISTANCE_MM = 20.0
 _BLOCK_MM = 60.0
-_PARTS = ("", "SampleSet/MVS Data", "MVS Data")
+PARTS = ("", "SampleSet/MVS Data", "MVS Data")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +115,7 @@ def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[
     """
     calibration = find(root, "Calibration/cal18")
     for name in ("Rectified", "Cleaned"):
-        folders = [root / part / name / f"scan{scan}" for part in _PARTS]
+        folders = [root / part / name / f"scan{scan}" for part in PARTS]
         folder = next((f for f in folders if f.is_dir()), None)
         if folder is not None:
             break
@@ -189,7 +189,7 @@ def find(root: Path, relative: str) -> Path:
     Raises:
         ColmapEdgesError: In neither place.
     """
-    for part in _PARTS:
+    for part in PARTS:
         if (root / part / relative).exists():
             return root / part / relative
     raise ColmapEdgesError(f"{root} holds no {relative}, nor does its 'SampleSet/MVS Data'")
@@ -338,7 +338,7 @@ def scan_numbers(root: Path) -> Sequence[int]:
         for scan in PAPER_SCANS
         if any(
             (root / part / name / f"scan{scan}").is_dir()
-            for part in _PARTS
+            for part in PARTS
             for name in ("Rectified", "Cleaned")
         )
     ]

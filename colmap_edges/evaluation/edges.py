@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,16 +76,21 @@ class SegmentLengths:
 
 
 def depth_window_errors(
-    model: Model, references: Sequence[ReferenceDepth], window: int = 5
+    model: Model,
+    references: Sequence[ReferenceDepth],
+    window: int = 5,
+    *,
+    relative: bool = True,
 ) -> FloatArray:
-    """Relative depth errors of a model's points in each reference view that observes them.
+    """Depth errors of a model's points in each reference view that observes them.
 
     The error is the smallest |depth - reference| / reference in a `window` x `window` block of the
     depth map around the point's projection, since edges sit on depth steps. Points without any
     reference there, or that project off the map, are left out.
 
     Returns:
-        (N,) errors, one for each pair of point and reference view.
+        (N,) errors, one for each pair of point and reference view, relative to the reference or
+        (not `relative`) in world units.
     """
     index = {view.name: number for number, view in enumerate(model.views)}
     points = model.points3D_xyz[observed_points(model)]
@@ -95,7 +101,8 @@ def depth_window_errors(
         pixels = pixels * reference.scale
         inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
         cells = np.floor(pixels[inside]).astype(np.int64)
-        errors.append(_smallest_error(reference.depth, cells, depth[inside], window))
+        smallest = _smallest_error(reference.depth, cells, depth[inside], window)
+        errors.append(smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0])
     pooled = np.concatenate(errors) if errors else np.empty(0)
     return pooled[np.isfinite(pooled)]
 
@@ -103,18 +110,18 @@ def depth_window_errors(
 def _smallest_error(
     reference: NDArray[np.float32], cells: IntArray, depth: FloatArray, window: int
 ) -> FloatArray:
+    """Smallest |depth - reference| and the reference there, (N, 2); infinite, 1 without any."""
     height, width = reference.shape
-    best = np.full(len(cells), np.inf)
+    best = np.column_stack([np.full(len(cells), np.inf), np.ones(len(cells))])
     offsets = range(-(window // 2), window // 2 + 1)
-    for row in offsets:
-        for column in offsets:
-            x, y = cells[:, 0] + column, cells[:, 1] + row
-            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            value = np.zeros(len(cells))
-            value[inside] = reference[y[inside], x[inside]]
-            known = value > 0
-            error = np.abs(depth[known] - value[known]) / value[known]
-            best[known] = np.minimum(best[known], error)
+    for row, column in product(offsets, offsets):
+        x, y = cells[:, 0] + column, cells[:, 1] + row
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        value = np.zeros(len(cells))
+        value[inside] = reference[y[inside], x[inside]]
+        error = np.abs(depth - value)
+        better = (value > 0) & (error < best[:, 0])
+        best[better] = np.column_stack([error, value])[better]
     return best
 
 

@@ -98,3 +98,111 @@ def _length_table(lengths: dict[str, Any]) -> str:
     names = ("count", "total", "median", "p95", "longest", "gross", "gross_total")
     header = ("segments", "total length", "median", "P95", "longest", "gross", "gross length")
     return markdown(header, [[lengths[name] for name in names]])
+
+
+def paper_tables(results: dict[str, Any]) -> str:
+    """Tables laid out as the paper's, of what `benchmark.run` returns."""
+    parts = ["# Errors of points and meshes", _TABLE_NOTE, _main_table(results)]
+    if any("dtu" in record for _, _, record in _records(results)):
+        parts += ["## DTU's own distances (mm)", _dtu_table(results)]
+    failures = [
+        f"- {scene}, {method}: {record['error']}"
+        for scene, method, record in _records(results)
+        if "error" in record
+    ]
+    if failures:
+        parts += ["## Failed", "\n".join(failures)]
+    return "\n\n".join(parts)
+
+
+_TABLE_NOTE = (
+    "Points: distance to the reference cloud, or (reference depth only) depth error in the views\n"
+    "that observe them, smallest in 5x5 pixels. Mesh: depth error from the reference's cameras.\n"
+    "σ is the standard deviation of the absolute errors. Lengths in each scene's unit."
+)
+
+
+def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
+    return [
+        (scene, method, record)
+        for scene, entry in results.items()
+        for method, record in entry["methods"].items()
+    ]
+
+
+def _main_table(results: dict[str, Any]) -> str:
+    header = (
+        "scene", "method", "points", "points MAE", "RMSE", "σ", "mesh MAE", "RMSE", "σ",
+        "median", "P90", "coverage", "faces",
+    )  # fmt: skip
+    nan = float("nan")
+    rows = []
+    for scene, method, record in _records(results):
+        if "error" in record:
+            continue
+        points, mesh = record["points"], record.get("mesh", {})
+        unit = results[scene]["unit"]
+        rows.append(
+            [f"{scene} ({unit})", method, points["count"]]
+            + [points.get(name, nan) for name in ("mae", "rmse", "sigma")]
+            + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, "coverage")]
+            + [record["faces"]]
+        )
+    return markdown(header, rows + _variation_rows(results))
+
+
+def _variation_rows(results: dict[str, Any]) -> list[list[Any]]:
+    """Mean over scenes of each method's errors against the first method's, in percent."""
+    kinds = [("points", name) for name in ("mae", "rmse", "sigma")]
+    kinds += [("mesh", name) for name in ERROR_COLUMNS]
+    methods = list(dict.fromkeys(method for _, method, _ in _records(results)))
+    rows = []
+    for method in methods[1:]:
+        cells = [_variation(results, methods[0], method, *kind) for kind in kinds]
+        if any(cells):
+            rows.append(["**average variation**", method, "", *cells, "", ""])
+    return rows
+
+
+def _variation(results: dict[str, Any], base: str, method: str, part: str, name: str) -> str:
+    changes = []
+    for entry in results.values():
+        before = entry["methods"].get(base, {}).get(part, {}).get(name)
+        after = entry["methods"].get(method, {}).get(part, {}).get(name)
+        if before and after is not None and math.isfinite(before) and math.isfinite(after):
+            changes.append(after / before - 1)
+    return f"{100 * sum(changes) / len(changes):+.1f} %" if changes else ""
+
+
+def _dtu_table(results: dict[str, Any]) -> str:
+    names = ("accuracy", "completeness", "overall", "accuracy_median", "completeness_median")
+    header = ("scan", "method", *(name.replace("_", " ") for name in names))
+    rows = [
+        [scene, method, *(record["dtu"][name] for name in names)]
+        for scene, method, record in _records(results)
+        if "dtu" in record
+    ]
+    return markdown(header, rows)
+
+
+def run_tables(record: dict[str, Any]) -> str:
+    """Tables of what `evaluation.run` returns."""
+    parts = []
+    if "mesh" in record:
+        parts.append(mesh_tables(record["mesh"]))
+    if "held_out_points" in record:
+        rows = [_error_row(name, errors) for name, errors in record["held_out_points"].items()]
+        header = ("depth error at left-out points", "MAE", "RMSE", "σ", "median", "P90", "coverage")
+        parts.append(markdown(header, rows))
+    if "edges" in record:
+        parts.append(edge_tables(record["edges"]))
+    if "held_out_views" in record:
+        parts.append(held_out_view_table(record["held_out_views"]))
+    return "\n\n".join(parts)
+
+
+def held_out_view_table(errors: list[dict[str, Any]]) -> str:
+    """Table of `held_out.ViewErrors`."""
+    names = ("view", "points", "median_px", "within_1_px", "within_2_px", "chance_2_px")
+    header = ("left-out image", "edge points", "median px", "within 1 px", "2 px", "2 px by chance")
+    return markdown(header, [[error[name] for name in names] for error in errors])
