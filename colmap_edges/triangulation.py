@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,7 @@ def triangulate(
         raise ColmapEdgesError(f"{image_path} holds no {missing[0]}, which has a pose")
     pycolmap.set_random_seed(random_seed)
     output_path.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as scratch:
+    with tempfile.TemporaryDirectory() as scratch, quiet_colmap():
         database_path = Path(scratch) / "database.db"
         extract(images, image_path, database_path, num_threads)
         match(images, database_path, Path(scratch) / "pairs.txt", num_neighbors, num_threads)
@@ -80,6 +81,17 @@ def triangulate(
         return pycolmap.triangulate_points(
             posed, database_path, image_path, output_path, options=options
         )
+
+
+@contextmanager
+def quiet_colmap() -> Iterator[None]:
+    """Keep COLMAP's information lines off the terminal; warnings stay."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.WARNING.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before
 
 
 def extract(

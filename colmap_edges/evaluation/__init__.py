@@ -30,8 +30,8 @@ def run(
     Args:
         run_path: Output folder: mesh.ply is judged, and edges.ply with sparse/ where there are.
         input_path: COLMAP model the run started from.
-        reference_path: Depth maps, mesh or point cloud; without it the mesh is judged by half of
-            the model's points, left out of a mesh made for that.
+        reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
+            points (and the run's edges) is judged by the other half.
         curves_path: True 3D curves.
         image_path: Images, for `held_out_views`.
         held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
@@ -61,7 +61,7 @@ def run(
             run_path / "mesh.ply", input_path, reference_path, pictures_path=output
         )
     else:
-        record["held_out_points"] = held_out.split_half_errors(input_path)
+        record["held_out_points"] = held_out_points(run_path, input_path)
     if (run_path / "edges.ply").is_file():
         record["edges"] = scene.evaluate_edges(
             run_path / "edges.ply",
@@ -75,6 +75,21 @@ def run(
         record["held_out_views"] = [asdict(error) for error in errors]
     (output / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
     (output / "evaluation.md").write_text(tables.run_tables(record) + "\n")
+    return record
+
+
+def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
+    """Errors at left-out points of a mesh of the other half, without and (if any) with the edges.
+
+    The edges were traced with all points, so only the mesh is judged by what it does not know.
+    """
+    from colmap_edges.evaluation import held_out, results
+    from colmap_edges.model import load_model
+
+    record = {"SfM only": held_out.split_half_errors(input_path)}
+    if (run_path / "edges.json").is_file():
+        found = results.load_edges(run_path, load_model(input_path))
+        record["with edges"] = held_out.split_half_errors(input_path, found)
     return record
 
 

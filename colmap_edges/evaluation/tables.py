@@ -191,7 +191,11 @@ def run_tables(record: dict[str, Any]) -> str:
     if "mesh" in record:
         parts.append(mesh_tables(record["mesh"]))
     if "held_out_points" in record:
-        rows = [_error_row(name, errors) for name, errors in record["held_out_points"].items()]
+        rows = [
+            _error_row(f"{name}, {kind}", errors)
+            for name, kinds in record["held_out_points"].items()
+            for kind, errors in kinds.items()
+        ]
         header = ("depth error at left-out points", "MAE", "RMSE", "σ", "median", "P90", "coverage")
         parts.append(markdown(header, rows))
     if "edges" in record:
