@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -191,7 +192,7 @@ def view_from_image(image: Any) -> View:
         name=image.name,
         width=image.camera.width,
         height=image.camera.height,
-        camera=image.camera,
+        camera=copy.copy(image.camera),  # the original dies with the reconstruction
         rotation=np.array(matrix[:, :3]),
         translation=np.array(matrix[:, 3]),
     )

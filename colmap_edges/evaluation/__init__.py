@@ -1,0 +1,97 @@
+"""Errors of meshes and 3D edges by the protocols of the field, and tables of them.
+
+`run` judges the output folder of `colmap-edges mesh`; `benchmark.run` goes from images to the
+paper's tables; `scene` judges single files.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from colmap_edges.errors import ColmapEdgesError
+
+__all__ = ["run"]
+
+
+def run(
+    run_path: Path,
+    input_path: Path,
+    reference_path: Path | None = None,
+    *,
+    curves_path: Path | None = None,
+    image_path: Path | None = None,
+    held_out_views: int = 0,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Judge the output of `colmap-edges mesh` and write RUN/evaluation/ with figures and pictures.
+
+    Args:
+        run_path: Output folder: mesh.ply is judged, and edges.ply with sparse/ where there are.
+        input_path: COLMAP model the run started from.
+        reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
+            points (and the run's edges) is judged by the other half.
+        curves_path: True 3D curves.
+        image_path: Images, for `held_out_views`.
+        held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
+        overwrite: Replace an earlier evaluation.
+
+    Returns:
+        What evaluation.json holds.
+
+    Raises:
+        ColmapEdgesError: Something is missing; see its message.
+    """
+    from dataclasses import asdict
+
+    from colmap_edges.evaluation import held_out, scene, tables
+
+    output = run_path / "evaluation"
+    if not (run_path / "mesh.ply").is_file():
+        raise ColmapEdgesError(f"{run_path} holds no mesh.ply; give an output of colmap-edges mesh")
+    if output.exists() and not overwrite:
+        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
+    if held_out_views and image_path is None:
+        raise ColmapEdgesError("held-out views need the images; give --image_path")
+    output.mkdir(exist_ok=True)
+    record: dict[str, Any] = {}
+    if reference_path is not None:
+        record["mesh"] = scene.evaluate_mesh(
+            run_path / "mesh.ply", input_path, reference_path, pictures_path=output
+        )
+    else:
+        record["held_out_points"] = held_out_points(run_path, input_path)
+    if (run_path / "edges.ply").is_file():
+        record["edges"] = scene.evaluate_edges(
+            run_path / "edges.ply",
+            run_path / "sparse",
+            input_path,
+            reference_path=curves_path,
+            reference_depth_path=reference_path if _is_folder(reference_path) else None,
+        )
+    if held_out_views and image_path is not None:
+        errors = held_out.left_out_view_errors(input_path, image_path, held_out_views)
+        record["held_out_views"] = [asdict(error) for error in errors]
+    (output / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
+    (output / "evaluation.md").write_text(tables.run_tables(record) + "\n")
+    return record
+
+
+def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
+    """Errors at left-out points of a mesh of the other half, without and (if any) with the edges.
+
+    The edges were traced with all points, so only the mesh is judged by what it does not know.
+    """
+    from colmap_edges.evaluation import held_out, results
+    from colmap_edges.model import load_model
+
+    record = {"SfM only": held_out.split_half_errors(input_path)}
+    if (run_path / "edges.json").is_file():
+        found = results.load_edges(run_path, load_model(input_path))
+        record["with edges"] = held_out.split_half_errors(input_path, found)
+    return record
+
+
+def _is_folder(path: Path | None) -> bool:
+    return path is not None and path.is_dir()

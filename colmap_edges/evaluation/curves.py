@@ -1,0 +1,250 @@
+"""3D edges as sampled curves: reading, sampling by length, visibility, precision and recall."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, make_score, scores
+from colmap_edges.evaluation.ply import read_ply
+from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.model import FloatArray, IntArray, View
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curves:
+    """A 3D edge graph: points (P, 3) and segments (E, 2) between them.
+
+    Without a segment the points are samples already.
+    """
+
+    points: FloatArray
+    segments: IntArray
+
+    def lengths(self) -> FloatArray:
+        """Length of every segment, (E,)."""
+        ends = self.points[self.segments]
+        return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveErrors:
+    """How well reconstructed curves match true ones.
+
+    Attributes:
+        accuracy: Mean distance from samples of the result to the reference.
+        completeness: Mean distance from samples of the reference to the result.
+        scores: Precision, recall and F at every threshold.
+        result_samples: Number of samples of the result.
+        reference_samples: Number of samples of the reference.
+        spacing: Distance between samples along the curves.
+        unit: World units a unit of these figures is (1: none was changed).
+    """
+
+    accuracy: float
+    completeness: float
+    scores: list[Score]
+    result_samples: int
+    reference_samples: int
+    spacing: float
+    unit: float
+
+
+def load_curves(path: Path) -> Curves:
+    """Read curves from .npz (`points`, `edges`) or .ply (`vertex` and optional `edge` elements).
+
+    Raises:
+        ColmapEdgesError: The file is missing, unreadable or names points it does not hold.
+    """
+    if not path.is_file():
+        raise ColmapEdgesError(f"{path} does not exist; give curves as .ply or .npz")
+    if path.suffix == ".npz":
+        with np.load(path) as data:
+            missing = {"points", "edges"} - set(data)
+            if missing:
+                raise ColmapEdgesError(f"{path} holds no array {', '.join(sorted(missing))}")
+            points, segments = data["points"], data["edges"]
+    else:
+        elements = read_ply(path, ("vertex", "edge"))
+        points = columns(elements.get("vertex"), ("x", "y", "z"), path)
+        segments = np.empty((0, 2), dtype=np.int64)
+        if len(elements.get("edge", ())):
+            segments = columns(elements["edge"], ("vertex1", "vertex2"), path)
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    segments = np.asarray(segments, dtype=np.int64).reshape(-1, 2)
+    if len(segments) and (segments.min() < 0 or segments.max() >= len(points)):
+        raise ColmapEdgesError(f"{path}: a segment names a point outside 0..{len(points) - 1}")
+    return Curves(points=points, segments=segments)
+
+
+def columns(element: NDArray[Any] | None, names: tuple[str, ...], path: Path) -> NDArray[Any]:
+    """Properties `names` of a PLY element as columns (N, len(names))."""
+    if element is None or not set(names) <= set(element.dtype.names or ()):
+        raise ColmapEdgesError(f"{path} lacks the properties {', '.join(names)}")
+    return np.column_stack([element[name] for name in names])
+
+
+def sample(curves: Curves, spacing: float) -> FloatArray:
+    """Points (N, 3) at most `spacing` apart along every segment, at the middles of equal parts.
+
+    A segment gives ceil(length / spacing) samples, so every sample stands for nearly the same
+    length and shares of samples are shares of length. Curves without segments give their points.
+    """
+    if not len(curves.segments):
+        return curves.points
+    lengths = curves.lengths()
+    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
+    counts[lengths == 0] = 0
+    segment = np.repeat(np.arange(len(counts)), counts)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    part = (np.arange(len(segment)) - first + 0.5) / counts[segment]
+    start, end = (curves.points[curves.segments[segment, side]] for side in (0, 1))
+    return np.asarray(start + part[:, None] * (end - start))
+
+
+def inside_box(points: FloatArray, reference: FloatArray, margin: float) -> NDArray[np.bool_]:
+    """Which of `points` (N, 3) lie in the bounding box of `reference`, grown by `margin`."""
+    low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+
+def compare_curves(
+    result: Curves,
+    reference: Curves,
+    thresholds: Sequence[float],
+    *,
+    spacing: float = 0.0,
+    unit_size: bool = False,
+    crop: bool = False,
+) -> CurveErrors:
+    """Precision, recall, accuracy and completeness of `result` against `reference`.
+
+    Both are sampled every `spacing` (0: a fifth of the smallest threshold), so a nearest sample
+    is at most half a spacing off along the curve.
+
+    Args:
+        result: Reconstructed curves.
+        reference: True curves, or samples of them.
+        thresholds: Distances, in units of the comparison.
+        spacing: Sampling distance in the same unit.
+        unit_size: Scale both so that the longest side of the reference's box is 1 (the protocol
+            of ABC-NEF's tables).
+        crop: Count only samples of the result in the reference's box, for references that cover
+            a part of the scene.
+
+    Raises:
+        ColmapEdgesError: The reference is empty.
+    """
+    if not len(reference.points):
+        raise ColmapEdgesError("the reference holds no curve")
+    unit = float(np.ptp(reference.points, axis=0).max()) if unit_size else 1.0
+    spacing = spacing or min(thresholds) / 5
+    found = sample(_scaled(result, unit), spacing)
+    true = sample(_scaled(reference, unit), spacing)
+    if crop:
+        found = found[inside_box(found, true, max(thresholds))]
+    to_reference, to_result = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
+    return CurveErrors(
+        accuracy=float(to_reference.mean()) if len(found) else float("nan"),
+        completeness=float(to_result.mean()),
+        scores=scores(to_reference, to_result, thresholds),
+        result_samples=len(found),
+        reference_samples=len(true),
+        spacing=spacing,
+        unit=unit,
+    )
+
+
+def _scaled(curves: Curves, unit: float) -> Curves:
+    return Curves(points=curves.points / unit, segments=curves.segments)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visibility:
+    """Where samples of curves are seen.
+
+    Attributes:
+        count: (N,) number of views that see each.
+        pixel_size: (N,) length of one pixel at its depth in the nearest view that sees it (or,
+            seen by none, in the nearest view): depth / focal length, in world units.
+    """
+
+    count: IntArray
+    pixel_size: FloatArray
+
+
+def visibility(points: FloatArray, views: Sequence[View], caster: RayCaster | None) -> Visibility:
+    """Which views see `points` (N, 3): in the image, ahead, and nothing of the surface before.
+
+    A point counts as hidden when the surface is hit nearer than it by more than three pixels'
+    length at its depth, which leaves room for the surface's own triangles.
+    """
+    count = np.zeros(len(points), dtype=np.int64)
+    nearest_seen = np.full(len(points), np.inf)
+    nearest = np.full(len(points), np.inf)
+    for view in views:
+        pixels, depth = view.project(points)
+        size = np.where(depth > 0, depth / view.focal_px, np.inf)
+        with np.errstate(invalid="ignore"):
+            seen = (depth > 0) & (pixels >= 0).all(axis=1)
+            seen &= (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
+        nearest = np.minimum(nearest, size)
+        inside = np.flatnonzero(seen)
+        if caster is not None and len(inside):
+            along = caster.cast(view.center, points[inside] - view.center)
+            hidden = along * depth[inside] < depth[inside] - 3 * size[inside]
+            seen[inside[hidden]] = False
+        count += seen
+        nearest_seen = np.where(seen, np.minimum(nearest_seen, size), nearest_seen)
+    size = np.where(np.isfinite(nearest_seen), nearest_seen, nearest)
+    return Visibility(count=count, pixel_size=size)
+
+
+def compare_visible_curves(
+    result: Curves,
+    reference: Curves,
+    views: Sequence[View],
+    caster: RayCaster | None,
+    *,
+    thresholds_px: Sequence[float] = (1.0, 2.0),
+    min_views: int = 3,
+) -> CurveErrors:
+    """Precision against all true curves, recall against those at least `min_views` views see.
+
+    Thresholds are pixels at the scene's depth: each true sample's own distance is its
+    `Visibility.pixel_size` times the threshold, and a sample of the result takes that of the
+    nearest true sample. Both are sampled every fifth of the median of the smallest threshold.
+    `Score.threshold` is in pixels; accuracy and completeness are in world units.
+    """
+    if not len(reference.points):
+        raise ColmapEdgesError("the reference holds no curve")
+    coarse = visibility(reference.points, views, None).pixel_size
+    spacing = float(np.median(coarse)) * min(thresholds_px) / 5
+    found, true = sample(result, spacing), sample(reference, spacing)
+    seen = visibility(true, views, caster)
+    visible = seen.count >= min_views
+    to_reference, nearest = cKDTree(true).query(found, workers=2) if len(found) else ([], [])
+    to_reference = np.asarray(to_reference, dtype=np.float64)
+    limit = seen.pixel_size[np.asarray(nearest, dtype=np.int64)]
+    to_result = cloud_to_cloud(true[visible], found)
+    rows = []
+    for threshold in thresholds_px:
+        precision = float(np.mean(to_reference < threshold * limit)) if len(found) else 0.0
+        hit = to_result < threshold * seen.pixel_size[visible]
+        rows.append(make_score(threshold, precision, float(np.mean(hit)) if len(hit) else 0.0))
+    return CurveErrors(
+        accuracy=float(to_reference.mean()) if len(found) else float("nan"),
+        completeness=float(to_result.mean()) if len(to_result) else float("nan"),
+        scores=rows,
+        result_samples=len(found),
+        reference_samples=int(visible.sum()),
+        spacing=spacing,
+        unit=1.0,
+    )

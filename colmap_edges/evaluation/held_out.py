@@ -1,0 +1,155 @@
+"""Quality without ground truth: points left out of the mesh, images left out of the edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import depth
+from colmap_edges.evaluation.observations import select_points
+from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.evaluation.statistics import summarize
+from colmap_edges.model import FloatArray, Model, View, load_model, model_from_reconstruction
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewErrors:
+    """Distances in pixels from reprojected edge points to edges detected in an unused image.
+
+    Attributes:
+        view: Name of the image.
+        points: Edge points that fall into the image unhidden.
+        median_px: Median distance.
+        within_1_px: Share within one pixel.
+        within_2_px: Share within two pixels.
+        chance_2_px: Share of random pixels within two pixels of a detected edge: what edges in
+            the wrong places would reach.
+    """
+
+    view: str
+    points: int
+    median_px: float
+    within_1_px: float
+    within_2_px: float
+    chance_2_px: float
+
+
+def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
+    """Two models, each with a random half of the points."""
+    chosen = np.zeros(len(model.points3D_xyz), dtype=bool)
+    chosen[np.random.default_rng(seed).permutation(len(chosen))[: len(chosen) // 2]] = True
+    return select_points(model, chosen), select_points(model, ~chosen)
+
+
+def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dict[str, Any]:
+    """Mesh half of the SfM points, with `edges` if given, and judge it by the other half.
+
+    Returns:
+        Statistics of the depth errors at the observations of the other half, absolute (world
+        units) and relative to depth, each with the share of observations that hit the mesh.
+
+    Raises:
+        ColmapEdgesError: The model holds fewer than 20 points.
+    """
+    from colmap_edges.meshing import mesh
+
+    model = load_model(input_path)
+    if len(model.points3D_xyz) < 20:
+        raise ColmapEdgesError(f"{input_path} holds too few points to leave half of them out")
+    used, left_out = split_points(model, seed)
+    result = mesh(used, edges=edges)
+    errors, depths = depth.observation_depth_errors(
+        RayCaster(result.vertices, result.faces), left_out
+    )
+    known = np.isfinite(errors)
+    coverage = {"coverage": float(known.mean())}
+    return {
+        "absolute": asdict(summarize(errors[known])) | coverage,
+        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+    }
+
+
+def left_out_views(views: Sequence[View], every: int) -> list[View]:
+    """Every `every`-th view in order of names, from the middle of the first `every` on."""
+    return list(views[every // 2 :: every])
+
+
+def view_errors(
+    points: FloatArray, view: View, chains: FloatArray, caster: RayCaster | None, seed: int = 0
+) -> ViewErrors:
+    """Distances of edge points (N, 3) in `view` to the chain points (M, 2) detected there.
+
+    A point that the mesh of `caster` hides by more than three pixels' length at its depth is left
+    out.
+    """
+    pixels, depths = view.project(points)
+    with np.errstate(invalid="ignore"):
+        seen = (depths > 0) & ((pixels >= 0) & (pixels < (view.width, view.height))).all(axis=1)
+    if caster is not None and seen.any():
+        along = caster.cast(view.center, points[seen] - view.center)
+        seen[seen] = ~(along < 1 - 3 / view.focal_px)
+    size = np.array([view.width, view.height])
+    random = np.random.default_rng(seed).uniform(0, 1, (10_000, 2)) * size
+    distance, chance = (_distances(p, chains) for p in (pixels[seen], random))
+    nan = float("nan")
+    shares = [float(np.mean(distance < d)) if len(distance) else nan for d in (1, 2)]
+    return ViewErrors(
+        view=view.name,
+        points=len(distance),
+        median_px=float(np.median(distance)) if len(distance) else nan,
+        within_1_px=shares[0],
+        within_2_px=shares[1],
+        chance_2_px=float(np.mean(chance < 2)),
+    )
+
+
+def _distances(pixels: FloatArray, chains: FloatArray) -> NDArray[np.float64]:
+    if not len(chains):
+        return np.full(len(pixels), np.inf)
+    distance, _ = cKDTree(chains).query(pixels)
+    return np.asarray(distance, dtype=np.float64)
+
+
+def left_out_view_errors(
+    input_path: Path, image_path: Path, every: int = 5, options: Any = None
+) -> list[ViewErrors]:
+    """Reconstruct edges without every `every`-th image and reproject them into those images.
+
+    Points are taken as hidden where a mesh of the used points and edges hides them.
+
+    Raises:
+        ColmapEdgesError: Too few images are left, or an image cannot be read.
+    """
+    from colmap_edges.detection import detect_chains
+    from colmap_edges.images import read_image
+    from colmap_edges.meshing import mesh
+    from colmap_edges.options import PipelineOptions
+    from colmap_edges.pipeline import reconstruct
+
+    model = load_model(input_path)
+    unused = left_out_views(model.views, every)
+    if not unused or len(model.views) - len(unused) < 3:
+        raise ColmapEdgesError(
+            f"{input_path}: {len(model.views)} images are too few to leave every {every}th out"
+        )
+    options = options or PipelineOptions()
+    reconstruction = model.reconstruction
+    for view in unused:
+        frame_id = reconstruction.images[view.image_id].frame_id
+        reconstruction.deregister_frame(frame_id)
+    found = reconstruct(reconstruction, image_path, options).edges
+    used = model_from_reconstruction(reconstruction)
+    surface = mesh(used, edges=found)
+    caster = RayCaster(surface.vertices, surface.faces)
+    errors = []
+    for view in unused:
+        chains = detect_chains(read_image(view, image_path), options.detection)
+        errors.append(view_errors(found.points, view, chains.points, caster))
+    return errors

@@ -1,0 +1,37 @@
+"""A model's observations as flat arrays, and its points by choice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.model import FloatArray, IntArray, Model, View
+
+
+def observed_points(model: Model) -> IntArray:
+    """Index of the point of each observation, (T,), beside `track_views`, `track_points2D`."""
+    return np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
+
+
+def select_points(model: Model, keep: NDArray[np.bool_]) -> Model:
+    """The model with only the points where `keep` (N,) is true; `reconstruction` stays whole."""
+    kept = np.repeat(keep, np.diff(model.track_offsets))
+    counts = np.diff(model.track_offsets)[keep]
+    return replace(
+        model,
+        points3D_xyz=model.points3D_xyz[keep],
+        point3D_ids=model.point3D_ids[keep],
+        points3D_rgb=model.points3D_rgb[keep],
+        track_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        track_views=model.track_views[kept],
+        track_points2D=model.track_points2D[kept],
+    )
+
+
+def pixel_rays(view: View, pixels: FloatArray) -> FloatArray:
+    """World directions (N, 3) through image pixels (N, 2), one unit deep: t along them is depth."""
+    ideal = view.ideal_from_image(pixels) / view.focal_px
+    rays: FloatArray = np.column_stack([ideal, np.ones(len(pixels))]) @ view.rotation
+    return rays

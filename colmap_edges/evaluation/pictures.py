@@ -1,0 +1,74 @@
+"""Error maps and overlays as PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.depth import DepthErrors
+from colmap_edges.model import FloatArray
+
+Picture = NDArray[np.uint8]
+_UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
+
+
+def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
+    """Picture of |e| from 0 to `largest` (world units), with a colour bar below.
+
+    Dark grey: the reference is silent; magenta: the mesh does not answer.
+    """
+    known = np.isfinite(result.errors)
+    level = np.clip(np.abs(np.where(known, result.errors, 0)) / largest, 0, 1) * 255
+    picture = cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_TURBO)
+    picture[~known] = _MISSING
+    picture[result.reference <= 0] = _UNKNOWN
+    bar = np.tile(np.linspace(0, 255, picture.shape[1]).astype(np.uint8), (16, 1))
+    legend = np.full((36, picture.shape[1], 3), 255, dtype=np.uint8)
+    for text, x in ((f"0   {title}", 4), (f"{largest:.3g}", picture.shape[1] - 90)):
+        cv2.putText(legend, text, (x, 25), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 1)
+    coloured = cv2.applyColorMap(bar, cv2.COLORMAP_TURBO)
+    return np.vstack([picture, coloured, legend]).astype(np.uint8)
+
+
+def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str = "depth") -> None:
+    """Write one error map a view into `folder`; all share the scale 0 to the pooled P90."""
+    pooled = [np.abs(r.errors[np.isfinite(r.errors)]) for r in results]
+    sizes = np.concatenate(pooled) if pooled else np.empty(0)
+    largest = float(np.percentile(sizes, 90)) if len(sizes) else 1.0
+    largest = largest or 1.0
+    folder.mkdir(parents=True, exist_ok=True)
+    for result in results:
+        name = Path(result.name).with_suffix("").as_posix().replace("/", "_")
+        title = f"|depth error| {result.name}, magenta: no mesh, grey: no reference"
+        write_png(folder / f"{prefix}_{name}.png", error_map(result, largest, title))
+
+
+def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest: float) -> Picture:
+    """Draw `pixels` (N, 2, COLMAP's coordinates), coloured by `values` (N,) from 0 to `largest`."""
+    canvas = image.copy()
+    if not len(pixels):
+        return canvas
+    level = (np.clip(values / largest, 0, 1) * 255).astype(np.uint8).reshape(-1, 1)
+    colours = cv2.applyColorMap(level, cv2.COLORMAP_TURBO).reshape(-1, 3)
+    for (x, y), colour in zip(np.floor(pixels).astype(int), colours, strict=True):
+        cv2.circle(canvas, (int(x), int(y)), 1, colour.tolist(), -1)
+    return canvas
+
+
+def write_png(path: Path, picture: NDArray[Any]) -> None:
+    """Write a BGR picture.
+
+    Raises:
+        ColmapEdgesError: The file cannot be written.
+    """
+    done, content = cv2.imencode(".png", picture)
+    try:
+        path.write_bytes(content.tobytes() if done else b"")
+    except OSError as error:
+        raise ColmapEdgesError(f"{path} cannot be written: {error}") from error

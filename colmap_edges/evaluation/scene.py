@@ -1,0 +1,201 @@
+"""How good a mesh or 3D edges are on any scene, with whatever reference there is."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import clouds, curves, depth, edges, pictures
+from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
+from colmap_edges.evaluation.statistics import summarize
+from colmap_edges.model import Model, load_model
+
+logger = logging.getLogger(__name__)
+Record = dict[str, Any]
+
+
+def evaluate_mesh(
+    mesh_path: Path,
+    input_path: Path,
+    reference_path: Path | None = None,
+    *,
+    view_names: Sequence[str] = (),
+    thresholds: Sequence[float] = (),
+    pictures_path: Path | None = None,
+) -> Record:
+    """Measure a mesh against reference depth maps, a mesh, a point cloud, or SfM points.
+
+    Args:
+        mesh_path: The mesh to judge.
+        input_path: COLMAP model with the views. Without a reference, its points are the
+            reference: they are held out only if the mesh was made without them.
+        reference_path: Folder of depth maps (*.npz), mesh or point cloud file, or none.
+        view_names: Views in which a reference mesh is rendered; default: the central one.
+        thresholds: Distances for precision, recall and F of cloud references, in world units;
+            default: 0.1, 0.2, 0.5 and 1 % of the diagonal of the reference's box.
+        pictures_path: Folder for error maps.
+
+    Returns:
+        What `evaluation.json` holds.
+    """
+    model = load_model(input_path)
+    mesh = load_mesh(mesh_path)
+    record: Record = {"mesh": str(mesh_path), "faces": len(mesh.faces), "unit": "world unit"}
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    if reference_path is None:
+        return record | _against_points(caster, model)
+    if reference_path.is_dir():
+        references = depth.load_reference_depths(reference_path, model)
+        return record | _against_depth(caster, references, pictures_path)
+    reference = load_geometry(reference_path)
+    if len(getattr(reference, "faces", ())):
+        views = select_views(model, view_names)
+        true = RayCaster(reference.vertices, reference.faces)
+        record |= _against_depth(caster, depth.render_references(true, views), pictures_path)
+        points = sample_surface(reference.vertices, reference.faces)
+    else:
+        points = np.asarray(reference.vertices, dtype=np.float64)
+    return record | _against_cloud(mesh, points, thresholds)
+
+
+def select_views(model: Model, names: Sequence[str]) -> list[Any]:
+    """The views called `names`, `all` of them, or (none named) the central one.
+
+    Raises:
+        ColmapEdgesError: The model holds no view of that name.
+    """
+    if not names:
+        return [depth.central_view(model)]
+    if list(names) == ["all"]:
+        return list(model.views)
+    views = {view.name: view for view in model.views}
+    missing = [name for name in names if name not in views]
+    if missing:
+        raise ColmapEdgesError(f"the model holds no image {', '.join(missing)}")
+    return [views[name] for name in names]
+
+
+def sample_surface(vertices: Any, faces: Any, count: int = 200_000, seed: int = 0) -> Any:
+    """`count` points (count, 3) spread over a surface by area."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    return np.asarray(points, dtype=np.float64)
+
+
+def _against_depth(
+    caster: RayCaster, references: list[depth.ReferenceDepth], pictures_path: Path | None
+) -> Record:
+    results = [depth.depth_errors(caster, reference) for reference in references]
+    if pictures_path is not None:
+        pictures.write_error_maps(pictures_path, results)
+    pooled, coverage = depth.pool(results)
+    views = {r.name: asdict(r.statistics()) | {"coverage": r.coverage} for r in results}
+    return {"depth": {"pooled": asdict(pooled) | {"coverage": coverage}, "views": views}}
+
+
+def _against_points(caster: RayCaster, model: Model) -> Record:
+    if not len(model.points3D_xyz):
+        raise ColmapEdgesError("without a reference the model must hold points, and it has none")
+    errors, depths = depth.observation_depth_errors(caster, model)
+    known = np.isfinite(errors)
+    coverage = {"coverage": float(known.mean())}
+    return {
+        "points_depth": {
+            "absolute": asdict(summarize(errors[known])) | coverage,
+            "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+        }
+    }
+
+
+def _against_cloud(mesh: Any, points: Any, thresholds: Sequence[float]) -> Record:
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    thresholds = thresholds or [share * diagonal for share in (0.001, 0.002, 0.005, 0.01)]
+    samples = sample_surface(mesh.vertices, mesh.faces)
+    to_reference = clouds.cloud_to_cloud(samples, points)
+    to_mesh = clouds.cloud_to_mesh(points, mesh.vertices, mesh.faces)
+    return {
+        "accuracy": asdict(summarize(to_reference)),
+        "completeness": asdict(summarize(to_mesh)),
+        "scores": [asdict(s) for s in clouds.scores(to_reference, to_mesh, thresholds)],
+    }
+
+
+def evaluate_edges(
+    edges_path: Path,
+    sparse_path: Path,
+    input_path: Path | None = None,
+    *,
+    reference_path: Path | None = None,
+    surface_path: Path | None = None,
+    reference_depth_path: Path | None = None,
+    thresholds: Sequence[float] = (),
+    thresholds_px: Sequence[float] = (1.0, 2.0),
+    unit_size: bool = False,
+    crop: bool = False,
+) -> Record:
+    """Measure 3D edges against curves and depth maps, and against their own observations.
+
+    Args:
+        edges_path: Edge graph as PLY with `vertex` and `edge` elements.
+        sparse_path: COLMAP model with the edge points.
+        input_path: Model without them; without it every point counts as an edge point.
+        reference_path: True curves (.npz or .ply).
+        surface_path: True surface: then visibility in at least three views is asked of the true
+            curves and `thresholds_px` apply.
+        reference_depth_path: Folder of depth maps.
+        thresholds: Distances for precision and recall; default 0.005, 0.01 and 0.02 of the
+            longest side of the reference's box.
+        thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
+        unit_size: Scale so that the longest side of the reference's box is 1.
+        crop: Count only what lies in the reference's box.
+
+    Returns:
+        What `evaluation.json` holds.
+    """
+    model = load_model(sparse_path)
+    found = curves.load_curves(edges_path)
+    points = model
+    if input_path is not None:
+        points = edges.edge_points(model, load_model(input_path))
+    record: Record = {
+        "edges": str(edges_path),
+        "lengths": asdict(edges.segment_lengths(found)),
+        "reprojection": asdict(edges.reprojection_errors(points)),
+    }
+    if reference_path is not None:
+        true = curves.load_curves(reference_path)
+        if surface_path is not None:
+            mesh = load_mesh(surface_path)
+            caster = RayCaster(mesh.vertices, mesh.faces)
+            errors = curves.compare_visible_curves(
+                found, true, model.views, caster, thresholds_px=thresholds_px
+            )
+        else:
+            thresholds = thresholds or default_thresholds(true, unit_size)
+            errors = curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
+        record["curves"] = asdict(errors)
+    if reference_depth_path is not None:
+        references = depth.load_reference_depths(reference_depth_path, model)
+        record["depth"] = {
+            "edge_points": asdict(
+                edges.summarize_depth(edges.depth_window_errors(points, references))
+            )
+        }
+        if input_path is not None:
+            sfm = edges.depth_window_errors(load_model(input_path), references)
+            record["depth"]["sfm_points"] = asdict(edges.summarize_depth(sfm))
+    return record
+
+
+def default_thresholds(reference: curves.Curves, unit_size: bool) -> list[float]:
+    """0.005, 0.01 and 0.02 of the longest side of the reference's box."""
+    side = 1.0 if unit_size else float(np.ptp(reference.points, axis=0).max())
+    return [share * side for share in (0.005, 0.01, 0.02)]

@@ -1,0 +1,84 @@
+"""Strecha's multi-view benchmark: `.camera` and `K.txt` files (Strecha et al., CVPR 2008)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.model import FloatArray
+from colmap_edges.triangulation import PosedImage
+
+
+def posed_images(image_path: Path, camera_path: Path | None = None) -> list[PosedImage]:
+    """Images of a folder that have a NAME.camera file, beside them or in `camera_path`.
+
+    Raises:
+        ColmapEdgesError: No image has one, or one cannot be read.
+    """
+    camera_path = camera_path or image_path
+    calibration = read_calibration(image_path / "K.txt")
+    images = []
+    for path in sorted(image_path.iterdir()):
+        camera = camera_path / f"{path.name}.camera"
+        if path.suffix.lower() in (".png", ".jpg", ".jpeg", ".ppm") and camera.is_file():
+            images.append(_posed_image(path, camera, calibration))
+    if not images:
+        raise ColmapEdgesError(f"{camera_path} holds no NAME.camera for the images of {image_path}")
+    return images
+
+
+def read_calibration(path: Path) -> FloatArray | None:
+    """The matrix (3, 3) of a K.txt, None where there is no such file."""
+    if not path.is_file():
+        return None
+    values = _numbers(path)
+    if len(values) != 9:
+        raise ColmapEdgesError(f"{path} holds {len(values)} numbers; a calibration has 9")
+    return values.reshape(3, 3)
+
+
+def read_camera(
+    path: Path, calibration: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Calibration (3, 3), rotation (3, 3) and translation (3,) of cam_from_world of a .camera file.
+
+    The file holds K, a row of zeros, the rotation world_from_cam, the centre and the size of the
+    image. Without K and the zeros in it, `calibration` (of K.txt) is taken.
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    values = _numbers(path)
+    if len(values) == 26:
+        calibration, values = values[:9].reshape(3, 3), values[12:]
+    if calibration is None or len(values) != 14:
+        raise ColmapEdgesError(f"{path} is not a .camera file of K, 0 0 0, R, centre, size")
+    rotation = values[:9].reshape(3, 3).T
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise ColmapEdgesError(f"{path}: the rotation is not orthonormal")
+    return calibration, rotation, -rotation @ values[9:12]
+
+
+def _numbers(path: Path) -> FloatArray:
+    try:
+        return np.array(path.read_text().replace(",", " ").split(), dtype=np.float64)
+    except ValueError as error:
+        raise ColmapEdgesError(f"{path} holds something else than numbers: {error}") from error
+
+
+def _posed_image(path: Path, camera: Path, calibration: FloatArray | None) -> PosedImage:
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise ColmapEdgesError(f"{path} is not a readable image")
+    matrix, rotation, translation = read_camera(camera, calibration)
+    return PosedImage(
+        name=path.name,
+        width=picture.shape[1],
+        height=picture.shape[0],
+        calibration=matrix,
+        rotation=rotation,
+        translation=translation,
+    )

@@ -1,0 +1,212 @@
+"""Records as Markdown tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+ERROR_COLUMNS = ("mae", "rmse", "sigma", "median", "p90")
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A Markdown table; numbers with four significant digits."""
+    lines = [
+        "| " + " | ".join(header) + " |",
+        "|" + "---|" * len(header),
+        *("| " + " | ".join(cell(value) for value in row) + " |" for row in rows),
+    ]
+    return "\n".join(lines)
+
+
+def cell(value: Any) -> str:
+    """Text of one value."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    if math.isnan(value):
+        return "-"
+    return f"{value:.4g}"
+
+
+def mesh_tables(record: dict[str, Any]) -> str:
+    """Tables of what `scene.evaluate_mesh` returns."""
+    parts = [f"{record['faces']:,} faces; errors in world units"]
+    names = ("MAE", "RMSE", "σ", "median", "P90", "coverage")
+    if "depth" in record:
+        views = {"all views": record["depth"]["pooled"], **record["depth"]["views"]}
+        rows = [_error_row(name, statistics) for name, statistics in views.items()]
+        parts.append(markdown(("depth error", *names), rows))
+    if "points_depth" in record:
+        rows = [_error_row(name, s) for name, s in record["points_depth"].items()]
+        parts.append(markdown(("depth error at SfM observations", *names), rows))
+    if "accuracy" in record:
+        rows = [_error_row(name, record[name]) for name in ("accuracy", "completeness")]
+        parts.append(markdown(("distance", *names), rows))
+        parts.append(score_table(record["scores"]))
+    return "\n\n".join(parts)
+
+
+def _error_row(name: str, statistics: dict[str, Any]) -> list[Any]:
+    values = [statistics[column] for column in ERROR_COLUMNS]
+    return [name, *values, statistics.get("coverage", float("nan"))]
+
+
+def score_table(scores: list[dict[str, float]]) -> str:
+    """Precision, recall and F at thresholds."""
+    names = ("threshold", "precision", "recall", "f_score")
+    rows = [[row[name] for name in names] for row in scores]
+    return markdown(("threshold", "precision", "recall", "F"), rows)
+
+
+def edge_tables(record: dict[str, Any]) -> str:
+    """Tables of what `scene.evaluate_edges` returns."""
+    parts = []
+    if "curves" in record:
+        parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
+    if "depth" in record:
+        parts.append(_depth_table(record["depth"]))
+    return "\n\n".join(
+        [*parts, _reprojection_table(record["reprojection"]), _length_table(record["lengths"])]
+    )
+
+
+def _distance_table(errors: dict[str, Any]) -> str:
+    names = ("accuracy", "completeness", "spacing", "unit")
+    header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
+    return markdown(header, [[errors[name] for name in names]])
+
+
+def _depth_table(errors: dict[str, Any]) -> str:
+    header = ("relative depth error", "pairs", "median", "P90", "within 0.2 %", "within 1 %")
+    rows = []
+    for name, kind in errors.items():
+        relative = [kind["relative"][column] for column in ("count", "median", "p90")]
+        rows.append([name, *relative, kind["within_0_2_percent"], kind["within_1_percent"]])
+    return markdown(header, rows)
+
+
+def _reprojection_table(errors: dict[str, Any]) -> str:
+    header = ("edge points", "observations each", "reprojection median px", "P95 px", "within 1 px")
+    pixels = errors["distance_px"]
+    row = (errors["points"], errors["observations_mean"], pixels["median"], pixels["p95"])
+    return markdown(header, [[*row, errors["within_1_px"]]])
+
+
+def _length_table(lengths: dict[str, Any]) -> str:
+    names = ("count", "total", "median", "p95", "longest", "gross", "gross_total")
+    header = ("segments", "total length", "median", "P95", "longest", "gross", "gross length")
+    return markdown(header, [[lengths[name] for name in names]])
+
+
+def paper_tables(results: dict[str, Any]) -> str:
+    """Tables laid out as the paper's, of what `benchmark.run` returns."""
+    parts = ["# Errors of points and meshes", _TABLE_NOTE, _main_table(results)]
+    if any("dtu" in record for _, _, record in _records(results)):
+        parts += ["## DTU's own distances (mm)", _dtu_table(results)]
+    failures = [
+        f"- {scene}, {method}: {record['error']}"
+        for scene, method, record in _records(results)
+        if "error" in record
+    ]
+    if failures:
+        parts += ["## Failed", "\n".join(failures)]
+    return "\n\n".join(parts)
+
+
+_TABLE_NOTE = (
+    "Points: distance to the reference cloud, or (reference depth only) depth error in the views\n"
+    "that observe them, smallest in 5x5 pixels. Mesh: depth error from the reference's cameras.\n"
+    "σ is the standard deviation of the absolute errors. Lengths in each scene's unit."
+)
+
+
+def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
+    return [
+        (scene, method, record)
+        for scene, entry in results.items()
+        for method, record in entry["methods"].items()
+    ]
+
+
+def _main_table(results: dict[str, Any]) -> str:
+    header = (
+        "scene", "method", "points", "points MAE", "RMSE", "σ", "mesh MAE", "RMSE", "σ",
+        "median", "P90", "coverage", "faces",
+    )  # fmt: skip
+    nan = float("nan")
+    rows = []
+    for scene, method, record in _records(results):
+        if "error" in record:
+            continue
+        points, mesh = record["points"], record.get("mesh", {})
+        unit = results[scene]["unit"]
+        rows.append(
+            [f"{scene} ({unit})", method, points["count"]]
+            + [points.get(name, nan) for name in ("mae", "rmse", "sigma")]
+            + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, "coverage")]
+            + [record["faces"]]
+        )
+    return markdown(header, rows + _variation_rows(results))
+
+
+def _variation_rows(results: dict[str, Any]) -> list[list[Any]]:
+    """Mean over scenes of each method's errors against the first method's, in percent."""
+    kinds = [("points", name) for name in ("mae", "rmse", "sigma")]
+    kinds += [("mesh", name) for name in ERROR_COLUMNS]
+    methods = list(dict.fromkeys(method for _, method, _ in _records(results)))
+    rows = []
+    for method in methods[1:]:
+        cells = [_variation(results, methods[0], method, *kind) for kind in kinds]
+        if any(cells):
+            rows.append(["**average variation**", method, "", *cells, "", ""])
+    return rows
+
+
+def _variation(results: dict[str, Any], base: str, method: str, part: str, name: str) -> str:
+    changes = []
+    for entry in results.values():
+        before = entry["methods"].get(base, {}).get(part, {}).get(name)
+        after = entry["methods"].get(method, {}).get(part, {}).get(name)
+        if before and after is not None and math.isfinite(before) and math.isfinite(after):
+            changes.append(after / before - 1)
+    return f"{100 * sum(changes) / len(changes):+.1f} %" if changes else ""
+
+
+def _dtu_table(results: dict[str, Any]) -> str:
+    names = ("accuracy", "completeness", "overall", "accuracy_median", "completeness_median")
+    header = ("scan", "method", *(name.replace("_", " ") for name in names))
+    rows = [
+        [scene, method, *(record["dtu"][name] for name in names)]
+        for scene, method, record in _records(results)
+        if "dtu" in record
+    ]
+    return markdown(header, rows)
+
+
+def run_tables(record: dict[str, Any]) -> str:
+    """Tables of what `evaluation.run` returns."""
+    parts = []
+    if "mesh" in record:
+        parts.append(mesh_tables(record["mesh"]))
+    if "held_out_points" in record:
+        rows = [
+            _error_row(f"{name}, {kind}", errors)
+            for name, kinds in record["held_out_points"].items()
+            for kind, errors in kinds.items()
+        ]
+        header = ("depth error at left-out points", "MAE", "RMSE", "σ", "median", "P90", "coverage")
+        parts.append(markdown(header, rows))
+    if "edges" in record:
+        parts.append(edge_tables(record["edges"]))
+    if "held_out_views" in record:
+        parts.append(held_out_view_table(record["held_out_views"]))
+    return "\n\n".join(parts)
+
+
+def held_out_view_table(errors: list[dict[str, Any]]) -> str:
+    """Table of `held_out.ViewErrors`."""
+    names = ("view", "points", "median_px", "within_1_px", "within_2_px", "chance_2_px")
+    header = ("left-out image", "edge points", "median px", "within 1 px", "2 px", "2 px by chance")
+    return markdown(header, [[error[name] for name in names] for error in errors])

@@ -1,0 +1,59 @@
+#!/usr/bin/env python3
+"""The paper's tables for any COLMAP models: meshed by several methods and measured.
+
+Finished scenes are not done again; remove a scene's folder below --output_path to redo it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import benchmark
+
+
+@click.command(help=__doc__)
+@click.option(
+    "--scene",
+    "scenes",
+    type=(str, Path, Path, Path),
+    multiple=True,
+    required=True,
+    metavar="NAME IMAGES SPARSE REFERENCE",
+    help="A scene; REFERENCE is a folder of depth maps, a mesh or a point cloud.",
+)
+@click.option("--unit", default="world unit", show_default=True, help="Unit of the lengths.")
+@click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
+@click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scene} in it varies.")
+@click.option("--output_path", type=Path, required=True, help="Folder for meshes and tables.")
+def main(
+    scenes: tuple[tuple[str, Path, Path, Path], ...],
+    unit: str,
+    methods: tuple[str, ...],
+    peers: tuple[str, ...],
+    output_path: Path,
+) -> None:
+    try:
+        found = benchmark.parse_peers(peers)
+        listed = [
+            benchmark.Scene(
+                name=name,
+                image_path=image_path,
+                sparse_path=sparse_path,
+                load_reference=benchmark.file_reference(reference_path),
+                peers={k: Path(v.format(scene=name)) for k, v in found.items()},
+                unit=unit,
+            )
+            for name, image_path, sparse_path, reference_path in scenes
+        ]
+        benchmark.run(listed, output_path, methods, progress=click.echo)
+    except ColmapEdgesError as error:
+        sys.exit(f"error: {error}")
+    click.echo((output_path / "evaluation.md").read_text())
+
+
+if __name__ == "__main__":
+    main()

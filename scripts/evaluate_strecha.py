@@ -1,0 +1,48 @@
+#!/usr/bin/env python3
+"""From images with Strecha's .camera files to the paper's tables."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import benchmark, strecha
+
+
+@click.command(help=__doc__)
+@click.option("--image_path", type=Path, required=True, help="Images, and K.txt if there is one.")
+@click.option("--camera_path", type=Path, help="Folder of NAME.camera; default: the images'.")
+@click.option("--reference_path", type=Path, help="True mesh, cloud, or folder of depth maps.")
+@click.option("--output_path", type=Path, required=True, help="Folder for model and tables.")
+@click.option("--name", default="fountain-P11", show_default=True, help="Name in the tables.")
+@click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
+@click.option("--peers", multiple=True, help="NAME=PATH of a peer's result.")
+def main(
+    image_path: Path,
+    camera_path: Path | None,
+    reference_path: Path | None,
+    output_path: Path,
+    name: str,
+    methods: tuple[str, ...],
+    peers: tuple[str, ...],
+) -> None:
+    try:
+        scene = benchmark.Scene(
+            name=name,
+            image_path=image_path,
+            posed=strecha.posed_images(image_path, camera_path),
+            load_reference=benchmark.file_reference(reference_path),
+            peers={k: Path(v) for k, v in benchmark.parse_peers(peers).items()},
+            unit="m",
+        )
+        benchmark.run([scene], output_path, methods, progress=click.echo)
+    except ColmapEdgesError as error:
+        sys.exit(f"error: {error}")
+    click.echo((output_path / "evaluation.md").read_text())
+
+
+if __name__ == "__main__":
+    main()

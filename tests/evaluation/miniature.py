@@ -1,0 +1,79 @@
+"""A miniature of the DTU data: a textured table with a raised square on it, in millimetres."""
+
+import cv2
+import numpy as np
+from scipy.io import savemat
+
+CALIBRATION = np.array([(420.0, 0, 160), (0, 420, 120), (0, 0, 1)])
+SIZE = (320, 240)
+HEIGHT = 8.0  # of the square of side 24 in the middle, above the table z = 0
+
+
+def poses(count=6):
+    """Rotations and translations of cameras 100 mm above the table, on an arc."""
+    result = []
+    for angle in np.linspace(-0.35, 0.35, count):
+        center = np.array([100 * np.sin(angle), 12 * np.cos(5 * angle), 100 * np.cos(angle)])
+        z = -center / np.linalg.norm(center)
+        x = np.cross([0, 1.0, 0], z)
+        x /= np.linalg.norm(x)
+        rotation = np.array([-x, -np.cross(z, x), z])
+        result.append((rotation, -rotation @ center))
+    return result
+
+
+def render(rotation, translation, textures):
+    """Picture of both planes; the raised one hides the other."""
+    picture = np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8)
+    for texture, half, z in ((textures[0], 60, 0.0), (textures[1], 12, HEIGHT)):
+        scale = 2 * half / texture.shape[0]  # texture pixel (u, v) lies at (u, v) scale - half
+        plane = np.array([(scale, 0, -half), (0, scale, -half), (0, 0, z), (0, 0, 1)])
+        homography = CALIBRATION @ np.column_stack([rotation, translation]) @ plane
+        # OpenCV's pixel centres are whole numbers, the calibration's are halves.
+        shift = np.array([(1, 0, -0.5), (0, 1, -0.5), (0, 0, 1)])
+        warped = cv2.warpPerspective(texture, shift @ homography, SIZE, flags=cv2.INTER_AREA)
+        inside = cv2.warpPerspective(np.full_like(texture, 255), shift @ homography, SIZE)
+        picture = np.where(inside > 127, warped, picture)
+    return picture
+
+
+def surface_points(spacing=0.5):
+    """Points on the table and on the top of the square."""
+    table = np.arange(-40, 40 + spacing / 2, spacing)
+    x, y = np.meshgrid(table, table)
+    raised = (np.abs(x) <= 12) & (np.abs(y) <= 12)
+    return np.column_stack([x.ravel(), y.ravel(), np.where(raised, HEIGHT, 0.0).ravel()])
+
+
+def write(root, scan=6, cameras=6):
+    """Write the official layout below `root`."""
+    generator = np.random.default_rng(3)
+    noise = [cv2.GaussianBlur(generator.uniform(0, 255, (n, n)), (0, 0), 1.6) for n in (900, 400)]
+    textures = [cv2.normalize(t, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8) for t in noise]
+    sample = root / "SampleSet" / "MVS Data"
+    images, calibration = root / "Rectified" / f"scan{scan}", sample / "Calibration" / "cal18"
+    for folder in (images, calibration, sample / "Points" / "stl", sample / "ObsMask"):
+        folder.mkdir(parents=True)
+    for position, (rotation, translation) in enumerate(poses(cameras), start=1):
+        picture = render(rotation, translation, textures)
+        for light in ("max", "3_r5000"):
+            cv2.imwrite(str(images / f"rect_{position:03d}_{light}.png"), picture)
+        projection = CALIBRATION @ np.column_stack([rotation, translation])
+        np.savetxt(calibration / f"pos_{position:03d}.txt", 1.7 * projection)
+    write_points(sample / "Points" / "stl" / f"stl{scan:03d}_total.ply", surface_points())
+    resolution = 2.0
+    mask = np.ones((41, 41, 11), dtype=np.uint8)
+    mask[:5] = 0  # nobody sees x < -31
+    box = np.array([(-40.0, -40, -5), (40, 40, 15)])
+    mask_path = sample / "ObsMask" / f"ObsMask{scan}_10.mat"
+    savemat(mask_path, {"ObsMask": mask, "BB": box, "Res": resolution, "Margin": 10})
+    savemat(sample / "ObsMask" / f"Plane{scan}.mat", {"P": np.array([[0, 0, 1.0, -0.1]]).T})
+    return root
+
+
+def write_points(path, points):
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    path.write_bytes(header.encode() + np.asarray(points, "<f4").tobytes())

@@ -1,0 +1,214 @@
+import json
+from dataclasses import replace
+
+import miniature
+import numpy as np
+import pytest
+import trimesh
+
+from colmap_edges import evaluation
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import benchmark, clouds, depth, dtu, held_out, tables
+from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.model import load_model
+from colmap_edges.triangulation import triangulate
+
+
+def has_mesher():
+    try:
+        from colmap_edges import _mesher, pipeline  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+needs_mesher = pytest.mark.skipif(not has_mesher(), reason="the CGAL mesher is not built")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return miniature.write(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def sparse(root, tmp_path_factory):
+    folder, images = dtu.posed_images(root, 6)
+    path = tmp_path_factory.mktemp("sparse")
+    triangulate(images, folder, path)
+    return path
+
+
+def test_sphere_against_its_sampling():
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=10)
+    generator = np.random.default_rng(0)
+    directions = generator.normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    distances = clouds.cloud_to_mesh(directions * 12, sphere.vertices, sphere.faces)
+    np.testing.assert_allclose(distances, 2, atol=0.02)  # the facets lie up to 0.02 inside
+    nearest = clouds.cloud_to_cloud(directions[:50] * 12, directions * 10)
+    expected = [np.linalg.norm(directions * 10 - p, axis=1).min() for p in directions[:50] * 12]
+    np.testing.assert_allclose(nearest, expected)
+    row = clouds.score(distances, distances, 2.5)
+    assert (row.precision, row.recall, row.f_score) == (1, 1, 1)
+    assert clouds.score(distances, distances, 1.5).f_score == 0
+    assert clouds.make_score(1.0, 0.5, 1.0).f_score == pytest.approx(2 / 3)
+
+
+def test_depth_of_a_cloud_hides_what_lies_behind(sparse):
+    view = depth.central_view(load_model(sparse))
+    points = miniature.surface_points()
+    below = points[np.abs(points[:, :2]).max(axis=1) < 9] - [0, 0, 6.0]
+    seen = depth.cloud_depth(np.concatenate([points, below]), view)
+    known = seen.depth > 0
+    assert known.sum() > 4000
+    rays = (np.column_stack([seen.pixels[known], np.ones(known.sum())])) @ np.linalg.inv(
+        miniature.CALIBRATION
+    ).T
+    lifted = (rays * seen.depth[known][:, None] - view.translation) @ view.rotation
+    heights = lifted[:, 2]
+    assert (np.minimum(np.abs(heights), np.abs(heights - miniature.HEIGHT)) < 1e-3).all()
+    middle = np.abs(lifted[:, :2]).max(axis=1) < 7
+    np.testing.assert_allclose(heights[middle], miniature.HEIGHT, atol=1e-3)
+
+
+def test_mesh_shifted_by_one_mm_against_the_cloud(sparse):
+    model = load_model(sparse)
+    corners = [(-200, -200, 1.0), (200, -200, 1.0), (200, 200, 1.0), (-200, 200, 1.0)]
+    mesh = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
+    points = miniature.surface_points() * [1, 1, 0]
+    view = model.views[3]
+    reference = benchmark.Reference(depths=[depth.cloud_depth(points, view)], points=points)
+    record = benchmark.measure(mesh, model, reference, None)
+    # Along the optical axis a millimetre of height is less, by the angle of ray and axis.
+    truth = reference.depths[0]
+    rays = np.linalg.inv(miniature.CALIBRATION) @ np.array([160, 120, 1.0])
+    expected = 1.0 / abs((rays @ view.rotation)[2])
+    assert record["mesh"]["median"] == pytest.approx(expected, rel=0.01)
+    assert record["mesh"]["bias"] < 0
+    assert record["mesh"]["coverage"] == 1.0
+    assert record["mesh"]["count"] == np.count_nonzero(truth.depth)
+
+
+def test_splitting_leaves_no_point_out(sparse):
+    model = load_model(sparse)
+    used, left = held_out.split_points(model)
+    ids = np.sort(np.concatenate([used.point3D_ids, left.point3D_ids]))
+    np.testing.assert_array_equal(ids, model.point3D_ids)
+    assert abs(len(used.point3D_ids) - len(left.point3D_ids)) <= 1
+    assert used.track_offsets[-1] + left.track_offsets[-1] == model.track_offsets[-1]
+    assert len(held_out.left_out_views(model.views, 3)) == 2
+
+
+def test_reprojected_edges_in_an_unused_view(sparse):
+    view = load_model(sparse).views[2]
+    half = 12 * np.linspace(-1, 1, 50)
+    border = np.column_stack([half, np.full(50, 12.0), np.full(50, miniature.HEIGHT)])
+    hidden = border - [0, 3, 4]
+    corners = [(x, y, miniature.HEIGHT) for x, y in ((-12, -12), (12, -12), (12, 12), (-12, 12))]
+    caster = RayCaster(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)]))
+    chains = view.project(np.repeat(border, 4, axis=0) * [1, 1, 1])[0] + [0, 1.5]
+    errors = held_out.view_errors(np.concatenate([border, hidden]), view, chains, caster)
+    assert errors.points == 50
+    assert errors.median_px == pytest.approx(1.5, abs=0.2)
+    assert (errors.within_1_px, errors.within_2_px) == (0, 1)
+    assert errors.chance_2_px < 0.05
+
+
+def fake_scene(tmp_path, name, problem=""):
+    return benchmark.Scene(
+        name=name,
+        image_path=tmp_path,
+        load_reference=benchmark.file_reference(None),
+        problem=problem,
+    )
+
+
+def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeypatch):
+    calls = []
+
+    def evaluate(scene, method, folder, run_path):
+        calls.append((scene.name, method))
+        if scene.name == "b":
+            raise RuntimeError("broken\nscan")
+        folder.mkdir(parents=True, exist_ok=True)
+        size = 2.0 if method == "SfM" else 1.0
+        errors = {name: size for name in ("mae", "rmse", "sigma", "median", "p90")}
+        return {"faces": 7, "points": {"count": 3} | errors, "mesh": errors | {"coverage": 0.9}}
+
+    monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
+    scenes = [fake_scene(tmp_path, name) for name in "abc"]
+    lines = []
+    results = benchmark.run(scenes, tmp_path / "out", progress=lines.append)
+    assert results["b"]["methods"]["SfM"] == {"error": "broken scan"}
+    assert results["c"]["methods"]["edges"]["mesh"]["mae"] == 1.0
+    again = benchmark.run(scenes, tmp_path / "out", progress=lines.append)
+    assert len(calls) == 6 + 2  # only the failed scan again
+    assert again["a"] == results["a"]
+    assert lines[0] == "[1/3] a"
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == again
+    table = (tmp_path / "out" / "evaluation.md").read_text()
+    assert "| **average variation** | edges |  | -50.0 % |" in table
+    assert "- b, SfM: broken scan" in table
+
+
+def test_a_scene_with_a_problem_names_it(tmp_path):
+    scene = fake_scene(tmp_path, "x", problem="no such scan")
+    results = benchmark.run([scene], tmp_path / "out", ("SfM",))
+    assert results["x"]["methods"]["SfM"] == {"error": "no such scan"}
+    missing = benchmark.dtu_scenes(tmp_path, [6])
+    assert "Calibration" in missing[0].problem
+
+
+def test_peers_are_named_on_the_command_line():
+    assert benchmark.parse_peers(["LIMAP=/a/{scan}"]) == {"LIMAP": "/a/{scan}"}
+    with pytest.raises(ColmapEdgesError, match="NAME=PATH"):
+        benchmark.parse_peers(["/a"])
+
+
+def test_numbers_in_tables():
+    assert tables.markdown(("a", "b"), [(1234567, 0.123456), ("x", float("nan"))]).splitlines() == [
+        "| a | b |", "|---|---|", "| 1,234,567 | 0.1235 |", "| x | - |",
+    ]  # fmt: skip
+
+
+@needs_mesher
+def test_from_dtu_images_to_the_table(root, tmp_path):
+    scenes = benchmark.dtu_scenes(root, [6])
+    results = benchmark.run(scenes, tmp_path, ("SfM",))
+    record = results["DTU-006"]["methods"]["SfM"]
+    assert "error" not in record
+    assert record["mesh"]["median"] < 0.1
+    assert record["mesh"]["coverage"] > 0.9
+    assert record["dtu"]["accuracy"] < 1.5
+    assert record["points"]["count"] > 300
+    assert (tmp_path / "DTU-006" / "SfM" / "maps").is_dir()
+    assert "| DTU-006 (mm) | SfM |" in (tmp_path / "evaluation.md").read_text()
+
+
+@needs_mesher
+def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
+    errors = held_out.split_half_errors(sparse)
+    assert errors["absolute"]["median"] < 0.15
+    assert errors["absolute"]["coverage"] > 0.9
+
+
+@needs_mesher
+def test_an_output_folder_is_judged(root, sparse, tmp_path):
+    from colmap_edges.pipeline import Paths, run
+
+    from colmap_edges.options import PipelineOptions
+
+    paths = Paths(
+        image_path=root / "Rectified" / "scan6", input_path=sparse, output_path=tmp_path / "out"
+    )
+    run("mesh", paths, replace(PipelineOptions(), use_edges=False))
+    record = evaluation.run(tmp_path / "out", sparse)
+    assert record["held_out_points"]["SfM only"]["absolute"]["median"] < 0.15
+    assert "left-out points" in (tmp_path / "out" / "evaluation" / "evaluation.md").read_text()
+    with pytest.raises(ColmapEdgesError, match="exists"):
+        evaluation.run(tmp_path / "out", sparse)
+
+
+def test_a_folder_without_mesh_is_refused(tmp_path, sparse):
+    with pytest.raises(ColmapEdgesError, match=r"mesh\.ply"):
+        evaluation.run(tmp_path, sparse)
