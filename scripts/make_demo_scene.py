@@ -28,7 +28,7 @@ def main() -> None:
     if "images" in arguments.stages:
         make_images(folder / "images", arguments.samples, arguments.scale_percent)
     if "sparse" in arguments.stages:
-        make_sparse(folder / "images", folder / "sparse")
+        make_sparse(folder / "images", folder / "sparse", arguments.database_path)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -37,6 +37,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=STAGES)
     parser.add_argument("--samples", type=int, default=16, help="rays a pixel, denoised")
     parser.add_argument("--scale_percent", type=int, default=100, help="size, for quick looks")
+    parser.add_argument("--database_path", type=Path, help="COLMAP database to keep and go on from")
     return parser.parse_args()
 
 
@@ -62,12 +63,12 @@ def make_images(folder: Path, samples: int, scale_percent: int) -> None:
     render_views(folder, unite(bodies), bodies, make_cameras(), samples, scale_percent)
 
 
-def make_sparse(images: Path, folder: Path) -> None:
+def make_sparse(images: Path, folder: Path, database: Path | None) -> None:
     """Write the sparse model of the images."""
     from demo_scene.reconstruct import reconstruct, summary
 
     cameras = make_cameras()
-    model = reconstruct(images, cameras)
+    model = reconstruct(images, cameras, database)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     model.write_binary(folder)

@@ -35,7 +35,6 @@ def make_cameras() -> list[TrueCamera]:
         (12.0, 5.0, 66.0, (0.0, 0.2, 0.0), 90.0),
         (11.5, -12.0, 9.0, middle, 12.0),
         (10.5, 48.0, 55.0, middle, -15.0),
-        (9.0, 3.0, 48.0, (0.0, -0.5, 0.0), 0.0),
     ]
     return [look_at(f"view{i:02d}.jpg", *pose) for i, pose in enumerate(poses)]
 
