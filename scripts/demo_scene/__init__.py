@@ -1,0 +1,1 @@
+"""The demo scene: its true geometry, its renders and its sparse model."""
