@@ -194,9 +194,8 @@ def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
 
 @needs_mesher
 def test_an_output_folder_is_judged(root, sparse, tmp_path):
-    from colmap_edges.pipeline import Paths, run
-
     from colmap_edges.options import PipelineOptions
+    from colmap_edges.pipeline import Paths, run
 
     paths = Paths(
         image_path=root / "Rectified" / "scan6", input_path=sparse, output_path=tmp_path / "out"
