@@ -14,6 +14,7 @@ from colmap_edges.options import ViewSelectionOptions
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
 MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
 
 
@@ -68,8 +69,9 @@ def depth_ranges(model: Model, observed: csr_array) -> FloatArray:
         depths = view.cam_from_world(model.points3D_xyz[seen])[:, 2]
         depths = depths[depths > 0]
         if len(depths) >= MIN_POINTS:
-            near, far = np.percentile(depths, [0.5, 99.5])
-            ranges[index] = 1 / (1.25 * far), 1 / (0.75 * near)
+            low, high = np.percentile(1 / depths, [0.5, 99.5])
+            margin = RANGE_MARGIN * (high - low) + 0.02 * low
+            ranges[index] = max(low - margin, 0.1 * low), high + margin
         else:
             ranges[index] = pose_range(model, index)
     return ranges
