@@ -6,7 +6,7 @@ import difflib
 import sys
 from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar, get_origin, get_type_hints
+from typing import Any, TypeGuard, TypeVar, get_type_hints
 
 import click
 
@@ -38,38 +38,25 @@ def group_name(group: type[Options]) -> str:
     return group.__name__.removesuffix("Options")
 
 
-def floats(value: Any) -> tuple[float, ...]:
-    """Take numbers between commas."""
-    return tuple(float(part) for part in str(value).strip("[]()").split(",") if part.strip())
-
-
-def flag_type(kind: Any, choices: tuple[str, ...] | None) -> tuple[Any, str | None]:
+def flag_type(kind: Any, choices: tuple[str, ...] | None) -> tuple[Any, str]:
     """The type click converts a flag's value to, and what help shows for it."""
     if choices:
         return click.Choice(choices, case_sensitive=False), "|".join(choices)
-    if get_origin(kind) is tuple:
-        return floats, "FLOAT,.."
     names = {bool: (zero_or_one, "0|1"), int: (int, "INT"), float: (float, "FLOAT")}
-    return names.get(kind, (str, None))
-
-
-def shown(default: Any) -> str:
-    """A default as it would be written on the command line."""
-    if isinstance(default, tuple):
-        return ",".join(map(str, default))
-    return str(int(default) if isinstance(default, bool) else default)
+    return names[kind]
 
 
 def make_flag(entry: Field[Any], kind: Any, group: str = "") -> click.Option:
     """Make the flag of one option; `group` is the name before the dot."""
     metadata = entry.metadata
     flag = f"{group}.{entry.name}" if group else entry.name
+    default = int(entry.default) if kind is bool else entry.default  # type: ignore[call-overload]
     kind, metavar = flag_type(kind, metadata.get("choices"))
     return click.Option(
         [f"--{flag}", parameter_name(flag)],
         type=kind,
         metavar=metavar,
-        help=f"{metadata['help']} [{shown(entry.default)}]",
+        help=f"{metadata['help']} [{default}]",
     )
 
 

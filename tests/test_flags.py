@@ -11,7 +11,7 @@ from colmap_edges.options import Options, PipelineOptions, option
 
 @dataclass(frozen=True, kw_only=True)
 class InnerOptions(Options):
-    radii_px: tuple[float, ...] = option((4.0, 2.0), "Radii, in pixels")
+    radius_px: float = option(4.0, "Radius, in pixels")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,10 +36,8 @@ def test_nothing_given_is_the_defaults():
 
 
 def test_values_reach_groups_within_groups():
-    options = parse("--Inner.radii_px", "5,2.5,1", "--outer.STEPS", "7", "--Outer.wanted", "0")
-    assert options == OuterOptions(
-        inner=InnerOptions(radii_px=(5.0, 2.5, 1.0)), steps=7, wanted=False
-    )
+    options = parse("--Inner.radius_px", "2.5", "--outer.STEPS", "7", "--Outer.wanted", "0")
+    assert options == OuterOptions(inner=InnerOptions(radius_px=2.5), steps=7, wanted=False)
 
 
 def test_ranges_are_checked():
@@ -47,7 +45,7 @@ def test_ranges_are_checked():
         parse("--Outer.steps", "0")
 
 
-@pytest.mark.parametrize("args", [["--Outer.steps", "1.5"], ["--Inner.radii_px", "1;2"]])
+@pytest.mark.parametrize("args", [["--Outer.steps", "1.5"], ["--Inner.radius_px", "wide"]])
 def test_wrong_types_are_usage_errors(args):
     with pytest.raises(click.UsageError):
         parse(*args)
