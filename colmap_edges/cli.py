@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,12 +19,13 @@ import click
 from colmap_edges import __version__
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
+from colmap_edges.options import PipelineOptions
 from colmap_edges.stages import Progress, no_progress
 
-RUN_FLAGS = {"num_threads", "random_seed"}
-DETECT_FLAGS = RUN_FLAGS | {"detection", "edge_graph"}
-RECONSTRUCT_FLAGS = DETECT_FLAGS | {"tracing", "output_type"}
-MESH_FLAGS = RECONSTRUCT_FLAGS | {"meshing", "use_edges"}
+# Options of each command.
+MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
+RECONSTRUCT_FLAGS = MESH_FLAGS - {"meshing", "use_edges"}
+DETECT_FLAGS = {"num_threads", "random_seed", "detection", "edge_graph"}
 # What to open the files of an output folder with.
 VIEWERS = {
     "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",

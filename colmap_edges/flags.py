@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import difflib
 import sys
-from dataclasses import Field, fields
+from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, TypeGuard, TypeVar, get_type_hints
 
 import click
 
 from colmap_edges.options import Options, PipelineOptions
 
-Flags = dict[str, tuple[str, str]]  # parameter's name -> (group's field or "", option's field)
+T = TypeVar("T", bound=Options)
 
 
 def zero_or_one(value: Any) -> bool:
@@ -28,25 +28,41 @@ def normalize(token: str) -> str:
     return token.lower().replace("-", "_")
 
 
+def is_group(kind: Any) -> TypeGuard[type[Options]]:
+    """Whether the type of a field is an option group."""
+    return is_dataclass(kind)
+
+
 def group_name(group: type[Options]) -> str:
     """COLMAP's name of an option group: EdgeGraphOptions is EdgeGraph."""
     return group.__name__.removesuffix("Options")
 
 
-def make_flag(entry: Field[Any], kind: type, group: str = "") -> click.Option:
+def flag_type(kind: Any, choices: tuple[str, ...] | None) -> tuple[Any, str]:
+    """The type click converts a flag's value to, and what help shows for it."""
+    if choices:
+        return click.Choice(choices, case_sensitive=False), "|".join(choices)
+    names = {bool: (zero_or_one, "0|1"), int: (int, "INT"), float: (float, "FLOAT")}
+    return names[kind]
+
+
+def make_flag(entry: Field[Any], kind: Any, group: str = "") -> click.Option:
     """Make the flag of one option; `group` is the name before the dot."""
     metadata = entry.metadata
-    types: dict[type, Any] = {bool: zero_or_one, int: int, float: float, str: str}
-    metavars = {bool: "0|1", int: "INT", float: "FLOAT"}
-    choices = metadata.get("choices")
     flag = f"{group}.{entry.name}" if group else entry.name
-    default = int(entry.default) if isinstance(entry.default, bool) else entry.default
+    default = int(entry.default) if kind is bool else entry.default  # type: ignore[call-overload]
+    kind, metavar = flag_type(kind, metadata.get("choices"))
     return click.Option(
-        [f"--{flag}", normalize(flag).replace(".", "__")],
-        type=click.Choice(choices, case_sensitive=False) if choices else types[kind],
-        metavar="|".join(choices) if choices else metavars.get(kind),
+        [f"--{flag}", parameter_name(flag)],
+        type=kind,
+        metavar=metavar,
         help=f"{metadata['help']} [{default}]",
     )
+
+
+def parameter_name(flag: str) -> str:
+    """The name under which click keeps the value of a flag."""
+    return normalize(flag).replace(".", "__")
 
 
 def make_flags(names: set[str]) -> list[click.Option]:
@@ -55,13 +71,21 @@ def make_flags(names: set[str]) -> list[click.Option]:
     hints = get_type_hints(PipelineOptions)
     for entry in fields(PipelineOptions):
         kind = hints[entry.name]
-        if entry.name not in names:
-            continue
-        if not issubclass(kind, Options):
-            flags.append(make_flag(entry, kind))
-            continue
-        inner = get_type_hints(kind)
-        flags += [make_flag(e, inner[e.name], group_name(kind)) for e in fields(kind)]
+        if entry.name in names:
+            flags += group_flags(kind) if is_group(kind) else [make_flag(entry, kind)]
+    return flags
+
+
+def group_flags(group: type[Options]) -> list[click.Option]:
+    """Make the flags of an option group and of the groups within it."""
+    hints = get_type_hints(group)
+    flags: list[click.Option] = []
+    for entry in fields(group):  # type: ignore[arg-type]
+        kind = hints[entry.name]
+        if is_group(kind):
+            flags += group_flags(kind)
+        else:
+            flags.append(make_flag(entry, kind, group_name(group)))
     return flags
 
 
@@ -71,16 +95,18 @@ def options_from_flags(values: dict[str, Any]) -> PipelineOptions:
     Raises:
         OptionError: when a value is out of its range.
     """
-    hints = get_type_hints(PipelineOptions)
+    return build_options(PipelineOptions, "", values)
+
+
+def build_options(group: type[T], prefix: str, values: dict[str, Any]) -> T:
+    """Make one group, and the groups within it, from the values of flags."""
     chosen: dict[str, Any] = {}
-    for name, kind in hints.items():
-        if issubclass(kind, Options):
-            prefix = normalize(group_name(kind)) + "__"
-            given = {e.name: values.get(prefix + normalize(e.name)) for e in fields(kind)}
-            chosen[name] = kind(**{k: v for k, v in given.items() if v is not None})
-        elif values.get(name) is not None:
-            chosen[name] = values[name]
-    return PipelineOptions(**chosen)
+    for name, kind in get_type_hints(group).items():
+        if is_group(kind):
+            chosen[name] = build_options(kind, f"{group_name(kind)}.", values)
+        elif values.get(parameter_name(prefix + name)) is not None:
+            chosen[name] = values[parameter_name(prefix + name)]
+    return group(**chosen)
 
 
 def read_config(ctx: click.Context, path: Path) -> dict[str, str]:

@@ -91,6 +91,8 @@ def run(
     """
     paths = Paths(**{name: path.resolve() for name, path in vars(paths).items()})
     check_paths(paths, overwrite)
+    if command == "mesh":
+        check_mesher()
     with new_folder(paths.output_path) as folder:
         stages = Stages(progress)
         with stages.stage("read") as stage:
@@ -160,6 +162,13 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
         if not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
     check_output_path(paths.output_path, [paths.image_path, paths.input_path], overwrite)
+
+
+def check_mesher() -> None:
+    """Check that the mesher is built, before work starts."""
+    from colmap_edges.meshing import load_extension
+
+    load_extension()
 
 
 def check_model(model: Model, where: str) -> None:
