@@ -37,6 +37,7 @@ VIEWERS = {
     "overlays": "pictures of the 2D edge graphs",
     "report.json": "options, versions, counts, times and memory of every stage",
 }
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
 class Command(click.Command):
@@ -183,6 +184,40 @@ def info(path: Path, verbose: bool) -> None:
         click.echo(describe(path))
 
 
+@click.command(cls=Command, name="evaluate")
+@click.option("--run_path", type=FOLDER, required=True, help="Output folder of mesh")
+@click.option("--input_path", type=FOLDER, required=True, help="COLMAP model it started from")
+@click.option(
+    "--reference_path",
+    type=click.Path(path_type=Path, exists=True),
+    help="Depth maps, mesh or point cloud; without it half of the model's points are held out",
+)
+@click.option(
+    "--curves_path",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="True 3D curves (.npz or .ply)",
+)
+@click.option("--image_path", type=FOLDER, help="Folder of the images, for --held_out_views")
+@click.option(
+    "--held_out_views",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Judge edges in every n-th image, left out of their reconstruction; 0 does not",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier evaluation")
+@click.option("--verbose", is_flag=True, help="Log each step; show where errors arise")
+def evaluate(verbose: bool, **values: Any) -> None:
+    """Judge an output folder: errors of its mesh and edges, with pictures."""
+    with one_line_errors(verbose):
+        from colmap_edges import evaluation  # heavy imports, after parsing
+
+        evaluation.run(**values)
+        output = values["run_path"] / "evaluation"
+        click.echo((output / "evaluation.md").read_text(encoding="utf-8"))
+        click.echo(f"Figures and pictures are in {output}")
+
+
 def version_text() -> str:
     """Versions of this program and of what it computes with."""
     parts = [f"colmap-edges {__version__}"]
@@ -218,6 +253,7 @@ cli.add_command(
     )
 )
 cli.add_command(info)
+cli.add_command(evaluate)
 
 
 def on_terminate(_signal: int, _frame: Any) -> NoReturn:

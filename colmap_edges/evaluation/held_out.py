@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -150,6 +151,7 @@ def left_out_view_errors(
     caster = RayCaster(surface.vertices, surface.faces)
     errors = []
     for view in unused:
-        chains = detect_chains(read_image(view, image_path), options.detection)
+        gray = cv2.cvtColor(read_image(view, image_path), cv2.COLOR_BGR2GRAY)
+        chains = detect_chains(np.asarray(gray, np.uint8), options.detection)
         errors.append(view_errors(found.points, view, chains.points, caster))
     return errors

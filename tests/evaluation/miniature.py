@@ -48,8 +48,12 @@ def surface_points(spacing=0.5):
 def write(root, scan=6, cameras=6):
     """Write the official layout below `root`."""
     generator = np.random.default_rng(3)
-    noise = [cv2.GaussianBlur(generator.uniform(0, 255, (n, n)), (0, 0), 1.6) for n in (900, 400)]
-    textures = [cv2.normalize(t, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8) for t in noise]
+    noise = [cv2.GaussianBlur(generator.uniform(0, 255, (n, n)), (0, 0), 2.5) for n in (900, 400)]
+    textures = [cv2.normalize(t, None, 60, 190, cv2.NORM_MINMAX).astype(np.uint8) for t in noise]
+    for texture in textures:  # frames and a disc, so that there are edges to trace
+        size = texture.shape[0]
+        cv2.rectangle(texture, (size // 5, size // 5), (size * 4 // 5, size * 4 // 5), 255, 12)
+        cv2.circle(texture, (size // 3, size // 2), size // 9, 0, -1)
     sample = root / "SampleSet" / "MVS Data"
     images, calibration = root / "Rectified" / f"scan{scan}", sample / "Calibration" / "cal18"
     for folder in (images, calibration, sample / "Points" / "stl", sample / "ObsMask"):

@@ -1,5 +1,6 @@
 import json
-from dataclasses import replace
+import subprocess
+import sys
 
 import miniature
 import numpy as np
@@ -8,7 +9,7 @@ import trimesh
 
 from colmap_edges import evaluation
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import benchmark, clouds, depth, dtu, held_out, tables
+from colmap_edges.evaluation import benchmark, clouds, curves, depth, dtu, held_out, results, tables
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
 from colmap_edges.triangulation import triangulate
@@ -192,20 +193,65 @@ def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
     assert errors["absolute"]["coverage"] > 0.9
 
 
-@needs_mesher
-def test_an_output_folder_is_judged(root, sparse, tmp_path):
+@pytest.fixture(scope="module")
+def run_path(root, sparse, tmp_path_factory):
+    """Output of `colmap-edges mesh` on the miniature."""
     from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline import Paths, run
 
-    paths = Paths(
-        image_path=root / "Rectified" / "scan6", input_path=sparse, output_path=tmp_path / "out"
-    )
-    run("mesh", paths, replace(PipelineOptions(), use_edges=False))
-    record = evaluation.run(tmp_path / "out", sparse)
-    assert record["held_out_points"]["SfM only"]["absolute"]["median"] < 0.15
-    assert "left-out points" in (tmp_path / "out" / "evaluation" / "evaluation.md").read_text()
+    out = tmp_path_factory.mktemp("run") / "out"
+    images = root / "Rectified" / "scan6"
+    run("mesh", Paths(image_path=images, input_path=sparse, output_path=out), PipelineOptions())
+    return out
+
+
+@needs_mesher
+def test_an_output_folder_is_judged(root, sparse, run_path):
+    images = root / "Rectified" / "scan6"
+    record = evaluation.run(run_path, sparse, image_path=images, held_out_views=6)
+    for kind in ("SfM only", "with edges"):
+        assert record["held_out_points"][kind]["absolute"]["median"] < 0.15
+    (view,) = record["held_out_views"]
+    assert view["view"] == "rect_004_max.png"
+    assert view["points"] > 30
+    assert view["within_2_px"] > 0.8 > 2 * view["chance_2_px"]
+    assert "left-out points" in (run_path / "evaluation" / "evaluation.md").read_text()
     with pytest.raises(ColmapEdgesError, match="exists"):
-        evaluation.run(tmp_path / "out", sparse)
+        evaluation.run(run_path, sparse)
+
+
+@needs_mesher
+def test_edges_are_read_back(sparse, run_path):
+    model = load_model(sparse)
+    found = results.load_edges(run_path, model)
+    written = curves.load_curves(run_path / "edges.ply")
+    np.testing.assert_allclose(found.points, written.points)
+    errors = [
+        np.linalg.norm(model.views[v].project(found.points[p][None])[0] - found.track_points2D[t])
+        for p in range(0, found.num_points, 7)
+        for t in range(*found.track_offsets[p : p + 2])
+        for v in [found.track_views[t]]
+    ]
+    assert len(errors) > 20
+    assert np.median(errors) < 1
+    records = json.loads((run_path / "edges.json").read_text())["edges"]
+    assert found.num_edges == len(records)
+
+
+@needs_mesher
+def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
+    reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
+    paths = ["--run_path", str(run_path), "--input_path", str(sparse)]
+    command = [sys.executable, "-m", "colmap_edges", "evaluate", *paths]
+    command += ["--reference_path", str(reference)]
+    done = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "| accuracy |" in done.stdout
+    assert "| reprojection median px |" in done.stdout
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 1
+    assert again.stderr.startswith("Error: ")
+    assert again.stderr.count("\n") == 1
 
 
 def test_a_folder_without_mesh_is_refused(tmp_path, sparse):
