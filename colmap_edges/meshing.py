@@ -183,6 +183,8 @@ def mesh_points(
         method=options.method,
         sigma_factor=options.sigma_factor,
         quality_weight=options.quality_weight,
+        vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
+        vote_threshold=options.vote_threshold,
         min_segment_factor=options.min_segment_factor,
         long_facet_factor=options.long_facet_factor,
         min_component_faces=options.min_component_faces,

@@ -174,13 +174,24 @@ class TracingOptions(Options):
 class MeshingOptions(Options):
     """Points and rays -> triangle mesh; every option is free of the model's unit."""
 
-    method: str = option("graphcut", "How cells are told apart: minimum cut", choices=("graphcut",))
+    method: str = option(
+        "graphcut",
+        "How free cells are told from solid ones: minimum cut, votes of rays, or votes with a "
+        "region that grows as a manifold (the paper's)",
+        choices=("graphcut", "carve", "manifold"),
+    )
     sigma_factor: float = option(
         1.0, "Softness of a point's depth (sigma), in lower quartiles of edge lengths", gt=0
     )
     quality_weight: float = option(
         0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0
     )
+    vote_crossed: float = option(
+        1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", ge=0
+    )
+    vote_near: float = option(0.2, "carve, manifold: vote for the cells around (w2)", ge=0)
+    vote_far: float = option(0.0, "carve, manifold: vote for the cells around those (w3)", ge=0)
+    vote_threshold: float = option(1.0, "carve, manifold: votes that make a cell free", gt=0)
     min_segment_factor: float = option(
         0.25,
         "Split 3D edges until they are edges of the mesh, down to this length in medians of their "

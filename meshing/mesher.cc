@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "conforming.h"
+#include "manifold_growth.h"
 #include "min_cut.h"
 
 namespace mesher {
@@ -166,12 +167,18 @@ Triangulation Triangulate(const MesherOptions& options, Scene& scene,
 std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, const Scene& scene,
                                          const MesherOptions& options, MesherResult& result,
                                          Stopwatch& watch) {
-  CutProblem problem =
-      VisibilityProblem(triangulation, scene.rays, scene.cameras, options.visibility);
+  if (options.method == "graphcut") {
+    CutProblem problem =
+        VisibilityProblem(triangulation, scene.rays, scene.cameras, options.visibility);
+    watch.Lap("visibility");
+    Cut cut = MinimumCut(triangulation.cells, std::move(problem));
+    result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
+    return std::move(cut.is_source);
+  }
+  const auto votes = CountVotes(triangulation, scene.rays, scene.cameras, options.votes);
   watch.Lap("visibility");
-  Cut cut = MinimumCut(triangulation.cells, std::move(problem));
-  result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
-  return std::move(cut.is_source);
+  auto is_free = FreeByVotes(votes, options.votes.threshold);
+  return options.method == "carve" ? is_free : GrowManifold(triangulation, votes, is_free);
 }
 
 void AddSurface(const MesherInput& input, const Scene& scene, const Triangulation& triangulation,
@@ -196,6 +203,8 @@ void AddSurface(const MesherInput& input, const Scene& scene, const Triangulatio
 
 MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) {
   CheckInput(input);
+  if (options.method != "graphcut" && options.method != "carve" && options.method != "manifold")
+    throw std::invalid_argument("unknown meshing method " + options.method);
   MesherResult result;
   Stopwatch watch(result.stats);
   Scene scene = MakeScene(input, result.stats);

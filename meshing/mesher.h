@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "free_space.h"
 #include "surface.h"
 #include "types.h"
 #include "visibility.h"
@@ -21,10 +22,11 @@ struct MesherInput {
 };
 
 struct MesherOptions {
-  std::string method = "graphcut";
+  std::string method = "graphcut";  // or "carve" or "manifold"
   // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
   double min_segment_factor = 0.25;
-  VisibilityOptions visibility;
+  VisibilityOptions visibility;  // of graphcut
+  VoteOptions votes;             // of carve and manifold
   SurfaceOptions surface;
 };
 
