@@ -72,26 +72,28 @@ inline Box2D EpipolarBox(const PinholeView& from, const PinholeView& to, Vec2 pi
           Vec2{std::max(a.x, b.x), std::max(a.y, b.y)} + margin};
 }
 
-// Crossings with the polylines of the other views that carry the label of the start's polyline.
-// depth_ranges holds (near, far) of each view.
-inline void CandidatesInPec(const EdgeField& field, ChainPosition start,
-                            const std::vector<int32_t>& labels, const int32_t* pec_views,
-                            int64_t num_pec_views, const double* depth_ranges,
+// Crossings with the polylines of a PEC (ascending) in the other views. depth_ranges holds (near,
+// far) of each view.
+inline void CandidatesInPec(const EdgeField& field, ChainPosition start, const int32_t* polylines,
+                            int64_t num_polylines, const double* depth_ranges,
                             std::vector<ChainPosition>* candidates) {
   const auto& views = field.views();
-  const int32_t from = field.ViewOf(start), label = labels[field.PolylineOf(start)];
+  const int32_t from = field.ViewOf(start);
   const Vec2 pixel = field.At(start);
-  std::vector<ChainPosition> crossings;
-  for (int64_t i = 0; i < num_pec_views; ++i) {
-    const int32_t to = pec_views[i];
-    Line2D line;
-    if (to == from || !EpipolarLine(views[from], views[to], pixel, &line)) continue;
-    const Box2D box = EpipolarBox(views[from], views[to], pixel, depth_ranges[2 * from],
-                                  depth_ranges[2 * from + 1]);
-    field.IntersectLine(to, line, box, &crossings);
-    for (const ChainPosition& at : crossings) {
-      if (labels[field.PolylineOf(at)] == label) candidates->push_back(at);
+  int32_t to = -1;
+  bool usable = false;
+  Line2D line{};
+  Box2D box;
+  for (int64_t i = 0; i < num_polylines; ++i) {
+    const int32_t view = field.ViewOfPolyline(polylines[i]);
+    if (view == from) continue;
+    if (view != to) {
+      to = view;
+      usable = EpipolarLine(views[from], views[to], pixel, &line);
+      box = EpipolarBox(views[from], views[to], pixel, depth_ranges[2 * from],
+                        depth_ranges[2 * from + 1]);
     }
+    if (usable) field.IntersectPolyline(polylines[i], line, box, candidates);
   }
 }
 

@@ -30,6 +30,10 @@ struct NearPolyline {
 
 struct Box2D {
   Vec2 min, max;
+  void Include(Vec2 p) {
+    min = {std::min(min.x, p.x), std::min(min.y, p.y)};
+    max = {std::max(max.x, p.x), std::max(max.y, p.y)};
+  }
   bool Contains(Vec2 p) const {
     return p.x >= min.x && p.x <= max.x && p.y >= min.y && p.y <= max.y;
   }
@@ -53,6 +57,7 @@ class EdgeField {
                 int32_t(p));
     }
     BuildGrids();
+    BuildChunks();
   }
 
   const std::vector<PinholeView>& views() const { return views_; }
@@ -60,6 +65,7 @@ class EdgeField {
   int64_t num_polylines() const { return int64_t(closed_.size()); }
   int32_t PolylineOf(ChainPosition at) const { return point_polylines_[at.segment]; }
   int32_t ViewOf(ChainPosition at) const { return polyline_views_[PolylineOf(at)]; }
+  int32_t ViewOfPolyline(int32_t polyline) const { return polyline_views_[polyline]; }
   bool IsClosed(int32_t polyline) const { return closed_[polyline] != 0; }
   int64_t First(int32_t polyline) const { return offsets_[polyline]; }
   int64_t Last(int32_t polyline) const { return offsets_[polyline + 1] - 1; }
@@ -183,6 +189,31 @@ class EdgeField {
     }
   }
 
+  // All places inside `box` where one polyline crosses the line, appended by ascending segment.
+  void IntersectPolyline(int32_t polyline, const Line2D& line, const Box2D& box,
+                         std::vector<ChainPosition>* crossings) const {
+    for (int64_t k = chunk_offsets_[polyline]; k < chunk_offsets_[polyline + 1]; ++k) {
+      const Box2D& bounds = chunk_boxes_[k];
+      const Vec2 half = 0.5 * (bounds.max - bounds.min);
+      const double distance = line.SignedDistance(bounds.min + half);
+      if (std::abs(distance) > std::abs(line.a) * half.x + std::abs(line.b) * half.y + 1e-6 ||
+          bounds.min.x > box.max.x || bounds.max.x < box.min.x || bounds.min.y > box.max.y ||
+          bounds.max.y < box.min.y) {
+        continue;
+      }
+      const int64_t first = First(polyline) + (k - chunk_offsets_[polyline]) * kChunk;
+      const int64_t last = std::min(first + kChunk - 1, Last(polyline));
+      for (int64_t i = first; i <= last; ++i) {
+        const int64_t next = Next(i);
+        ChainPosition at{i, 0};
+        if (next >= 0 && CrossingFraction(line, points_[i], points_[next], &at.fraction) &&
+            box.Contains(At(at))) {
+          crossings->push_back(at);
+        }
+      }
+    }
+  }
+
   // For each polyline of the view within `radius` px of the pixel the nearest place on it, by
   // ascending polyline.
   void FindNear(int32_t view, Vec2 pixel, double radius, std::vector<NearPolyline>* found) const {
@@ -282,6 +313,23 @@ class EdgeField {
     }
   }
 
+  // Bounding boxes of runs of kChunk segments of each polyline.
+  void BuildChunks() {
+    chunk_offsets_ = {0};
+    for (int32_t p = 0; p < num_polylines(); ++p) {
+      for (int64_t first = First(p); first <= Last(p); first += kChunk) {
+        Box2D box{points_[first], points_[first]};
+        for (int64_t i = first; i <= std::min(first + kChunk - 1, Last(p)); ++i) {
+          for (const int64_t end : {i, Next(i)}) {
+            if (end >= 0) box.Include(points_[end]);
+          }
+        }
+        chunk_boxes_.push_back(box);
+      }
+      chunk_offsets_.push_back(int64_t(chunk_boxes_.size()));
+    }
+  }
+
   template <typename Visit>
   void ForEachCell(const Grid& grid, int64_t i, const Visit& visit) const {
     const Vec2 a = points_[i] - grid.origin, b = points_[Next(i)] - grid.origin;
@@ -298,8 +346,7 @@ class EdgeField {
     constexpr double kInf = std::numeric_limits<double>::infinity();
     Box2D box{{kInf, kInf}, {-kInf, -kInf}};
     for (int64_t i = first; i < last; ++i) {
-      box.min = {std::min(box.min.x, points_[i].x), std::min(box.min.y, points_[i].y)};
-      box.max = {std::max(box.max.x, points_[i].x), std::max(box.max.y, points_[i].y)};
+      box.Include(points_[i]);
     }
     if (first == last) box = {{0, 0}, {0, 0}};
     grid->origin = box.min;
@@ -326,6 +373,9 @@ class EdgeField {
   double cell_px_;
   std::vector<int32_t> point_polylines_;
   std::vector<Grid> grids_;
+  static constexpr int64_t kChunk = 32;
+  std::vector<int64_t> chunk_offsets_;  // CSR of chunks by polyline
+  std::vector<Box2D> chunk_boxes_;
 };
 
 }  // namespace colmap_edges

@@ -97,8 +97,15 @@ class EdgeTracer {
   }
 
  private:
+  // A candidate and the point where its ray meets the start's, with the inverse of its distance.
+  struct Candidate {
+    ChainPosition at;
+    Vec3 point;
+    double inverse_distance;
+  };
   struct CandidateView {
-    std::vector<ChainPosition> candidates;
+    int32_t view;
+    std::vector<Candidate> candidates;  // by inverse distance
     double score = 0;
   };
   // Strands of one 3D edge point; the first is the leading view's. Signs are those of the
@@ -135,11 +142,20 @@ class EdgeTracer {
       const double sine = std::min(EpipolarSine(start, at), EpipolarSine(at, start));
       const double parallax = Norm(Cross(ray, ViewAt(at).Ray(field_.At(at))));
       if (sine < settings_.min_epipolar_sine) continue;
-      if (field_.ViewOf(at) != view) groups.emplace_back();
+      const std::array<Sighting, 2> pair = {Sighting{field_.ViewOf(start), field_.At(start)},
+                                            Sighting{field_.ViewOf(at), field_.At(at)}};
+      Vec3 point;
+      if (!Triangulate(field_.views().data(), pair.data(), 2, &point)) continue;
+      if (field_.ViewOf(at) != view) groups.push_back({field_.ViewOf(at), {}, 0});
       view = field_.ViewOf(at);
       const double score = sine * std::min(1.0, parallax / settings_.full_triangulation_sine);
-      groups.back().candidates.push_back(at);
+      groups.back().candidates.push_back({at, point, 1 / Norm(point - ViewAt(start).center)});
       groups.back().score = std::max(groups.back().score, score);
+    }
+    for (CandidateView& group : groups) {
+      std::stable_sort(
+          group.candidates.begin(), group.candidates.end(),
+          [](const auto& a, const auto& b) { return a.inverse_distance < b.inverse_distance; });
     }
     std::stable_sort(groups.begin(), groups.end(),
                      [](const auto& a, const auto& b) { return a.score > b.score; });
@@ -162,11 +178,11 @@ class EdgeTracer {
   // Number of different valid selections (at most 2) on three views; keeps the best of the first.
   int SelectUnique(ChainPosition start, const CandidateView& a, const CandidateView& b,
                    Selection* best) const {
-    for (const ChainPosition& at_a : a.candidates) {
-      for (const ChainPosition& at_b : b.candidates) {
-        if (!MayAgree(start, at_a, at_b)) continue;
+    for (const Candidate& first : a.candidates) {
+      const auto [begin, end] = MayAgree(first, a, b);
+      for (size_t k = begin; k < end; ++k) {
         Selection selection;
-        selection.strands = {{start, 1}, {at_a, 0}, {at_b, 0}};
+        selection.strands = {{start, 1}, {first.at, 0}, {b.candidates[k].at, 0}};
         if (!TriangulateStrands(selection.strands, &selection.point, &selection.error) ||
             selection.error > settings_.max_error_px || !MatchDirections(&selection)) {
           continue;
@@ -178,22 +194,28 @@ class EdgeTracer {
     return best->strands.empty() ? 0 : 1;
   }
 
-  // Cheap necessary test: the point of two views must project near the candidate of the third,
-  // within a slack for the error that triangulation may spread over the three.
-  bool MayAgree(ChainPosition start, ChainPosition a, ChainPosition b) const {
+  // The range of candidates of view b that may triangulate with a candidate of view a: a cheap
+  // necessary test. The point of the start and one candidate must project near the other, within
+  // a slack for the error that triangulation may spread over the three views.
+  std::pair<size_t, size_t> MayAgree(const Candidate& first, const CandidateView& a,
+                                     const CandidateView& b) const {
+    const PinholeView &view_a = field_.views()[a.view], &view_b = field_.views()[b.view];
+    const Vec2 pixel_a = field_.At(first.at);
+    Vec2 expected;
+    const bool projects = view_b.Project(first.point, &expected);
     const double slack = 4 * settings_.max_error_px;
-    const std::array<Sighting, 3> s = {Sighting{field_.ViewOf(start), field_.At(start)},
-                                       Sighting{field_.ViewOf(a), field_.At(a)},
-                                       Sighting{field_.ViewOf(b), field_.At(b)}};
-    const auto agrees = [&](const Sighting& second, const Sighting& third) {
-      const std::array<Sighting, 2> pair = {s[0], second};
-      Vec3 point;
+    const auto agrees = [&](const Candidate& second) {
       Vec2 pixel;
-      return TriangulateLinear(field_.views().data(), pair.data(), 2, &point) &&
-             field_.views()[third.view].Project(point, &pixel) &&
-             Norm(pixel - third.pixel) <= slack;
+      return (projects && Norm(field_.At(second.at) - expected) <= slack) ||
+             (view_a.Project(second.point, &pixel) && Norm(pixel - pixel_a) <= slack);
     };
-    return agrees(s[1], s[2]) || agrees(s[2], s[1]);
+    const auto nearest = std::lower_bound(
+        b.candidates.begin(), b.candidates.end(), first.inverse_distance,
+        [](const Candidate& c, double value) { return c.inverse_distance < value; });
+    size_t begin = nearest - b.candidates.begin(), end = begin;
+    while (begin > 0 && agrees(b.candidates[begin - 1])) --begin;
+    while (end < b.candidates.size() && agrees(b.candidates[end])) ++end;
+    return {begin, end};
   }
 
   // Whether two selections are one 3D point as far as the views of the first can tell.
@@ -336,8 +358,14 @@ class EdgeTracer {
     }
     for (const CandidateView& group : groups) {
       Selection best;
-      for (const ChainPosition& at : group.candidates) {
-        if (SeenFrom(field_.ViewOf(at), selection->strands)) break;
+      if (SeenFrom(group.view, selection->strands)) continue;
+      for (const Candidate& candidate : group.candidates) {
+        const ChainPosition at = candidate.at;
+        Vec2 pixel;
+        if (!ViewAt(at).Project(selection->point, &pixel) ||
+            Norm(pixel - field_.At(at)) > 4 * settings_.max_error_px) {
+          continue;
+        }
         Selection extended = *selection;
         extended.strands.push_back({at, 0});
         if (!TriangulateStrands(extended.strands, &extended.point, &extended.error) ||

@@ -206,20 +206,15 @@ nb::tuple CandidatesInSpheresArrays(const EdgeField& field, Longs start_segments
   return ToPositionArrays(std::move(offsets), all);
 }
 
-// Views of the polylines of each label, ascending: CSR.
-std::vector<int64_t> ViewsOfLabels(const EdgeField& field, const std::vector<int32_t>& labels,
-                                   std::vector<int32_t>* all) {
+// Polylines of each label, ascending: CSR.
+std::vector<int64_t> PolylinesOfLabels(const Ints& labels, std::vector<int32_t>* all) {
   int32_t num_labels = 0;
-  for (const int32_t label : labels) num_labels = std::max(num_labels, label + 1);
-  std::vector<std::vector<int32_t>> views(num_labels);
+  for (size_t p = 0; p < labels.size(); ++p) num_labels = std::max(num_labels, labels(p) + 1);
+  std::vector<std::vector<int32_t>> members(num_labels);
   for (size_t p = 0; p < labels.size(); ++p) {
-    if (labels[p] < 0 || field.First(int32_t(p)) > field.Last(int32_t(p))) continue;
-    const int32_t view = field.ViewOf({field.First(int32_t(p)), 0});
-    if (views[labels[p]].empty() || views[labels[p]].back() != view) {
-      views[labels[p]].push_back(view);
-    }
+    if (labels(p) >= 0) members[labels(p)].push_back(int32_t(p));
   }
-  return Concatenate(&views, all);
+  return Concatenate(&members, all);
 }
 
 nb::tuple CandidatesInPecsArrays(const EdgeField& field, Longs start_segments,
@@ -232,16 +227,15 @@ nb::tuple CandidatesInPecsArrays(const EdgeField& field, Longs start_segments,
   std::vector<int64_t> offsets;
   {
     nb::gil_scoped_release release;
-    const std::vector<int32_t> label_of(labels.data(), labels.data() + labels.size());
-    std::vector<int32_t> views;
-    const std::vector<int64_t> view_offsets = ViewsOfLabels(field, label_of, &views);
+    std::vector<int32_t> members;
+    const std::vector<int64_t> member_offsets = PolylinesOfLabels(labels, &members);
     std::vector<std::vector<ChainPosition>> found(starts.size());
     ParallelFor(int64_t(starts.size()), num_threads, 16, [&](int64_t i) {
-      const int32_t label = label_of[field.PolylineOf(starts[i])];
+      const int32_t label = labels(field.PolylineOf(starts[i]));
       if (label < 0) return;
-      CandidatesInPec(field, starts[i], label_of, views.data() + view_offsets[label],
-                      view_offsets[label + 1] - view_offsets[label], depth_ranges.data(),
-                      &found[i]);
+      const int64_t first = member_offsets[label];
+      CandidatesInPec(field, starts[i], members.data() + first, member_offsets[label + 1] - first,
+                      depth_ranges.data(), &found[i]);
     });
     offsets = Concatenate(&found, &all);
   }
