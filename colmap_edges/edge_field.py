@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.kernels import _kernels
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 
 FloatArray = NDArray[np.float64]

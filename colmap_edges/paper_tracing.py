@@ -21,21 +21,22 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.following import follow_edges
 from colmap_edges.matching import match_polylines
 from colmap_edges.model import Model
-from colmap_edges.options import PaperTracingOptions
+from colmap_edges.options import PipelineOptions
 from colmap_edges.visibility import expand_visibility, filter_outliers, sample_edges
 
 logger = logging.getLogger(__name__)
 
 
 def trace_edges_paper(
-    model: Model, graphs: Sequence[EdgeGraph], options: PaperTracingOptions, num_threads: int = 1
+    model: Model, graphs: Sequence[EdgeGraph], options: PipelineOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct 3D edges as the paper does.
 
     Args:
         model: posed views and SfM points.
         graphs: the edge graph of each view, in the model's order.
-        options: every parameter of the paper.
+        options: the groups matching, correspondence, following, visibility and sampling hold
+            every parameter of the paper.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
@@ -59,13 +60,13 @@ def trace_edges_paper(
 
 
 def generate_pepcs(
-    model: Model, field: EdgeField, options: PaperTracingOptions, num_threads: int
+    model: Model, field: EdgeField, options: PipelineOptions, num_threads: int
 ) -> tuple[Pepcs, dict[str, Any]]:
     """PEPCs of the chosen strategies, those from SfM points first, each in random order."""
-    seed, strategy = options.random_seed, options.correspondences.strategy
+    seed, strategy = options.random_seed, options.correspondence.strategy
     parts, stats = [], {}
     if strategy in ("sfm_points", "both"):
-        found = pepcs_from_sfm_points(model, field, options.correspondences, num_threads)
+        found = pepcs_from_sfm_points(model, field, options.correspondence, num_threads)
         parts.append(shuffle_pepcs(found, seed))
         stats["pepcs_from_sfm_points"] = len(found)
     if strategy in ("pecs", "both"):
@@ -73,7 +74,7 @@ def generate_pepcs(
         stats["polylines"] = len(pecs)
         stats["matched_polylines"] = int(np.count_nonzero(pecs >= 0))
         stats["pecs"] = int(pecs.max(initial=-1)) + 1
-        found = pepcs_from_pecs(model, field, pecs, options.correspondences, num_threads)
+        found = pepcs_from_pecs(model, field, pecs, options.correspondence, num_threads)
         parts.append(shuffle_pepcs(found, seed))
         stats["pepcs_from_pecs"] = len(found)
     return join_pepcs(parts), {"pepcs": stats}

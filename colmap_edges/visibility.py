@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.edges import Edges3D
-from colmap_edges.kernels import _kernels
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import SamplingOptions, VisibilityOptions
 
 FloatArray = NDArray[np.float64]

@@ -527,7 +527,7 @@ inline std::vector<Edge3D> TraceEdges(const EdgeField& field, const Pepcs& pepcs
   };
   for (int64_t begin = 0; begin < pepcs.num_starts; begin += kBatch) {
     const int64_t count = std::min(kBatch, pepcs.num_starts - begin);
-    ParallelFor(count, num_threads, 8, [&](int64_t k) { trace(begin + k, &batch[k]); });
+    ParallelBlocks(count, num_threads, 8, [&](int64_t k) { trace(begin + k, &batch[k]); });
     for (int64_t k = 0; k < count; ++k) {
       const int64_t i = begin + k;
       if ((*outcomes)[i] != StartOutcome::kAccepted) continue;

@@ -117,7 +117,7 @@ nb::tuple FindNearArrays(const EdgeField& field, Ints views, Points2D pixels, Do
   {
     nb::gil_scoped_release release;
     std::vector<std::vector<NearPolyline>> found(count);
-    ParallelFor(int64_t(count), num_threads, 256, [&](int64_t i) {
+    ParallelBlocks(int64_t(count), num_threads, 256, [&](int64_t i) {
       thread_local std::vector<NearPolyline> near;
       field.FindNear(views(i), {pixels(i, 0), pixels(i, 1)}, radii_px(i), &near);
       if (!near.empty()) found[i] = near;
@@ -151,7 +151,7 @@ nb::tuple IntersectLinesArrays(const EdgeField& field, Ints views, Points3D line
     nb::gil_scoped_release release;
     const Box2D everywhere{{-INFINITY, -INFINITY}, {INFINITY, INFINITY}};
     std::vector<std::vector<ChainPosition>> found(count);
-    ParallelFor(int64_t(count), num_threads, 64, [&](int64_t i) {
+    ParallelBlocks(int64_t(count), num_threads, 64, [&](int64_t i) {
       const double norm = std::hypot(lines(i, 0), lines(i, 1));
       if (!(norm > 0)) return;
       const Line2D line = {lines(i, 0) / norm, lines(i, 1) / norm, lines(i, 2) / norm};
@@ -193,7 +193,7 @@ nb::tuple CandidatesInSpheresArrays(const EdgeField& field, Longs start_segments
   {
     nb::gil_scoped_release release;
     std::vector<std::vector<ChainPosition>> found(starts.size());
-    ParallelFor(int64_t(starts.size()), num_threads, 64, [&](int64_t i) {
+    ParallelBlocks(int64_t(starts.size()), num_threads, 64, [&](int64_t i) {
       const int64_t s = start_spheres(i);
       const SearchSphere sphere = {{centers(s, 0), centers(s, 1), centers(s, 2)},
                                    radii(s),
@@ -230,7 +230,7 @@ nb::tuple CandidatesInPecsArrays(const EdgeField& field, Longs start_segments,
     std::vector<int32_t> members;
     const std::vector<int64_t> member_offsets = PolylinesOfLabels(labels, &members);
     std::vector<std::vector<ChainPosition>> found(starts.size());
-    ParallelFor(int64_t(starts.size()), num_threads, 16, [&](int64_t i) {
+    ParallelBlocks(int64_t(starts.size()), num_threads, 16, [&](int64_t i) {
       const int32_t label = labels(field.PolylineOf(starts[i]));
       if (label < 0) return;
       const int64_t first = member_offsets[label];
@@ -253,7 +253,7 @@ nb::tuple TriangulateTracksArrays(Rotations R, Points3D t, Doubles focal_px, Lon
   std::vector<double> points(3 * count), errors(count);
   {
     nb::gil_scoped_release release;
-    ParallelFor(int64_t(count), num_threads, 256, [&](int64_t i) {
+    ParallelBlocks(int64_t(count), num_threads, 256, [&](int64_t i) {
       thread_local std::vector<Sighting> sightings;
       sightings.clear();
       for (int64_t k = offsets(i); k < offsets(i + 1); ++k) {
