@@ -144,8 +144,13 @@ class RefinementOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class TracingOptions(Options):
-    """From depths along chains to 3D edges."""
+    """From edge graphs to 3D edges; all but the method concerns the depths along chains."""
 
+    method: str = option(
+        "chains",
+        "How edges are traced: by depths along chains, or by the paper's correspondences",
+        choices=("chains", "paper"),
+    )
     max_cross_check_px: float = option(
         3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
     )
@@ -167,6 +172,94 @@ class TracingOptions(Options):
     min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
     min_observations: int = option(
         4, "Observations that an edge point must have (paper: k_v)", ge=2
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchingOptions(Options):
+    """Polyline similarity and PECs (paper: Edge Matching and PEC generation)."""
+
+    max_point_distance_px: float = option(
+        10.0, "Largest distance of an SfM point that is close to a polyline (d_s), in pixels", gt=0
+    )
+    min_similarity: float = option(
+        0.1, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
+    )
+    resolution: float = option(
+        1.0, "Resolution of the Louvain communities; larger makes smaller PECs", gt=0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrespondenceOptions(Options):
+    """Potential edge-point correspondences (paper: PEPC generation)."""
+
+    strategy: str = option("both", "Where PEPCs come from", choices=("both", "sfm_points", "pecs"))
+    inner_radius_px: float = option(
+        10.0,
+        "Radius around an SfM point in which starts are sought (r_I), in sharpest pixels",
+        gt=0,
+    )
+    outer_radius_px: float = option(
+        30.0, "Radius in which correspondences are sought (r_O), in sharpest pixels", gt=0
+    )
+    sample_spacing_px: float = option(
+        20.0, "Distance between starts along the polylines of a PEC, in pixels", gt=0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowingOptions(Options):
+    """PEPC validation and 3D edge generation (paper: PEPC validation)."""
+
+    step_px: float = option(
+        10.0, "Walk along the leading polyline between edge points, in pixels", gt=0
+    )
+    max_error_px: float = option(
+        2.0, "Largest reprojection error of a valid triangulation (epsilon), in pixels", gt=0
+    )
+    max_step_ratio: float = option(
+        4.0, "Longest walk in another view for one step, in expected steps", ge=1
+    )
+    min_epipolar_angle_deg: float = option(
+        10.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
+    )
+    full_triangulation_angle_deg: float = option(
+        10.0, "Triangulation angle from which a view counts fully when views are chosen", gt=0
+    )
+    max_stretch: float = option(
+        10.0, "Longest 3D step, relative to the same step seen frontally", ge=1
+    )
+    min_steps: int = option(
+        2, "Directions that must be followable from a start (1 or 2)", ge=1, le=2
+    )
+    max_view_triples: int = option(
+        3, "Triples of views tried, best conditioned first, until a selection is valid", ge=1
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibilityOptions(Options):
+    """Visibility refinement and outlier filter (paper: Visibility refinement)."""
+
+    max_distance_px: float = option(
+        4.0, "Distance within which a further view's polyline is sought (d_v), in pixels", gt=0
+    )
+    max_error_px: float = option(
+        2.0, "Largest reprojection error with the new observation, in pixels", gt=0
+    )
+    max_tangent_angle_deg: float = option(
+        20.0, "Largest angle between the projected edge and the polyline, in degrees", ge=0, le=90
+    )
+    min_views: int = option(4, "Smallest number of views of a 3D edge, whatever the median", ge=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingOptions(Options):
+    """Fine sampling of 3D edges to edge points."""
+
+    spacing_px: float = option(
+        2.0, "Distance between edge points, in pixels of the sharpest view", gt=0
     )
 
 
@@ -215,6 +308,11 @@ class PipelineOptions(Options):
     chain_depth: ChainDepthOptions = field(default_factory=ChainDepthOptions)
     tracing: TracingOptions = field(default_factory=TracingOptions)
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
+    following: FollowingOptions = field(default_factory=FollowingOptions)
+    visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
+    sampling: SamplingOptions = field(default_factory=SamplingOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))

@@ -268,11 +268,13 @@ def trace_stage(
     model: Model, graphs: list[EdgeGraph], options: PipelineOptions, stages: Stages
 ) -> Edges3D:
     """Reconstruct 3D edges from the 2D edge graphs."""
+    from colmap_edges.paper_tracing import trace_edges_paper
     from colmap_edges.tracing import trace_edges
 
     edges: Edges3D
+    trace = trace_edges_paper if options.tracing.method == "paper" else trace_edges
     with stages.stage("trace") as stage:
-        edges, stats = trace_edges(model, graphs, options, thread_count(options))
+        edges, stats = trace(model, graphs, options, thread_count(options))
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
         stage.counts["details"] = plain_counts(stats)
     return edges

@@ -9,6 +9,7 @@
 #include "edge_view.h"
 #include "polyline.h"
 #include "subpixel.h"
+#include "tracing_bindings.h"
 
 namespace colmap_edges {
 namespace {
@@ -172,4 +173,5 @@ NB_MODULE(_kernels, m) {
         "(N,) positions on the view's chains that observe the 3D points, -1 where none.");
   m.def("chain_points", &colmap_edges::ChainPointsArrays, "view"_a, "positions"_a,
         "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
+  colmap_edges::BindTracing(m);
 }

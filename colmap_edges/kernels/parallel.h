@@ -35,4 +35,12 @@ void ParallelFor(int64_t count, int num_threads, const Work& work) {
   if (error) std::rethrow_exception(error);
 }
 
+// Calls body(i) once for each i in [0, count), for cheap bodies: items are handed out in blocks.
+template <typename Body>
+void ParallelBlocks(int64_t count, int num_threads, int64_t block, const Body& body) {
+  ParallelFor((count + block - 1) / block, num_threads, [&](int64_t b, int) {
+    for (int64_t i = b * block; i < std::min((b + 1) * block, count); ++i) body(i);
+  });
+}
+
 }  // namespace colmap_edges
