@@ -2,7 +2,7 @@
 
 Needs, in an environment of its own with Python 3.11 (Blender's wheel has no other):
     pip install bpy==5.0.1 manifold3d==3.5.4 pillow pycolmap==4.2.1
-Everything is seeded; the renders take about ten minutes on two cores.
+Everything is seeded; a render takes about 20 s on two cores.
 """
 
 from __future__ import annotations
