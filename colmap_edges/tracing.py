@@ -138,10 +138,9 @@ def curves_of_view(
     indices, inverse, runs = indices[free], inverse[free], runs[free]
     # A covered stretch ends a curve as the end of its run does.
     broken = np.ones(len(indices), bool)
-    if len(indices):
-        broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.point_spacing_px)
+    broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.point_spacing_px)
     ids = np.cumsum(broken) - 1
-    long = np.bincount(ids)[ids] >= options.min_curve_points if len(ids) else free
+    long = np.bincount(ids, minlength=1)[ids] >= options.min_curve_points
     indices, inverse, ids = indices[long], inverse[long], ids[long]
     lengths = np.unique(ids, return_counts=True)[1]
     tangent = _kernels.chain_points(scene.edge_views[view], indices.astype(np.float64))[1]
