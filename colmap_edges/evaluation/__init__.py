@@ -71,7 +71,9 @@ def run(
             reference_depth_path=reference_path if _is_folder(reference_path) else None,
         )
     if held_out_views and image_path is not None:
-        errors = held_out.left_out_view_errors(input_path, image_path, held_out_views)
+        errors = held_out.left_out_view_errors(
+            input_path, image_path, held_out_views, pictures_path=output
+        )
         record["held_out_views"] = [asdict(error) for error in errors]
     (output / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
     (output / "evaluation.md").write_text(tables.run_tables(record) + "\n")

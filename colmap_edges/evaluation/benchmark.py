@@ -31,12 +31,14 @@ class Reference:
 
     Attributes:
         depths: Depth maps: meshes are judged by them, and points without `points`.
-        points: (N, 3) dense cloud: points are judged by it.
+        points: (N, 3) dense cloud: points are judged by their distance to it.
+        surface: Mesh: the same, where there is no cloud.
         dtu: DTU's benchmark data.
     """
 
     depths: Sequence[depth.ReferenceDepth] = ()
     points: FloatArray | None = None
+    surface: Any = None
     dtu: dtu.DtuReference | None = None
 
 
@@ -207,14 +209,7 @@ def points_of_edges(found: Edges3D, model: Model) -> Model:
 
 def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | None) -> Record:
     """Errors of a mesh and of the points that a method adds (of all points without edges)."""
-    record: Record = {"faces": len(mesh.faces), "points": {"count": len(points.points3D_xyz)}}
-    if reference.points is not None:
-        distances = clouds.cloud_to_cloud(points.points3D_xyz, reference.points)
-        record["points"] |= asdict(summarize(distances)) | {"of": "distance to the cloud"}
-    elif reference.depths:
-        errors = edges.depth_window_errors(points, reference.depths, relative=False)
-        record["points"] |= asdict(summarize(errors)) | {"of": "depth in observing views"}
-        record["points"]["count"] = len(points.points3D_xyz)
+    record: Record = {"faces": len(mesh.faces), "points": point_errors(points, reference)}
     if reference.depths:
         caster = RayCaster(mesh.vertices, mesh.faces)
         results = [depth.depth_errors(caster, known) for known in reference.depths]
@@ -225,6 +220,22 @@ def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | No
     if reference.dtu is not None:
         record["dtu"] = asdict(dtu.evaluate_mesh(mesh, reference.dtu))
     return record
+
+
+def point_errors(points: Model, reference: Reference) -> Record:
+    """Statistics of points against the reference (see the module's tables) and their number."""
+    xyz = points.points3D_xyz
+    if reference.points is not None:
+        errors, of = clouds.cloud_to_cloud(xyz, reference.points), "distance to the cloud"
+    elif reference.surface is not None:
+        mesh = reference.surface
+        errors, of = clouds.cloud_to_mesh(xyz, mesh.vertices, mesh.faces), "distance to the mesh"
+    elif reference.depths:
+        errors = edges.depth_window_errors(points, reference.depths, relative=False)
+        of = "depth in observing views"
+    else:
+        return {"count": len(xyz)}
+    return asdict(summarize(errors)) | {"of": of, "count": len(xyz)}
 
 
 def file_reference(path: Path | None) -> Callable[[Model], Reference]:
@@ -240,7 +251,8 @@ def file_reference(path: Path | None) -> Callable[[Model], Reference]:
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
         if len(getattr(geometry, "faces", ())):
             caster = RayCaster(vertices, geometry.faces)
-            return Reference(depths=depth.render_references(caster, [view]), points=vertices)
+            depths = depth.render_references(caster, [view])
+            return Reference(depths=depths, surface=geometry)
         return Reference(depths=[depth.cloud_depth(vertices, view)], points=vertices)
 
     return read

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import depth
+from colmap_edges.evaluation import depth, pictures
 from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import summarize
@@ -82,13 +82,10 @@ def left_out_views(views: Sequence[View], every: int) -> list[View]:
     return list(views[every // 2 :: every])
 
 
-def view_errors(
-    points: FloatArray, view: View, chains: FloatArray, caster: RayCaster | None, seed: int = 0
-) -> ViewErrors:
-    """Distances of edge points (N, 3) in `view` to the chain points (M, 2) detected there.
+def unhidden_pixels(points: FloatArray, view: View, caster: RayCaster | None) -> FloatArray:
+    """Projections (M, 2) of those points (N, 3) that fall into the image unhidden.
 
-    A point that the mesh of `caster` hides by more than three pixels' length at its depth is left
-    out.
+    Hidden is what the mesh of `caster` covers by more than three pixels' length at its depth.
     """
     pixels, depths = view.project(points)
     with np.errstate(invalid="ignore"):
@@ -96,9 +93,14 @@ def view_errors(
     if caster is not None and seen.any():
         along = caster.cast(view.center, points[seen] - view.center)
         seen[seen] = ~(along < 1 - 3 / view.focal_px)
+    return pixels[seen]
+
+
+def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 0) -> ViewErrors:
+    """Distances of reprojected edge points (N, 2) to the chain points (M, 2) detected there."""
     size = np.array([view.width, view.height])
     random = np.random.default_rng(seed).uniform(0, 1, (10_000, 2)) * size
-    distance, chance = (_distances(p, chains) for p in (pixels[seen], random))
+    distance, chance = (_distances(p, chains) for p in (pixels, random))
     nan = float("nan")
     shares = [float(np.mean(distance < d)) if len(distance) else nan for d in (1, 2)]
     return ViewErrors(
@@ -119,11 +121,17 @@ def _distances(pixels: FloatArray, chains: FloatArray) -> NDArray[np.float64]:
 
 
 def left_out_view_errors(
-    input_path: Path, image_path: Path, every: int = 5, options: Any = None
+    input_path: Path,
+    image_path: Path,
+    every: int = 5,
+    *,
+    options: Any = None,
+    pictures_path: Path | None = None,
 ) -> list[ViewErrors]:
     """Reconstruct edges without every `every`-th image and reproject them into those images.
 
-    Points are taken as hidden where a mesh of the used points and edges hides them.
+    Points are taken as hidden where a mesh of the used points and edges hides them. With
+    `pictures_path`, an overlay a view shows them coloured by distance, 0 to 3 pixels.
 
     Raises:
         ColmapEdgesError: Too few images are left, or an image cannot be read.
@@ -151,7 +159,15 @@ def left_out_view_errors(
     caster = RayCaster(surface.vertices, surface.faces)
     errors = []
     for view in unused:
-        gray = cv2.cvtColor(read_image(view, image_path), cv2.COLOR_BGR2GRAY)
-        chains = detect_chains(np.asarray(gray, np.uint8), options.detection)
-        errors.append(view_errors(found.points, view, chains.points, caster))
+        image = read_image(view, image_path)
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        chains = detect_chains(gray, options.detection).points
+        pixels = unhidden_pixels(found.points, view, caster)
+        errors.append(view_errors(pixels, view, chains))
+        if pictures_path is not None:
+            faint = cv2.cvtColor(gray // 2 + 110, cv2.COLOR_GRAY2BGR)
+            picture = pictures.draw_points(
+                np.asarray(faint, np.uint8), pixels, _distances(pixels, chains), 3.0
+            )
+            pictures.write_png(pictures_path / pictures.file_name("held_out", view.name), picture)
     return errors

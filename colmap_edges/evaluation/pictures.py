@@ -44,9 +44,13 @@ def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str =
     largest = largest or 1.0
     folder.mkdir(parents=True, exist_ok=True)
     for result in results:
-        name = Path(result.name).with_suffix("").as_posix().replace("/", "_")
         title = f"|depth error| {result.name}, magenta: no mesh, grey: no reference"
-        write_png(folder / f"{prefix}_{name}.png", error_map(result, largest, title))
+        write_png(folder / file_name(prefix, result.name), error_map(result, largest, title))
+
+
+def file_name(prefix: str, view_name: str) -> str:
+    """Name of the picture of a view."""
+    return f"{prefix}_{Path(view_name).with_suffix('').as_posix().replace('/', '_')}.png"
 
 
 def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest: float) -> Picture:

@@ -90,6 +90,20 @@ def test_mesh_shifted_by_one_mm_against_the_cloud(sparse):
     assert record["mesh"]["count"] == np.count_nonzero(truth.depth)
 
 
+def test_a_reference_mesh_judges_points_by_its_surface(sparse, tmp_path):
+    model = load_model(sparse)
+    corners = np.array([(-200, -200, 0.0), (200, -200, 0), (200, 200, 0), (-200, 200, 0)])
+    truth = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
+    truth.export(tmp_path / "truth.ply")
+    reference = benchmark.file_reference(tmp_path / "truth.ply")(model)
+    record = benchmark.measure(truth, model, reference, tmp_path)
+    expected = np.abs(model.points3D_xyz[:, 2])
+    assert record["points"]["mae"] == pytest.approx(expected.mean(), rel=1e-5)
+    assert record["mesh"]["rmse"] < 1e-4
+    assert record["mesh"]["coverage"] == 1.0
+    assert len(list(tmp_path.glob("depth_*.png"))) == 1
+
+
 def test_splitting_leaves_no_point_out(sparse):
     model = load_model(sparse)
     used, left = held_out.split_points(model)
@@ -107,8 +121,10 @@ def test_reprojected_edges_in_an_unused_view(sparse):
     hidden = border - [0, 3, 4]
     corners = [(x, y, miniature.HEIGHT) for x, y in ((-12, -12), (12, -12), (12, 12), (-12, 12))]
     caster = RayCaster(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)]))
-    chains = view.project(np.repeat(border, 4, axis=0) * [1, 1, 1])[0] + [0, 1.5]
-    errors = held_out.view_errors(np.concatenate([border, hidden]), view, chains, caster)
+    chains = view.project(np.repeat(border, 4, axis=0))[0] + [0, 1.5]
+    pixels = held_out.unhidden_pixels(np.concatenate([border, hidden]), view, caster)
+    np.testing.assert_allclose(pixels, view.project(border)[0])
+    errors = held_out.view_errors(pixels, view, chains)
     assert errors.points == 50
     assert errors.median_px == pytest.approx(1.5, abs=0.2)
     assert (errors.within_1_px, errors.within_2_px) == (0, 1)
@@ -214,6 +230,7 @@ def test_an_output_folder_is_judged(root, sparse, run_path):
     (view,) = record["held_out_views"]
     assert view["view"] == "rect_004_max.png"
     assert view["points"] > 30
+    assert (run_path / "evaluation" / "held_out_rect_004_max.png").is_file()
     assert view["within_2_px"] > 0.8 > 2 * view["chance_2_px"]
     assert "left-out points" in (run_path / "evaluation" / "evaluation.md").read_text()
     with pytest.raises(ColmapEdgesError, match="exists"):
