@@ -1,0 +1,77 @@
+#!/usr/bin/env python3
+"""Triangulate lines with LIMAP 2.0 on a COLMAP model, for comparison.
+
+Needs an environment of its own: pip install pylimap==2.0.0 (brings OpenCV and pycolmap). Segments
+are OpenCV's LSD, the longest of each image; each line is paired with every line of the views that
+share most SfM points; everything else is LIMAP's default.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import limap.geometry
+import limap.scene
+import limap.sfm
+import numpy as np
+import pycolmap
+
+
+def detect(path: Path, count: int) -> list[limap.geometry.Line2d]:
+    gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    found = cv2.createLineSegmentDetector().detect(gray)[0].reshape(-1, 4).astype(float)
+    lengths = np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1])
+    longest = found[np.argsort(-lengths)[:count]] + 0.5
+    return [limap.geometry.Line2d(ends[:2], ends[2:]) for ends in longest]
+
+
+def neighbors(reconstruction: pycolmap.Reconstruction, count: int) -> dict[int, list[int]]:
+    """Views that share most points; among equals the nearest."""
+    images = reconstruction.images
+    seen = {
+        i: {p.point3D_id for p in image.points2D if p.has_point3D()} for i, image in images.items()
+    }
+    centers = {i: image.projection_center() for i, image in images.items()}
+    return {
+        i: sorted(
+            (j for j in images if j != i),
+            key=lambda j: (-len(seen[i] & seen[j]), np.linalg.norm(centers[i] - centers[j])),
+        )[:count]
+        for i in images
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--image_path", type=Path, required=True)
+    parser.add_argument("--input_path", type=Path, required=True)
+    parser.add_argument("--output_path", type=Path, required=True)
+    parser.add_argument("--max_segments", type=int, default=1500)
+    parser.add_argument("--num_neighbors", type=int, default=6)
+    arguments = parser.parse_args()
+
+    reconstruction = pycolmap.Reconstruction(arguments.input_path)
+    arguments.output_path.mkdir(parents=True, exist_ok=True)
+    database_path = arguments.output_path / "structures.db"
+    limap.scene.create_structure_db(database_path)
+    lines = {
+        i: detect(arguments.image_path / image.name, arguments.max_segments)
+        for i, image in reconstruction.images.items()
+    }
+    with limap.scene.StructureDatabase.open(database_path) as database:
+        limap.scene.initialize_structures_from_reconstruction(database, reconstruction)
+        limap.scene.import_line_detections(database, lines)
+    result = limap.sfm.pipelines.global_line_triangulation(
+        reconstruction,
+        database_path,
+        limap.sfm.GlobalLineTriangulationOptions(),
+        neighbors(reconstruction, arguments.num_neighbors),
+    )
+    result.write(arguments.output_path)
+    print(result)
+
+
+if __name__ == "__main__":
+    main()
