@@ -14,7 +14,7 @@ from colmap_edges.evaluation import scene, tables
 
 
 @click.command(help=__doc__)
-@click.option("--edges_path", type=Path, required=True, help="3D edges (edges.ply).")
+@click.option("--edges_path", type=Path, required=True, help="edges.ply, or a peer's lines.")
 @click.option("--sparse_path", type=Path, required=True, help="COLMAP model with edge points.")
 @click.option("--input_path", type=Path, help="Model without edge points, to tell them apart.")
 @click.option("--reference_path", type=Path, help="True curves: .npz (points, edges) or .ply.")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.curves import Curves, load_curves
 from colmap_edges.model import FloatArray, Model, View
 
 
@@ -72,6 +73,24 @@ def read_lines(path: Path) -> list[Line]:
         return read_obj(path)
     first = path.read_text().split("\n", 1)[0].split()
     return read_limap1(path) if len(first) == 1 else read_line3dpp(path)
+
+
+def read_curves(path: Path) -> Curves:
+    """Read 3D edges as `curves.load_curves` does, or the lines of Line3D++ or LIMAP.
+
+    Raises:
+        ColmapEdgesError: Nothing readable there.
+    """
+    if path.suffix in (".ply", ".npz"):
+        return load_curves(path)
+    if not path.exists():
+        raise ColmapEdgesError(f"{path} does not exist; give 3D edges")
+    try:
+        segments = np.concatenate([line.segments for line in read_lines(path)])
+    except (ValueError, IndexError) as error:
+        raise ColmapEdgesError(f"{path} holds no readable lines: {error}") from error
+    index = np.arange(2 * len(segments)).reshape(-1, 2)
+    return Curves(points=segments.reshape(-1, 3), segments=index)
 
 
 def read_line3dpp(path: Path) -> list[Line]:

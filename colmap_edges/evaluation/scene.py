@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import clouds, curves, depth, edges, pictures
+from colmap_edges.evaluation import clouds, curves, depth, edges, peers, pictures
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.statistics import summarize
 from colmap_edges.model import Model, load_model
@@ -144,7 +144,7 @@ def evaluate_edges(
     """Measure 3D edges against curves and depth maps, and against their own observations.
 
     Args:
-        edges_path: Edge graph as PLY with `vertex` and `edge` elements.
+        edges_path: Edge graph as PLY with `vertex` and `edge` elements, or a peer's lines.
         sparse_path: COLMAP model with the edge points.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
@@ -161,7 +161,7 @@ def evaluate_edges(
         What `evaluation.json` holds.
     """
     model = load_model(sparse_path)
-    found = curves.load_curves(edges_path)
+    found = peers.read_curves(edges_path)
     points = model
     if input_path is not None:
         points = edges.edge_points(model, load_model(input_path))

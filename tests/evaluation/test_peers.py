@@ -209,3 +209,12 @@ def test_lines_in_unknown_images_are_refused(model):
         peers.sample_lines([line], model)
     known = replace(line, image_ids=np.array([11, 12]))
     assert peers.sample_lines([known], model).num_edges == 1
+
+
+def test_lines_of_peers_are_curves_too(tmp_path):
+    found = peers.read_curves(LIMAP)
+    assert len(found.segments) == 9
+    expected = np.concatenate([ends for ends, _ in limap_text()])
+    np.testing.assert_allclose(found.points, expected, atol=1e-5)
+    with pytest.raises(ColmapEdgesError, match="does not exist"):
+        peers.read_curves(tmp_path / "none.txt")
