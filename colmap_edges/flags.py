@@ -50,13 +50,13 @@ def make_flag(entry: Field[Any], kind: Any, group: str = "") -> click.Option:
     """Make the flag of one option; `group` is the name before the dot."""
     metadata = entry.metadata
     flag = f"{group}.{entry.name}" if group else entry.name
-    default = int(entry.default) if kind is bool else entry.default  # type: ignore[arg-type]
-    kind, metavar = flag_type(kind, metadata.get("choices"))
+    default: Any = entry.default
+    value_type, metavar = flag_type(kind, metadata.get("choices"))
     return click.Option(
         [f"--{flag}", parameter_name(flag)],
-        type=kind,
+        type=value_type,
         metavar=metavar,
-        help=f"{metadata['help']} [{default}]",
+        help=f"{metadata['help']} [{int(default) if kind is bool else default}]",
     )
 
 

@@ -13,6 +13,7 @@ import pytest
 import scenes
 from scipy.spatial import cKDTree
 
+import colmap_edges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images import bilinear, path_of_image, read_image, sample_colors
 from colmap_edges.model import extend_reconstruction, load_model
@@ -270,6 +271,56 @@ def test_write_stage_writes_model_and_edges(
     found = written.points3D_xyz[np.searchsorted(written.point3D_ids, ids)]
     np.testing.assert_allclose(found, scene_edges.points, rtol=1e-14)
     assert stages.records()[0]["counts"]["edge_points"] == scene_edges.num_points
+
+
+@pytest.fixture(scope="module")
+def meshed(scene_paths, tmp_path_factory):
+    """Output of `mesh` on the scene, and its report."""
+    output = tmp_path_factory.mktemp("mesh") / "out"
+    return output, run("mesh", paths_of(scene_paths, output), PipelineOptions(num_threads=1))
+
+
+def test_mesh_writes_every_file(meshed, scene_model):
+    output, report = meshed
+    expected = ["edges.json", "edges.obj", "edges.ply", "mesh.ply", "report.json", "sparse"]
+    assert sorted(path.name for path in output.iterdir()) == expected
+    names = ["read", "detect", "trace", "write", "mesh"]
+    assert [stage["name"] for stage in report["stages"]] == names
+    edge_points = report["stages"][3]["counts"]["edge_points"]
+    written = load_model(output / "sparse")
+    assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
+
+
+def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):
+    written = load_model(meshed[0] / "sparse")
+    points = written.points3D_xyz[len(scene_model.point3D_ids) :]
+    # At 4 units' distance a pixel is 0.0076 units.
+    assert np.mean(scene.distances(points) < 0.015) > 0.95
+    well_seen = scene.samples[scene.sample_views >= 5]
+    assert np.mean(cKDTree(points).query(well_seen)[0] < 0.04) > 0.8
+
+
+def test_mesh_is_the_same_on_any_number_of_threads(meshed, scene_paths, tmp_path, hash_folder):
+    run("mesh", paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3))
+    digests = [hash_folder(output) for output in (meshed[0], tmp_path / "out")]
+    assert all(digest.pop("report.json") for digest in digests)  # it holds times
+    assert digests[0] == digests[1]
+
+
+def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
+    options = PipelineOptions(use_edges=False)
+    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    assert [stage["name"] for stage in report["stages"]] == ["read", "mesh"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
+
+
+def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_paths):
+    count = scene.reconstruction.num_points3D()
+    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
+    assert scene.reconstruction.num_points3D() == count
+    assert result.reconstruction.num_points3D() == count + len(result.point3D_ids)
+    written = load_model(meshed[0] / "sparse")
+    np.testing.assert_allclose(written.points3D_xyz[count:], result.edges.points, rtol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "a/../../b.png", ""])

@@ -1,0 +1,75 @@
+#!/usr/bin/env python3
+"""Print the errors of the demo's meshes against the true surface, and draw what came out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from colmap_edges.evaluation.raycasting import load_mesh
+from colmap_edges.evaluation.results import load_edges
+from colmap_edges.evaluation.scene import evaluate_mesh
+from colmap_edges.evaluation.tables import markdown
+from colmap_edges.images import read_image
+from colmap_edges.model import Model, View, load_model
+from colmap_edges.overlay import draw_edges
+
+MESHES = ("without_edges", "with_edges")
+COLUMNS = ("mae", "rmse", "median", "p90", "coverage")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("demo", type=Path, help="folder of the demo scene")
+    parser.add_argument("output", type=Path, help="folder with the two runs; pictures go there")
+    arguments = parser.parse_args()
+    print(depth_errors(arguments.demo, arguments.output))
+    model = load_model(arguments.demo / "sparse")
+    for index in range(0, len(model.views), max(len(model.views) // 4, 1)):
+        path = arguments.output / f"{Path(model.views[index].name).stem}.jpg"
+        cv2.imwrite(str(path), picture(arguments.demo, arguments.output, model, index))
+        print(f"{path}: photograph, 3D edges; mesh without edges, with edges")
+
+
+def depth_errors(demo: Path, output: Path) -> str:
+    """Table of the errors of depth in all views of both meshes, in the demo's unit."""
+    rows = []
+    for name in MESHES:
+        found = evaluate_mesh(
+            output / name / "mesh.ply", demo / "sparse", demo / "surface.ply", view_names=("all",)
+        )["depth"]["pooled"]
+        rows.append([name.replace("_", " "), *(found[column] for column in COLUMNS)])
+    return markdown(("depth error in all views", *COLUMNS), rows)
+
+
+def picture(demo: Path, output: Path, model: Model, index: int) -> np.ndarray:
+    """Four pictures of one view: photograph, 3D edges it observes, the two meshes."""
+    view = model.views[index]
+    image = read_image(view, demo / "images")
+    edges = draw_edges(image, index, model, load_edges(output / MESHES[1], model))
+    meshes = [shade(output / name / "mesh.ply", view) for name in MESHES]
+    return np.vstack([np.hstack([image, edges]), np.hstack(meshes)])
+
+
+def shade(mesh_path: Path, view: View) -> np.ndarray:
+    """The mesh seen by a view, (H, W, 3) uint8, lit from the camera."""
+    mesh = load_mesh(mesh_path)
+    rows, columns = np.indices((view.height, view.width))
+    pixels = np.column_stack([columns.ravel() + 0.5, rows.ravel() + 0.5])
+    rays = np.column_stack([view.ideal_from_image(pixels) / view.focal_px, np.ones(len(pixels))])
+    rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ view.rotation
+    center = mesh.vertices.mean(axis=0)
+    mesh.vertices -= center
+    origins = np.broadcast_to(view.center - center, rays.shape)
+    hit = RayMeshIntersector(mesh).intersects_first(origins, rays)
+    light = np.abs(np.einsum("ij,ij->i", mesh.face_normals[hit], rays))
+    gray = np.where(hit >= 0, 40 + 200 * light, 255).astype(np.uint8)
+    return cv2.cvtColor(gray.reshape(rows.shape), cv2.COLOR_GRAY2BGR)
+
+
+if __name__ == "__main__":
+    main()
