@@ -183,7 +183,7 @@ class MatchingOptions(Options):
         10.0, "Largest distance of an SfM point that is close to a polyline (d_s), in pixels", gt=0
     )
     min_similarity: float = option(
-        0.1, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
+        0.3, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
     )
     resolution: float = option(
         1.0, "Resolution of the Louvain communities; larger makes smaller PECs", gt=0
