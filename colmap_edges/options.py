@@ -222,7 +222,7 @@ class FollowingOptions(Options):
         4.0, "Longest walk in another view for one step, in expected steps", ge=1
     )
     min_epipolar_angle_deg: float = option(
-        10.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
+        5.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
     )
     full_triangulation_angle_deg: float = option(
         10.0, "Triangulation angle from which a view counts fully when views are chosen", gt=0
