@@ -23,9 +23,11 @@ from colmap_edges.options import (
     FollowingOptions,
     MatchingOptions,
     PipelineOptions,
+    TracingOptions,
     VisibilityOptions,
 )
 from colmap_edges.paper_tracing import trace_edges_paper
+from colmap_edges.pipeline import reconstruct
 
 VIEWS = ring_of_views()
 CURVES = [
@@ -228,3 +230,14 @@ def test_options_have_the_values_of_the_paper():
     assert 2 <= FollowingOptions().max_error_px <= 3
     assert VisibilityOptions().min_views == 4
     assert MatchingOptions().resolution == 1
+
+
+def test_rendered_scene_end_to_end(scene, scene_paths):
+    options = PipelineOptions(tracing=TracingOptions(method="paper"), num_threads=2)
+    result = reconstruct(scene.reconstruction, scene_paths[0], options)
+    distances = scene.distances(result.edges.points)
+    assert np.median(distances) < 0.001  # a quarter of a pixel
+    assert np.mean(distances < 0.02) > 0.95
+    seen = scene.samples[scene.sample_views >= 3]
+    assert np.mean(cKDTree(result.edges.points).query(seen)[0] < 0.03) > 0.6
+    assert len(result.point3D_ids) == result.edges.num_points
