@@ -40,7 +40,8 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 def fundamental_matrix(view1: PinholeView, view2: PinholeView) -> FloatArray:
     """(3, 3) F with x2' F x1 = 0 for ideal pixels x1, x2 of one scene point."""
     rotation = view2.rotation @ view1.rotation.T
-    translation = view2.translation - rotation @ view1.translation
+    baseline = view2.rotation.T @ view2.translation - view1.rotation.T @ view1.translation
+    translation = view2.rotation @ baseline
     inverse1 = np.diag([1 / view1.focal_px, 1 / view1.focal_px, 1.0])
     inverse2 = np.diag([1 / view2.focal_px, 1 / view2.focal_px, 1.0])
     result: FloatArray = inverse2 @ cross_matrix(translation) @ rotation @ inverse1

@@ -183,7 +183,7 @@ class MatchingOptions(Options):
         10.0, "Largest distance of an SfM point that is close to a polyline (d_s), in pixels", gt=0
     )
     min_similarity: float = option(
-        0.1, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
+        0.3, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
     )
     resolution: float = option(
         1.0, "Resolution of the Louvain communities; larger makes smaller PECs", gt=0
@@ -222,7 +222,7 @@ class FollowingOptions(Options):
         4.0, "Longest walk in another view for one step, in expected steps", ge=1
     )
     min_epipolar_angle_deg: float = option(
-        10.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
+        5.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
     )
     full_triangulation_angle_deg: float = option(
         10.0, "Triangulation angle from which a view counts fully when views are chosen", gt=0
