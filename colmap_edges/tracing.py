@@ -259,9 +259,13 @@ def trace_view(
 
 
 def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
-    """Mark the stretches of chains that curves are observed on, in every view."""
+    """Mark the stretches of chains that curves are observed on, in every view.
+
+    A point with too few observations will not last, so it covers nothing.
+    """
+    lasting = np.isfinite(traced.positions).sum(axis=1) >= options.min_observations
     for column, view in enumerate(traced.views):
-        positions = traced.positions[:, column]
+        positions = traced.positions[lasting, column]
         at = positions[np.isfinite(positions)].astype(np.int64)
         graph = scene.graphs[view]
         polyline = graph.polyline_ids[at]
