@@ -1,0 +1,136 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from colmap_edges.detection import detect_chains, detect_pixel_chains
+from colmap_edges.kernels import _kernels
+from colmap_edges.options import DetectionOptions
+
+SIZE = 64
+
+
+def step_image(angle_deg, offset, size=SIZE, supersampling=32):
+    """Anti-aliased step: bright where n . (x - centre) > offset, in COLMAP's pixels."""
+    normal = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    fine = (np.arange(size * supersampling) + 0.5) / supersampling - size / 2
+    bright = fine[None, :] * normal[0] + fine[:, None] * normal[1] > offset
+    blocks = bright.reshape(size, supersampling, size, supersampling).mean(axis=(1, 3))
+    return np.rint(40 + 170 * blocks).astype(np.uint8), normal
+
+
+@pytest.mark.parametrize("angle_deg", [0, 17, 43, 90, 133, 251])
+@pytest.mark.parametrize("offset", [-0.4, 0.0, 0.25])
+def test_step_edge_is_found_to_a_tenth_of_a_pixel(angle_deg, offset):
+    image, normal = step_image(angle_deg, offset)
+    chains = detect_chains(image, DetectionOptions())
+    centred = chains.points - SIZE / 2
+    inside = (np.abs(centred) < SIZE / 2 - 6).all(axis=1)
+    assert inside.sum() > 40
+    error = centred[inside] @ normal - offset
+    assert np.abs(error).max() < 0.11  # the worst is where the normal is diagonal
+    assert np.sqrt(np.mean(error**2)) < 0.07
+    np.testing.assert_allclose(chains.normals[inside] @ normal, 1, atol=0.01)
+
+
+@pytest.mark.parametrize("column", [20, 33])
+def test_edge_between_columns_is_at_their_border(column):
+    image = np.full((40, 60), 50, np.uint8)
+    image[:, column:] = 200
+    chains = detect_chains(image, DetectionOptions())
+    middle = (chains.points[:, 1] > 5) & (chains.points[:, 1] < 35)
+    np.testing.assert_allclose(chains.points[middle, 0], column, atol=1e-5)
+    np.testing.assert_allclose(chains.points[middle, 1] % 1, 0.5, atol=1e-5)
+    np.testing.assert_allclose(chains.normals[middle], [[1, 0]] * middle.sum(), atol=1e-5)
+
+
+def disc_image(radius=20.0):
+    fine = (np.arange(4 * SIZE) + 0.5) / 4 - SIZE / 2
+    dark = np.hypot(fine[None, :], fine[:, None]) < radius
+    blocks = dark.reshape(SIZE, 4, SIZE, 4).mean(axis=(1, 3))
+    return np.rint(220 - 170 * blocks).astype(np.uint8)
+
+
+def test_chains_are_connected_pixels_of_the_least_length():
+    pixels, offsets = detect_pixel_chains(disc_image(), 12)
+    assert offsets[0] == 0
+    assert offsets[-1] == len(pixels) > 100
+    for first, last in pairwise(offsets):
+        assert last - first >= 12
+        assert np.abs(np.diff(pixels[first:last], axis=0)).max() == 1
+    assert len(detect_pixel_chains(disc_image(), 1000)[1]) == 1
+
+
+def test_disc_has_its_radius_and_normals_point_to_the_bright_side():
+    chains = detect_chains(disc_image(), DetectionOptions())
+    centred = chains.points - SIZE / 2
+    radii = np.linalg.norm(centred, axis=1)
+    assert abs(radii.mean() - 20) < 0.05
+    assert np.abs(radii - 20).max() < 0.25
+    outward = np.einsum("ij,ij->i", chains.normals, centred / radii[:, None])
+    assert outward.min() > 0.98
+
+
+def test_image_without_edges_has_no_chains():
+    chains = detect_chains(np.full((30, 40), 128, np.uint8), DetectionOptions())
+    assert chains.points.shape == chains.normals.shape == (0, 2)
+    assert chains.offsets.tolist() == [0]
+
+
+def bilinear(image, x, y):
+    height, width = image.shape
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    x0, y0 = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
+    fx, fy = x - x0, y - y0
+    top = image[y0, x0] * (1 - fx) + image[y0, x0 + 1] * fx
+    bottom = image[y0 + 1, x0] * (1 - fx) + image[y0 + 1, x0 + 1] * fx
+    return top * (1 - fy) + bottom * fy
+
+
+def refine_reference(gradient_x, gradient_y, pixels):
+    gx, gy = gradient_x.astype(float), gradient_y.astype(float)
+    x, y = pixels.T
+    normal = np.column_stack([bilinear(gx, x, y), bilinear(gy, x, y)])
+    size = np.linalg.norm(normal, axis=1)
+    normal /= size[:, None]
+
+    def magnitude(step):
+        at_x, at_y = x + step * normal[:, 0], y + step * normal[:, 1]
+        return np.abs(
+            bilinear(gx, at_x, at_y) * normal[:, 0] + bilinear(gy, at_x, at_y) * normal[:, 1]
+        )
+
+    before, after = magnitude(-1), magnitude(1)
+    curvature = before - 2 * size + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = np.where(curvature < 0, np.clip((before - after) / (2 * curvature), -1, 1), 0)
+    return pixels + shift[:, None] * normal, normal
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_refinement_equals_the_reference_on_random_gradients(seed):
+    rng = np.random.default_rng(seed)
+    gradient_x, gradient_y = rng.normal(size=(2, 23, 31)).astype(np.float32)
+    pixels = np.concatenate(
+        [
+            rng.integers(0, (31, 23), (300, 2)).astype(float),
+            rng.uniform(0, (30, 22), (300, 2)),
+            [[0, 0], [30, 22], [0, 22], [30, 0]],
+        ]
+    )
+    points, normals = _kernels.refine_subpixel(gradient_x, gradient_y, pixels)
+    expected, expected_normals = refine_reference(gradient_x, gradient_y, pixels)
+    np.testing.assert_allclose(normals, expected_normals, atol=1e-12)
+    np.testing.assert_allclose(points, expected, atol=1e-9)
+    assert np.linalg.norm(points - pixels, axis=1).max() <= 1 + 1e-12
+
+
+def test_refinement_leaves_flat_places_and_refuses_unlike_images():
+    flat = np.zeros((5, 6), np.float32)
+    points, normals = _kernels.refine_subpixel(flat, flat, np.array([[2.0, 3.0]]))
+    np.testing.assert_array_equal(points, [[2, 3]])
+    np.testing.assert_array_equal(normals, [[0, 0]])
+    with pytest.raises(ValueError, match="differ in shape"):
+        _kernels.refine_subpixel(flat, flat.T.copy(), np.array([[2.0, 3.0]]))
+    with pytest.raises(ValueError, match="empty"):
+        _kernels.refine_subpixel(flat[:0], flat[:0], np.array([[2.0, 3.0]]))
