@@ -1,0 +1,308 @@
+"""The kernels of EdgeView, association and crossings against plain numpy on random chains."""
+
+import curves as known
+import numpy as np
+import pytest
+
+from colmap_edges.edge_graph import offsets_of
+from colmap_edges.kernels import _kernels
+
+FOCAL = 500.0
+
+
+def random_chains(rng, count=12, closed_share=0.3):
+    """Smooth random chains about 1 px apart: points, normals, offsets, closed."""
+    points, normals, closed = [], [], []
+    for _ in range(count):
+        length = int(rng.integers(1, 120))
+        loop = bool(rng.random() < closed_share) and length > 8
+        if loop:
+            angle = 2 * np.pi * np.arange(length) / length
+            radii = length / (2 * np.pi) * (1 + 0.2 * np.cos(3 * angle + rng.uniform(0, 6)))
+            part = radii[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        else:
+            heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.08, length))
+            part = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+        points.append(part + rng.uniform((-200, -150), (200, 150)))
+        side = rng.choice([-1, 1])
+        ahead = np.gradient(part, axis=0) if length > 1 else np.ones((1, 2))
+        across = side * np.column_stack([-ahead[:, 1], ahead[:, 0]])
+        normals.append(across / np.linalg.norm(across, axis=1, keepdims=True))
+        closed.append(loop)
+    offsets = offsets_of(np.array([len(part) for part in points], np.int64))
+    return np.concatenate(points), np.concatenate(normals), offsets, np.array(closed)
+
+
+def neighbor(index, steps, offsets, closed):
+    """Point `steps` after `index` on its polyline, stopping at open ends."""
+    p = np.searchsorted(offsets, index, side="right") - 1
+    first, count = offsets[p], offsets[p + 1] - offsets[p]
+    place = index - first + steps
+    return first + (place % count if closed[p] else np.clip(place, 0, count - 1))
+
+
+def tangents_of(points, offsets, closed):
+    result = np.zeros_like(points)
+    for i in range(len(points)):
+        chord = points[neighbor(i, 3, offsets, closed)] - points[neighbor(i, -3, offsets, closed)]
+        size = np.linalg.norm(chord)
+        result[i] = chord / size if size > 0 else (1, 0)
+    return result
+
+
+def random_pose(rng):
+    q = rng.normal(size=4) * (1, 0.1, 0.1, 0.1) + (3, 0, 0, 0)
+    w, x, y, z = q / np.linalg.norm(q)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return rotation, rng.normal(0, 0.5, 3)
+
+
+def edge_view(points, normals, offsets, closed, pose=None, focal=FOCAL):
+    rotation, translation = pose if pose else (np.eye(3), np.zeros(3))
+    return _kernels.EdgeView(points, normals, offsets, closed, rotation, translation, focal)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_chain_points_are_linear_between_points_and_wrap(seed):
+    rng = np.random.default_rng(seed)
+    points, normals, offsets, closed = random_chains(rng)
+    view = edge_view(points, normals, offsets, closed)
+    positions = np.concatenate([np.arange(len(points)), rng.uniform(0, len(points), 500)])
+    at, tangents = _kernels.chain_points(view, positions)
+    low = positions.astype(int)
+    expected = np.empty_like(at)
+    for row, i in enumerate(low):
+        p = np.searchsorted(offsets, i, side="right") - 1
+        last = i == offsets[p + 1] - 1
+        following = i + 1 if not last else (offsets[p] if closed[p] else i)
+        expected[row] = points[i] + (positions[row] - i) * (points[following] - points[i])
+    np.testing.assert_allclose(at, expected, atol=1e-12)
+    np.testing.assert_allclose(tangents, tangents_of(points, offsets, closed)[low], atol=1e-12)
+
+
+@pytest.mark.parametrize("position", [-0.1, 5.0, np.nan, np.inf])
+def test_positions_off_the_chains_are_refused(position):
+    points = np.column_stack([np.arange(5.0), np.zeros(5)])
+    view = edge_view(points, np.zeros((5, 2)), np.array([0, 5]), np.zeros(1, bool))
+    with pytest.raises(ValueError, match="not on a chain"):
+        _kernels.chain_points(view, np.array([position]))
+
+
+def associate_reference(chains, pose, worlds, directions, sides, max_distance, min_cosine):
+    points, normals, offsets, closed = chains
+    chain_tangents = tangents_of(points, offsets, closed)
+    rotation, translation = pose
+    result = np.full(len(worlds), -1.0)
+    for row, (world, direction, side) in enumerate(zip(worlds, directions, sides, strict=True)):
+        local, turned = rotation @ world + translation, rotation @ direction
+        if local[2] <= 0:
+            continue
+        x = FOCAL * local[:2] / local[2]
+        ahead = local + 1e-7 * turned
+        t = FOCAL * ahead[:2] / ahead[2] - x
+        t /= np.linalg.norm(t)
+        distance = np.linalg.norm(points - x, axis=1)
+        fits = (distance <= max_distance) & (np.abs(chain_tangents @ t) >= min_cosine)
+        fits &= (t[0] * normals[:, 1] - t[1] * normals[:, 0]) * side >= 0
+        if not fits.any():
+            continue
+        i = int(np.argmin(np.where(fits, distance, np.inf)))
+        result[row] = i
+        step = 1 if (x - points[i]) @ chain_tangents[i] > 0 else -1
+        other = neighbor(i, step, offsets, closed)
+        if other == i:
+            continue
+        start, end = (i, other) if step > 0 else (other, i)
+        along = points[end] - points[start]
+        fraction = np.clip((x - points[start]) @ along / (along @ along), 0, 0.999999)
+        result[row] = start + fraction
+    return result
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("max_distance", "max_angle_deg"), [(4.0, 15.0), (40.0, 40.0)])
+def test_association_equals_the_nearest_of_all_points(seed, max_distance, max_angle_deg):
+    rng = np.random.default_rng(seed)
+    chains, pose = random_chains(rng), random_pose(rng)
+    points, _, offsets, closed = chains
+    nearby = rng.integers(0, len(points), 300)
+    pixels = points[nearby] + rng.normal(0, 0.5 * max_distance, (300, 2))
+    depths = np.where(rng.random(300) < 0.05, -1, 1) * rng.uniform(1, 5, 300)
+    locals_ = depths[:, None] * np.column_stack([pixels / FOCAL, np.ones(300)])
+    worlds = (locals_ - pose[1]) @ pose[0]
+    along = tangents_of(points, offsets, closed)[nearby]
+    directions = np.column_stack([along, np.zeros(300)]) @ pose[0]
+    directions = (directions + rng.normal(0, 0.2, (300, 3))) * rng.choice([-1, 1], (300, 1))
+    sides = rng.integers(-1, 2, 300).astype(np.int8)
+    cosine = np.cos(np.radians(max_angle_deg))
+    view = edge_view(*chains, pose)
+    found = _kernels.associate(view, worlds, directions, sides, max_distance, cosine, 1)
+    expected = associate_reference(chains, pose, worlds, directions, sides, max_distance, cosine)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert (found[depths < 0] == -1).all()
+    assert 50 < np.sum(found >= 0) < 295
+    again = _kernels.associate(view, worlds, directions, sides, max_distance, cosine, 3)
+    assert again.tobytes() == found.tobytes()
+
+
+def test_association_respects_distance_angle_and_side():
+    points = np.column_stack([np.arange(-50.0, 51), np.zeros(101)])
+    normals = np.tile([0.0, 1.0], (101, 1))  # to the side +1 of the direction x
+    view = edge_view(points, normals, np.array([0, 101]), np.zeros(1, bool))
+
+    def position(y=1.0, angle_deg=0.0, side=0, x=0.3):
+        angle = np.radians(angle_deg)
+        direction = np.array([[np.cos(angle), np.sin(angle), 0]])
+        world = np.array([[x / FOCAL, y / FOCAL, 1]])
+        sides = np.array([side], np.int8)
+        return _kernels.associate(view, world, direction, sides, 4.0, np.cos(np.radians(15)), 1)[0]
+
+    assert position() == pytest.approx(50.3)
+    assert position(y=3.9) == pytest.approx(50.3)
+    assert position(y=4.1) == -1
+    assert position(angle_deg=14) == position(angle_deg=194) == position()
+    assert position(angle_deg=16) == position(angle_deg=-16) == -1
+    assert position(side=1) == position(side=-1, angle_deg=180) == position()
+    assert position(side=-1) == position(side=1, angle_deg=180) == -1
+    assert position(x=51.0) == pytest.approx(100)  # the open end
+    assert position(x=-51.0) == pytest.approx(0, abs=1e-6)
+
+
+def test_association_wraps_round_closed_chains():
+    angle = 2 * np.pi * np.arange(200) / 200
+    points = 30 * np.column_stack([np.cos(angle), np.sin(angle)])
+    view = edge_view(points, points / 30, np.array([0, 200]), np.ones(1, bool))
+    between = 2 * np.pi * 199.25 / 200
+    world = np.array([[30 * np.cos(between) / FOCAL, 30 * np.sin(between) / FOCAL, 1.0]])
+    direction = np.array([[-np.sin(between), np.cos(between), 0]])
+    found = _kernels.associate(view, world, direction, np.zeros(1, np.int8), 4.0, 0.9, 1)
+    assert found[0] == pytest.approx(199.25, abs=0.01)
+    at, _ = _kernels.chain_points(view, found)
+    np.testing.assert_allclose(at, FOCAL * world[:, :2], atol=0.01)
+
+
+def line_chains(rng, count):
+    """Straight chains, each side of which is a dark one and a bright one at once: no normals."""
+    parts = []
+    for _ in range(count):
+        direction = rng.normal(size=2)
+        direction /= np.linalg.norm(direction)
+        length = rng.integers(10, 80)
+        parts.append(rng.uniform(-200, 200, 2) + np.arange(length)[:, None] * direction)
+    offsets = offsets_of(np.array([len(part) for part in parts], np.int64))
+    points = np.concatenate(parts)
+    return points, np.zeros_like(points), offsets, np.zeros(count, bool)
+
+
+def crossings_reference(chains, start, end):
+    """(position, fraction of start -> end) of every chain segment crossed by start -> end."""
+    points, _, offsets, _ = chains
+    inner = np.ones(len(points), bool)
+    inner[offsets[1:] - 1] = False
+    first = np.flatnonzero(inner)
+    along, chord = points[first + 1] - points[first], end - start
+    gap = points[first] - start
+    det = chord[0] * along[:, 1] - chord[1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / det
+        t = (gap[:, 0] * chord[1] - gap[:, 1] * chord[0]) / det
+    hit = (s >= 0) & (s <= 1) & (t >= 0) & (t < 1)
+    return first[hit] + t[hit], s[hit]
+
+
+def project(rotation, translation, pixel, rho):
+    local = rotation @ np.array([*(pixel / FOCAL), 1.0]) + rho * translation
+    return FOCAL * local[:2] / local[2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_crossings_are_those_of_all_segments(seed):
+    """A neighbour given twice agrees with itself in each crossing: the sample gets one of them."""
+    rng = np.random.default_rng(seed)
+    chains = line_chains(rng, 80)
+    translation = rng.choice([-1, 1], 3) * rng.uniform((0.5, 0.5, 0), (1, 1, 0.4))
+    pose = random_pose(rng)[0], translation
+    samples = rng.uniform(-100, 100, (150, 2))
+    source = edge_view(
+        samples, np.zeros((150, 2)), np.arange(151, dtype=np.int64), np.zeros(150, bool)
+    )
+    view = edge_view(*chains, pose)
+    counts = np.zeros(3, int)
+    for index, sample in enumerate(samples):
+        low, high = np.sort(rng.uniform(0.05, 0.9, 2))
+        if rng.random() < 0.3:  # short pieces, most of which cross nothing or one chain
+            high = low + 0.1 * (high - low)
+        depth, _, _, _, _, positions = _kernels.chain_depths(
+            source, [view, view], np.array([index]), np.array([0, 1]), steps=1.0,
+            min_inverse_depth=low, max_inverse_depth=high, max_disagreement_px=0.1,
+            min_angle_sin=0.0, detection_rate=0.6, none_score=-1e9, break_penalty=0.0,
+            max_clusters=6, num_threads=1,
+        )  # fmt: skip
+        start, end = (project(*pose, sample, rho) for rho in (low, high))
+        if np.linalg.norm(end - start) < 1.1:
+            continue
+        expected, _ = crossings_reference(chains, start, end)
+        margin = 1e-3 * (end - start)
+        wider, _ = crossings_reference(chains, start - margin, end + margin)
+        ends = np.abs(expected - np.round(expected)) < 1e-3
+        if len(wider) != len(expected) or ends.any():
+            continue  # at the very end of the piece or of a segment: either answer is right
+        counts[min(len(expected), 2)] += 1
+        assert len(positions) == (2 if len(expected) else 0)
+        if len(expected):
+            assert positions[0] == positions[1]
+            assert np.abs(expected - positions[0]).min() < 1e-6
+            at, _ = _kernels.chain_points(view, positions[:1])
+            np.testing.assert_allclose(project(*pose, sample, depth[0]), at[0], atol=1e-6)
+    assert counts.min() > 5, counts
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"offsets": np.array([0, 4])},
+        {"offsets": np.array([0, 6])},
+        {"offsets": np.array([1, 5])},
+        {"offsets": np.array([0, 7, 5]), "closed": np.zeros(2, bool)},
+        {"offsets": np.array([0, 2, 5])},
+        {"normals": np.zeros((4, 2))},
+    ],
+)
+def test_arrays_that_do_not_fit_together_are_refused(change):
+    arrays = {
+        "points": np.zeros((5, 2)),
+        "normals": np.zeros((5, 2)),
+        "offsets": np.array([0, 5]),
+        "closed": np.zeros(1, bool),
+    }
+    edge_view(**arrays)
+    with pytest.raises(ValueError, match="fit together"):
+        edge_view(**{**arrays, **change})
+
+
+def test_bad_focal_lengths_and_samples_are_refused():
+    with pytest.raises(ValueError, match="focal"):
+        edge_view(np.zeros((1, 2)), np.zeros((1, 2)), np.array([0, 1]), np.zeros(1, bool), focal=0)
+    view = edge_view(np.zeros((1, 2)), np.zeros((1, 2)), np.array([0, 1]), np.zeros(1, bool))
+    with pytest.raises(ValueError, match="differ in length"):
+        _kernels.associate(
+            view, np.zeros((2, 3)), np.zeros((1, 3)), np.zeros(2, np.int8), 4.0, 0.9, 1
+        )
+    with pytest.raises(ValueError, match="not a point"):
+        _kernels.chain_depths(
+            view, [view], np.array([1]), np.array([0, 1]), 1.0, 0.1, 1.0, 1.5, 0.1, 0.6, 4.0, 4.0,
+            6, 1,
+        )  # fmt: skip
+
+
+def test_empty_view_observes_nothing():
+    view = edge_view(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(1, np.int64), np.zeros(0, bool))
+    one = np.array([[0.0, 0.0, 1.0]])
+    assert _kernels.associate(view, one, one, np.zeros(1, np.int8), 4.0, 0.9, 1).tolist() == [-1]
+    assert known.graph_from_ideal(known.row(1)[0], [], [], []).num_polylines == 0
