@@ -55,16 +55,16 @@ def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
     )
 
 
-def merge(first: Observations, second: Observations) -> Observations:
-    """Both lists in one, sorted by point and view."""
-    points = np.concatenate([first.points, second.points])
-    views = np.concatenate([first.views, second.views])
+def merge(*parts: Observations) -> Observations:
+    """All lists in one, sorted by point and view."""
+    points = np.concatenate([part.points for part in parts])
+    views = np.concatenate([part.views for part in parts])
     order = np.lexsort((views, points))
     return Observations(
         points=points[order],
         views=views[order],
-        pixels=np.concatenate([first.pixels, second.pixels])[order],
-        ideal=np.concatenate([first.ideal, second.ideal])[order],
+        pixels=np.concatenate([part.pixels for part in parts])[order],
+        ideal=np.concatenate([part.ideal for part in parts])[order],
     )
 
 
@@ -264,29 +264,28 @@ def merge_consistent(
         The tracks and the (N, 3) points triangulated from them; a point that gains nothing stays.
     """
     points = edges.points.copy()
+    accepted = [observed]
     while len(added.points):
-        merged = merge(observed, added)
-        moved, errors = triangulate_observations(merged, edges.num_points, field, num_threads)
-        gained = np.zeros(edges.num_points, bool)
-        gained[added.points] = True
-        failing = gained & (errors > max_error_px)
-        if not failing.any():
-            points[gained] = moved[gained]
-            return merged, points
-        added = drop_worst(added, failing, np.where(np.isfinite(moved), moved, points), field)
-    return observed, points
+        active = np.zeros(edges.num_points, bool)
+        active[added.points] = True
+        tracks = merge(observed.select(active[observed.points]), added)
+        moved, errors = triangulate_observations(tracks, edges.num_points, field, num_threads)
+        failing = active & (errors > max_error_px)
+        done = active & ~failing
+        points[done] = moved[done]
+        accepted.append(added.select(done[added.points]))
+        estimates = np.where(np.isfinite(moved), moved, edges.points)
+        added = drop_worst(added.select(failing[added.points]), estimates, field)
+    return merge(*accepted), points
 
 
-def drop_worst(
-    added: Observations, failing: NDArray[np.bool_], points: FloatArray, field: EdgeField
-) -> Observations:
-    """Without, of each failing point ((N,) bool), the added observation farthest from it."""
+def drop_worst(added: Observations, points: FloatArray, field: EdgeField) -> Observations:
+    """Without, of each point ((N, 3) world), the observation farthest from its projection."""
     errors = reprojection_errors(added, points, field)
     order = np.lexsort((np.where(np.isfinite(errors), errors, np.inf), added.points))
-    last = np.append(added.points[order][1:] != added.points[order][:-1], True)
-    worst = order[last]
+    last = np.append(added.points[order][1:] != added.points[order][:-1], True)[: len(order)]
     keep = np.ones(len(added.points), bool)
-    keep[worst[failing[added.points[worst]]]] = False
+    keep[order[last]] = False
     return added.select(keep)
 
 

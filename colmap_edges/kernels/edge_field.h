@@ -262,7 +262,12 @@ class EdgeField {
   }
 
   void Consider(int64_t i, Vec2 pixel, double radius, std::vector<NearPolyline>* found) const {
-    const Vec2 a = points_[i], d = points_[Next(i)] - a;
+    const Vec2 a = points_[i], b = points_[Next(i)];
+    if (std::min(a.x, b.x) > pixel.x + radius || std::max(a.x, b.x) < pixel.x - radius ||
+        std::min(a.y, b.y) > pixel.y + radius || std::max(a.y, b.y) < pixel.y - radius) {
+      return;
+    }
+    const Vec2 d = b - a;
     const double length2 = Dot(d, d);
     const double t = length2 > 0 ? std::clamp(Dot(pixel - a, d) / length2, 0.0, 1.0) : 0;
     const double distance = Norm(a + t * d - pixel);
