@@ -115,6 +115,7 @@ def paper_tables(results: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
+_POINT_COLUMNS = ("mae", "rmse", "sigma", "median")
 _TABLE_NOTE = (
     "Points: distance to the reference cloud, or (reference depth only) depth error in the views\n"
     "that observe them, smallest in 5x5 pixels. Mesh: depth error from the reference's cameras.\n"
@@ -132,7 +133,7 @@ def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
 
 def _main_table(results: dict[str, Any]) -> str:
     header = (
-        "scene", "method", "points", "points MAE", "RMSE", "σ", "mesh MAE", "RMSE", "σ",
+        "scene", "method", "points", "points MAE", "RMSE", "σ", "median", "mesh MAE", "RMSE", "σ",
         "median", "P90", "coverage", "faces",
     )  # fmt: skip
     nan = float("nan")
@@ -144,7 +145,7 @@ def _main_table(results: dict[str, Any]) -> str:
         unit = results[scene]["unit"]
         rows.append(
             [f"{scene} ({unit})", method, points["count"]]
-            + [points.get(name, nan) for name in ("mae", "rmse", "sigma")]
+            + [points.get(name, nan) for name in _POINT_COLUMNS]
             + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, "coverage")]
             + [record["faces"]]
         )
@@ -153,7 +154,7 @@ def _main_table(results: dict[str, Any]) -> str:
 
 def _variation_rows(results: dict[str, Any]) -> list[list[Any]]:
     """Mean over scenes of each method's errors against the first method's, in percent."""
-    kinds = [("points", name) for name in ("mae", "rmse", "sigma")]
+    kinds = [("points", name) for name in _POINT_COLUMNS]
     kinds += [("mesh", name) for name in ERROR_COLUMNS]
     methods = list(dict.fromkeys(method for _, method, _ in _records(results)))
     rows = []
