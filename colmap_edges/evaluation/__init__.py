@@ -48,10 +48,7 @@ def run(
     from colmap_edges.evaluation import held_out, scene, tables
 
     output = run_path / "evaluation"
-    if not (run_path / "mesh.ply").is_file():
-        raise ColmapEdgesError(f"{run_path} holds no mesh.ply; give an output of colmap-edges mesh")
-    if output.exists() and not overwrite:
-        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
+    check_run(run_path, output, overwrite)
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     output.mkdir(exist_ok=True)
@@ -78,6 +75,14 @@ def run(
     (output / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
     (output / "evaluation.md").write_text(tables.run_tables(record) + "\n")
     return record
+
+
+def check_run(run_path: Path, output: Path, overwrite: bool) -> None:
+    """Raise `ColmapEdgesError` when there is nothing to judge or `output` would be replaced."""
+    if not (run_path / "mesh.ply").is_file():
+        raise ColmapEdgesError(f"{run_path} holds no mesh.ply; give an output of colmap-edges mesh")
+    if output.exists() and not overwrite:
+        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
 
 
 def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:

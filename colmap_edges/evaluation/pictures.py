@@ -37,11 +37,13 @@ def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
 
 
 def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str = "depth") -> None:
-    """Write one error map a view into `folder`; all share the scale 0 to the pooled P90."""
-    pooled = [np.abs(r.errors[np.isfinite(r.errors)]) for r in results]
-    sizes = np.concatenate(pooled) if pooled else np.empty(0)
-    largest = float(np.percentile(sizes, 90)) if len(sizes) else 1.0
-    largest = largest or 1.0
+    """Write one error map a view into `folder`.
+
+    All go from 0 to 1 % of the median reference depth, so those of different meshes compare.
+    """
+    known = [result.reference[result.reference > 0] for result in results]
+    depths = np.concatenate(known) if known else np.empty(0)
+    largest = 0.01 * float(np.median(depths)) if len(depths) else 1.0
     folder.mkdir(parents=True, exist_ok=True)
     for result in results:
         title = f"|depth error| {result.name}, magenta: no mesh, grey: no reference"

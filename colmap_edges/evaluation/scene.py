@@ -184,14 +184,13 @@ def evaluate_edges(
         record["curves"] = asdict(errors)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
-        record["depth"] = {
-            "edge_points": asdict(
-                edges.summarize_depth(edges.depth_window_errors(points, references))
-            )
-        }
+        judged = {"edge_points": points}
         if input_path is not None:
-            sfm = edges.depth_window_errors(load_model(input_path), references)
-            record["depth"]["sfm_points"] = asdict(edges.summarize_depth(sfm))
+            judged["sfm_points"] = load_model(input_path)
+        record["depth"] = {
+            name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
+            for name, kind in judged.items()
+        }
     return record
 
 
