@@ -21,6 +21,8 @@ from colmap_edges.options import ChainDepthOptions
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+MIN_SAMPLES = 5  # that a polyline shall have, if its length allows
+
 
 @dataclass(frozen=True, kw_only=True)
 class ChainDepths:
@@ -66,14 +68,21 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
 
 
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
-    """(S,) every `step`-th point of each polyline, its ends spared, and (P + 1,) offsets."""
+    """Samples along each polyline, its ends spared.
+
+    Every `step` points, every half of that on polylines too short for `MIN_SAMPLES`.
+
+    Returns:
+        (S,) indices of points, (P + 1,) offsets of the polylines' samples.
+    """
     lengths = np.diff(graph.polyline_offsets)
-    counts = np.maximum(lengths // step, 1)
+    steps = np.clip(lengths // MIN_SAMPLES, max(step // 2, 1), step)
+    counts = np.maximum(lengths // steps, 1)
     offsets = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=offsets[1:])
     rank = np.arange(offsets[-1]) - np.repeat(offsets[:-1], counts)
-    first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * step) // 2
-    return np.repeat(first, counts) + rank * step, offsets
+    first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * steps) // 2
+    return np.repeat(first, counts) + rank * np.repeat(steps, counts), offsets
 
 
 def compute_chain_depths(

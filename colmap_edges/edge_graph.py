@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class EdgeGraph:
         """Number of polylines."""
         return len(self.closed)
 
-    @property
+    @cached_property
     def polyline_ids(self) -> IntArray:
         """(N,) polyline of each point."""
         return np.repeat(np.arange(self.num_polylines), np.diff(self.polyline_offsets))

@@ -101,7 +101,9 @@ class ViewSelectionOptions(Options):
 class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
-    sample_step_px: int = option(8, "Distance between samples along a chain, in pixels", ge=1)
+    sample_step_px: int = option(
+        16, "Largest distance between samples along a chain, in pixels", ge=1
+    )
     max_disagreement_px: float = option(
         1.5, "Largest distance between agreeing crossings along the epipolar line, in pixels", gt=0
     )
@@ -165,7 +167,7 @@ class TracingOptions(Options):
         1.0, "Largest change of disparity along a chain, in pixels a pixel", gt=0
     )
     max_bridge_px: int = option(30, "Longest stretch without depth inside a run, in pixels", ge=0)
-    extension_px: int = option(8, "How far a run is followed beyond its ends, in pixels", ge=0)
+    extension_px: int = option(16, "How far a run is followed beyond its ends, in pixels", ge=0)
     point_spacing_px: int = option(
         4, "Distance of edge points along the driving chain, in pixels", ge=1
     )

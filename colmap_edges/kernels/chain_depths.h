@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "edge_view.h"
+#include "epipolar_index.h"
 #include "parallel.h"
 
 namespace colmap_edges {
@@ -55,28 +56,6 @@ struct ChainDepths {
 
 namespace chain_depths_internal {
 
-// Geometry of a source and a neighbour: X_neighbor ~ rotation * ray + inverse_depth * translation.
-struct Pair {
-  const EdgeView* view;
-  Mat3 rotation;
-  Vec3 translation;
-  Vec3 source_epipole;    // source centre -> neighbour centre, in the source's camera frame
-  Vec3 neighbor_epipole;  // the same direction in the neighbour's camera frame
-};
-
-inline Pair MakePair(const EdgeView& source, const EdgeView& neighbor) {
-  Pair pair;
-  pair.view = &neighbor;
-  pair.rotation = MultiplyByTransposed(neighbor.rotation(), source.rotation());
-  const Vec3 moved = Multiply(pair.rotation, source.translation());
-  for (int k = 0; k < 3; ++k) pair.translation[k] = neighbor.translation()[k] - moved[k];
-  // The neighbour's centre in the source's frame, and that direction in the neighbour's frame.
-  pair.source_epipole = MultiplyTransposed(pair.rotation, pair.translation);
-  for (double& value : pair.source_epipole) value = -value;
-  pair.neighbor_epipole = Multiply(pair.rotation, pair.source_epipole);
-  return pair;
-}
-
 // Direction in the image, at pixel x, of the projection of 3D direction d (both camera frame).
 inline Vec2 ImageDirection(const Vec3& d, const Vec2& x, double focal) {
   return {focal * d[0] - x[0] * d[2], focal * d[1] - x[1] * d[2]};
@@ -90,132 +69,135 @@ struct Seen {
 
 class Sampler {
  public:
-  Sampler(const EdgeView& source, const std::vector<Pair>& pairs, const ChainDepthParameters& p)
-      : source_(source), pairs_(pairs), p_(p), seen_(pairs.size()), agree_(pairs.size()) {}
+  Sampler(const EdgeView& source, const std::vector<Pair>& pairs,
+          const std::vector<EpipolarIndex>& indexes, const ChainDepthParameters& p)
+      : source_(source), pairs_(pairs), indexes_(indexes), p_(p), agree_(pairs.size()) {}
 
-  // Clusters of the sample at point i of the source, best first.
-  std::vector<Cluster> Clusters(int64_t i) {
-    hypotheses_.clear();
-    for (size_t n = 0; n < pairs_.size(); ++n) Collect(i, int32_t(n));
-    std::sort(hypotheses_.begin(), hypotheses_.end(), [](const Hypothesis& a, const Hypothesis& b) {
+  // Clusters of each of the samples at some points of the source, best first.
+  std::vector<std::vector<Cluster>> Clusters(const int64_t* begin, const int64_t* end);
+
+ private:
+  // The hypotheses of one sample and what the crossings with each neighbour say of chance.
+  struct Found {
+    std::vector<Hypothesis> hypotheses;
+    std::vector<Seen> seen;
+  };
+
+  void Collect(int64_t i, int32_t neighbor, Found* found);
+  void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
+  void ScoreAll(const Found& found);
+  Cluster MakeCluster(const std::vector<Hypothesis>& hypotheses, int64_t u);
+  std::vector<Cluster> BestClusters(const std::vector<Hypothesis>& hypotheses);
+
+  const EdgeView& source_;
+  const std::vector<Pair>& pairs_;
+  const std::vector<EpipolarIndex>& indexes_;
+  const ChainDepthParameters& p_;
+  std::vector<Found> found_;  // by sample; kept, so that its memory is used again
+  std::vector<double> scores_;
+  std::vector<int64_t> agree_;
+  std::vector<EpipolarIndex::Crossed> crossed_;
+};
+
+inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* begin,
+                                                           const int64_t* end) {
+  const size_t count = end - begin;
+  if (found_.size() < count) found_.resize(count);
+  for (size_t s = 0; s < count; ++s) {
+    found_[s].hypotheses.clear();
+    found_[s].seen.assign(pairs_.size(), Seen());
+  }
+  // Neighbour by neighbour: what samples side by side look at is side by side in memory, too.
+  for (size_t n = 0; n < pairs_.size(); ++n) {
+    for (size_t s = 0; s < count; ++s) Collect(begin[s], int32_t(n), &found_[s]);
+  }
+  std::vector<std::vector<Cluster>> clusters(count);
+  for (size_t s = 0; s < count; ++s) {
+    std::vector<Hypothesis>& hypotheses = found_[s].hypotheses;
+    std::sort(hypotheses.begin(), hypotheses.end(), [](const Hypothesis& a, const Hypothesis& b) {
       if (a.inverse_depth != b.inverse_depth) return a.inverse_depth < b.inverse_depth;
       if (a.neighbor != b.neighbor) return a.neighbor < b.neighbor;
       return a.position < b.position;
     });
-    ScoreAll();
-    return BestClusters();
+    ScoreAll(found_[s]);
+    clusters[s] = BestClusters(hypotheses);
   }
+  return clusters;
+}
 
- private:
-  void Collect(int64_t i, int32_t neighbor);
-  void Agreeing(int64_t u);
-  void ScoreAll();
-  Cluster MakeCluster(int64_t u);
-  std::vector<Cluster> BestClusters();
-
-  const EdgeView& source_;
-  const std::vector<Pair>& pairs_;
-  const ChainDepthParameters& p_;
-  std::vector<Hypothesis> hypotheses_;
-  std::vector<double> scores_;
-  std::vector<Seen> seen_;
-  std::vector<int64_t> agree_;
-};
-
-inline void Sampler::Collect(int64_t i, int32_t neighbor) {
+inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
   const Pair& pair = pairs_[neighbor];
   const EdgeView& view = *pair.view;
   const double f = view.focal();
-  seen_[neighbor] = Seen();
+  std::vector<Hypothesis>& hypotheses = found->hypotheses;
   const Vec2& x = source_.point(i);
-  const Vec3 ray = {x[0] / source_.focal(), x[1] / source_.focal(), 1};
-  const Vec3 a = Multiply(pair.rotation, ray);
-  const Vec3& b = pair.translation;
-  double low = p_.min_inverse_depth, high = p_.max_inverse_depth;
-  // Keep the part in front of the neighbour: a_z + rho b_z > 0, with a margin.
-  const double margin = 1e-3 * (std::abs(a[2]) + high * std::abs(b[2]));
-  if (b[2] > 0) low = std::max(low, (margin - a[2]) / b[2]);
-  if (b[2] < 0) high = std::min(high, (margin - a[2]) / b[2]);
-  if (!(low < high) || (b[2] == 0 && a[2] <= margin)) return;
-  const auto project = [&](double rho) {
-    const double z = a[2] + rho * b[2];
-    return Vec2{f * (a[0] + rho * b[0]) / z, f * (a[1] + rho * b[1]) / z};
-  };
-  const Vec2 start = project(low), end = project(high);
-  const double length = std::hypot(end[0] - start[0], end[1] - start[1]);
-  if (!(length > 1)) return;
-  const Vec2 u = {(end[0] - start[0]) / length, (end[1] - start[1]) / length};
   const Vec2 toward = ImageDirection(pair.source_epipole, x, source_.focal());
-  const double toward_norm = std::hypot(toward[0], toward[1]);
-  const Vec2& n0 = source_.normal(i);
-  const double polarity0 = (n0[0] * toward[0] + n0[1] * toward[1]) / (toward_norm + 1e-300);
-  const Vec2& tangent0 = source_.tangent(i);
-  const double sin0 =
-      std::abs(tangent0[0] * toward[1] - tangent0[1] * toward[0]) / (toward_norm + 1e-300);
+  const double toward_norm = Norm(toward);
+  const Vec2 &n0 = source_.normal(i), &tangent0 = source_.tangent(i);
+  const double sin0 = std::abs(Cross(tangent0, toward)) / (toward_norm + 1e-300);
   if (sin0 < p_.min_angle_sin) return;
-  const size_t before = hypotheses_.size();
+  const double polarity0 = Dot(n0, toward) / (toward_norm + 1e-300);
+  const Vec3 a = Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
+  const Vec3& b = pair.translation;
+  // Along the epipolar line a pixel moves by gradient / z^2 for a change of inverse depth.
+  const Vec2 gradient = {f * (b[0] * a[2] - a[0] * b[2]), f * (b[1] * a[2] - a[1] * b[2])};
+  const double speed = Norm(gradient);
+  if (!(speed > 0)) return;
+  const Vec2 u = {gradient[0] / speed, gradient[1] / speed};
+  const double low = p_.min_inverse_depth, high = p_.max_inverse_depth;
+  const size_t before = hypotheses.size();
   int64_t count = 0;
   double nearest = high, farthest = low;
-  view.VisitCrossings(start, end, [&](int64_t s, double t) {
-    const Vec2& q = view.point(s);
-    const Vec2& r = view.point(view.Next(s));
-    const Vec2 at = {q[0] + t * (r[0] - q[0]), q[1] + t * (r[1] - q[1])};
-    const Vec2& tangent = view.tangent(s);
-    const double sin = std::abs(u[0] * tangent[1] - u[1] * tangent[0]);
+  const bool wide = std::abs(u[0]) > std::abs(u[1]);
+  indexes_[neighbor].VisitCrossings(a, low, high, &crossed_, [&](int64_t s, double t) {
+    const double sin = std::abs(Cross(u, view.tangent(s)));
     if (sin < p_.min_angle_sin) return;
-    const double rho = std::abs(u[0]) > std::abs(u[1])
-                           ? (at[0] * a[2] - f * a[0]) / (f * b[0] - at[0] * b[2])
-                           : (at[1] * a[2] - f * a[1]) / (f * b[1] - at[1] * b[2]);
+    const int k = wide ? 0 : 1;
+    const double q = view.point(s)[k], at = q + t * (view.point(view.Next(s))[k] - q);
+    const double rho = (at * a[2] - f * a[k]) / (f * b[k] - at * b[2]);
     if (!(rho >= low && rho <= high)) return;
     ++count;
     nearest = std::min(nearest, rho), farthest = std::max(farthest, rho);
-    const Vec2 direction = ImageDirection(pair.neighbor_epipole, at, f);
-    const Vec2& n = view.normal(s);
-    const double polarity =
-        (n[0] * direction[0] + n[1] * direction[1]) / std::hypot(direction[0], direction[1]);
     constexpr double kSure = 0.1;  // nearer to the epipolar line the sign is noise
+    // The direction from the source's centre to the neighbour's is that of -u.
+    const double polarity = -Dot(view.normal(s), u);
     if (polarity * polarity0 < 0 && std::min(std::abs(polarity), std::abs(polarity0)) > kSure) {
       return;
     }
     const double z = a[2] + rho * b[2];
-    const double speed =
-        f *
-        std::hypot(b[0] * z - (a[0] + rho * b[0]) * b[2], b[1] * z - (a[1] + rho * b[1]) * b[2]) /
-        (z * z);
-    if (!(speed > 0)) return;
-    hypotheses_.push_back(
-        {rho, 1 / (speed * std::min(sin, sin0)), double(s) + t, neighbor, view.polyline(s)});
+    hypotheses.push_back(
+        {rho, z * z / (speed * std::min(sin, sin0)), double(s) + t, neighbor, view.polyline(s)});
   });
-  if (hypotheses_.size() == before) return;
-  Seen& seen = seen_[neighbor];
+  if (hypotheses.size() == before) return;
+  Seen& seen = found->seen[neighbor];
   seen.visible = true;
   // Half of the crossings have the wrong polarity.
   seen.density = 0.5 * double(count) / std::max(farthest - nearest, 0.05 * (high - low));
 }
 
 // What agrees with hypothesis u: of each neighbour the nearest hypothesis within reach, in agree_.
-inline void Sampler::Agreeing(int64_t u) {
-  const int64_t count = int64_t(hypotheses_.size());
-  const Hypothesis& center = hypotheses_[u];
+inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u) {
+  const int64_t count = int64_t(hypotheses.size());
+  const Hypothesis& center = hypotheses[u];
   std::fill(agree_.begin(), agree_.end(), -1);
   agree_[center.neighbor] = u;
   const auto consider = [&](int64_t v, double gap) {
-    const Hypothesis& other = hypotheses_[v];
+    const Hypothesis& other = hypotheses[v];
     const double variance = center.sigma * center.sigma + other.sigma * other.sigma;
     if (gap * gap > p_.max_disagreement_px * p_.max_disagreement_px * variance) return;
     int64_t& held = agree_[other.neighbor];
-    if (held < 0 || gap < std::abs(hypotheses_[held].inverse_depth - center.inverse_depth)) {
+    if (held < 0 || gap < std::abs(hypotheses[held].inverse_depth - center.inverse_depth)) {
       held = v;
     }
   };
   const double reach = 4 * p_.max_disagreement_px * center.sigma;
   for (int64_t v = u - 1; v >= 0; --v) {
-    const double gap = center.inverse_depth - hypotheses_[v].inverse_depth;
+    const double gap = center.inverse_depth - hypotheses[v].inverse_depth;
     if (gap > reach) break;
     consider(v, gap);
   }
   for (int64_t v = u + 1; v < count; ++v) {
-    const double gap = hypotheses_[v].inverse_depth - center.inverse_depth;
+    const double gap = hypotheses[v].inverse_depth - center.inverse_depth;
     if (gap > reach) break;
     consider(v, gap);
   }
@@ -224,34 +206,39 @@ inline void Sampler::Agreeing(int64_t u) {
 // Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
 // that a neighbour agrees is that of a crossing within the window of two hypotheses, x / (1 + x)
 // for x crossings expected there.
-inline void Sampler::ScoreAll() {
+inline void Sampler::ScoreAll(const Found& found) {
+  const std::vector<Hypothesis>& hypotheses = found.hypotheses;
   const double q = p_.detection_rate;
-  scores_.resize(hypotheses_.size());
-  for (size_t u = 0; u < hypotheses_.size(); ++u) {
-    Agreeing(int64_t(u));
-    const double sigma = hypotheses_[u].sigma;
-    double ratio = 1;
+  scores_.resize(hypotheses.size());
+  for (size_t u = 0; u < hypotheses.size(); ++u) {
+    Agreeing(hypotheses, int64_t(u));
     int count = 0;
-    for (size_t n = 0; n < pairs_.size(); ++n) {
-      if (!seen_[n].visible) continue;
-      const double other = agree_[n] >= 0 ? hypotheses_[agree_[n]].sigma : sigma;
-      const double window = 2 * p_.max_disagreement_px * std::sqrt(sigma * sigma + other * other);
-      const double x = std::clamp(window * seen_[n].density, 0.02, 50.0);
-      ratio *= agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
-      count += agree_[n] >= 0;
+    for (const int64_t v : agree_) count += v >= 0;
+    if (count < 2) {
+      scores_[u] = -std::numeric_limits<double>::infinity();
+      continue;
     }
-    scores_[u] = count < 2 ? -std::numeric_limits<double>::infinity() : std::log(ratio);
+    const double sigma = hypotheses[u].sigma;
+    double ratio = 1;
+    for (size_t n = 0; n < pairs_.size(); ++n) {
+      if (!found.seen[n].visible) continue;
+      const double other = agree_[n] >= 0 ? hypotheses[agree_[n]].sigma : sigma;
+      const double window = std::sqrt(2.0) * p_.max_disagreement_px * (sigma + other);
+      const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
+      ratio *= agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
+    }
+    scores_[u] = std::log(ratio);
   }
 }
 
-inline Cluster Sampler::MakeCluster(int64_t u) {
-  Agreeing(u);
+inline Cluster Sampler::MakeCluster(const std::vector<Hypothesis>& hypotheses, int64_t u) {
+  Agreeing(hypotheses, u);
   Cluster cluster;
   cluster.score = scores_[u];
   double weights = 0, sum = 0;
   for (const int64_t v : agree_) {
     if (v < 0) continue;
-    const Hypothesis& h = hypotheses_[v];
+    const Hypothesis& h = hypotheses[v];
     weights += 1 / (h.sigma * h.sigma), sum += h.inverse_depth / (h.sigma * h.sigma);
     cluster.support.push_back({h.position, h.neighbor, h.polyline});
   }
@@ -260,16 +247,16 @@ inline Cluster Sampler::MakeCluster(int64_t u) {
 }
 
 // The best clusters, none within another's reach.
-inline std::vector<Cluster> Sampler::BestClusters() {
+inline std::vector<Cluster> Sampler::BestClusters(const std::vector<Hypothesis>& hypotheses) {
   std::vector<Cluster> kept;
   while (int(kept.size()) < p_.max_clusters) {
     const int64_t best = std::max_element(scores_.begin(), scores_.end()) - scores_.begin();
     if (best == int64_t(scores_.size()) || std::isinf(scores_[best])) break;
-    kept.push_back(MakeCluster(best));
-    const double reach = p_.max_disagreement_px * hypotheses_[best].sigma;
-    for (size_t v = 0; v < hypotheses_.size(); ++v) {
+    kept.push_back(MakeCluster(hypotheses, best));
+    const double reach = p_.max_disagreement_px * hypotheses[best].sigma;
+    for (size_t v = 0; v < hypotheses.size(); ++v) {
       if (int64_t(v) == best ||
-          std::abs(hypotheses_[v].inverse_depth - kept.back().inverse_depth) < reach) {
+          std::abs(hypotheses[v].inverse_depth - kept.back().inverse_depth) < reach) {
         scores_[v] = -std::numeric_limits<double>::infinity();
       }
     }
@@ -345,14 +332,17 @@ inline ChainDepths ComputeChainDepths(const EdgeView& source,
   using namespace chain_depths_internal;
   std::vector<Pair> pairs;
   for (const EdgeView* neighbor : neighbors) pairs.push_back(MakePair(source, *neighbor));
+  std::vector<EpipolarIndex> indexes(pairs.size());
+  ParallelFor(int64_t(pairs.size()), num_threads, [&](int64_t n, int) {
+    indexes[n] = EpipolarIndex(pairs[n], parameters.min_angle_sin);
+  });
   std::vector<Cluster> picked(samples.size());
   const int64_t num_chains = int64_t(sample_offsets.size()) - 1;
-  std::vector<Sampler> samplers(std::max(1, num_threads), Sampler(source, pairs, parameters));
+  std::vector<Sampler> samplers(std::max(1, num_threads),
+                                Sampler(source, pairs, indexes, parameters));
   ParallelFor(num_chains, num_threads, [&](int64_t chain, int worker) {
-    std::vector<std::vector<Cluster>> states;
-    for (int64_t s = sample_offsets[chain]; s < sample_offsets[chain + 1]; ++s) {
-      states.push_back(samplers[worker].Clusters(samples[s]));
-    }
+    std::vector<std::vector<Cluster>> states = samplers[worker].Clusters(
+        samples.data() + sample_offsets[chain], samples.data() + sample_offsets[chain + 1]);
     const std::vector<int> path = Decode(states, pairs, steps, parameters);
     for (size_t t = 0; t < path.size(); ++t) {
       if (path[t] >= 0) picked[sample_offsets[chain] + t] = std::move(states[t][path[t]]);

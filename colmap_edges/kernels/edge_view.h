@@ -16,6 +16,7 @@
 namespace colmap_edges {
 
 using Vec2 = std::array<double, 2>;
+using Vec2f = std::array<float, 2>;
 using Vec3 = std::array<double, 3>;
 using Mat3 = std::array<double, 9>;  // row major
 
@@ -41,6 +42,15 @@ inline Mat3 MultiplyByTransposed(const Mat3& a, const Mat3& b) {
   return result;
 }
 
+inline double Dot(const Vec2& a, const Vec2& b) { return a[0] * b[0] + a[1] * b[1]; }
+inline double Dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+inline double Norm(const Vec2& a) { return std::sqrt(Dot(a, a)); }
+inline double Cross(const Vec2& a, const Vec2& b) { return a[0] * b[1] - a[1] * b[0]; }
+inline Vec3 Cross(const Vec3& a, const Vec3& b) {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+inline Vec3 Scaled(const Vec3& a, double s) { return {a[0] * s, a[1] * s, a[2] * s}; }
+
 class EdgeView {
  public:
   // points, normals: (N, 2) ideal pixels; offsets: (P + 1) polylines; closed: (P).
@@ -62,17 +72,17 @@ class EdgeView {
     for (int32_t p = 0; p < num_polylines(); ++p) {
       for (int64_t i = first(p); i <= last(p); ++i) {
         const int64_t next = i < last(p) ? i + 1 : (closed_[p] ? first(p) : -1);
-        points_[i] = {points[i], normals[i], {1, 0}, p, int32_t(next)};
+        points_[i] = {Narrowed(points[i]), Narrowed(normals[i]), {1, 0}, p, int32_t(next)};
       }
     }
-    for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = FindTangent(i);
+    for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Narrowed(FindTangent(i));
     BuildGrid();
   }
 
   int64_t num_points() const { return int64_t(points_.size()); }
   int64_t num_polylines() const { return int64_t(closed_.size()); }
-  const Vec2& point(int64_t i) const { return points_[i].xy; }
-  const Vec2& normal(int64_t i) const { return points_[i].normal; }
+  Vec2 point(int64_t i) const { return Widened(points_[i].xy); }
+  Vec2 normal(int64_t i) const { return Widened(points_[i].normal); }
   int32_t polyline(int64_t i) const { return points_[i].polyline; }
   int64_t first(int32_t p) const { return offsets_[p]; }
   int64_t last(int32_t p) const { return offsets_[p + 1] - 1; }
@@ -80,6 +90,12 @@ class EdgeView {
   const Mat3& rotation() const { return rotation_; }
   const Vec3& translation() const { return translation_; }
   double focal() const { return focal_; }
+
+  // Asks for points i and i + 1 ahead of their use.
+  void Prefetch(int64_t i) const {
+    __builtin_prefetch(&points_[i]);
+    __builtin_prefetch(&points_[i] + 1);
+  }
 
   // The point after i along its polyline, -1 at an open end.
   int64_t Next(int64_t i) const { return points_[i].next; }
@@ -114,7 +130,7 @@ class EdgeView {
   }
 
   // Unit direction of the polyline around point i.
-  const Vec2& tangent(int64_t i) const { return points_[i].tangent; }
+  Vec2 tangent(int64_t i) const { return Widened(points_[i].tangent); }
 
   // Camera coordinates of a world point.
   Vec3 ToCamera(const Vec3& world) const {
@@ -122,6 +138,14 @@ class EdgeView {
     for (int k = 0; k < 3; ++k) local[k] += translation_[k];
     return local;
   }
+
+  // The chord of a stretch of a polyline, from point `first` over `count` steps. What crosses the
+  // chord crosses the stretch, and all but grazing lines that cross the stretch cross the chord.
+  struct Stretch {
+    float ax, ay, bx, by;
+    int32_t first, count;
+  };
+  const std::vector<Stretch>& stretches() const { return stretches_; }
 
   // Bounds of all points, for clipping.
   const Vec2& low() const { return low_; }
@@ -142,13 +166,6 @@ class EdgeView {
   static constexpr double kStretchDistance = 1;  // pixels between a stretch and its chord
   static constexpr int64_t kTangentReach = 3;    // points to both sides that make a tangent
 
-  // The chord of a stretch of a polyline, from point `first` over `count` steps. What crosses the
-  // chord crosses the stretch, and all but grazing lines that cross the stretch cross the chord.
-  struct Stretch {
-    float ax, ay, bx, by;
-    int32_t first, count;
-  };
-
   Vec2 FindTangent(int64_t i) const {
     const Vec2& a = point(Advance(i, -kTangentReach));
     const Vec2& b = point(Advance(i, kTangentReach));
@@ -167,11 +184,14 @@ class EdgeView {
   void BuildGrid();
   bool Clip(Vec2* a, Vec2* b) const;
 
-  // All that a crossing needs to know of a point, within one cache line.
+  // All that a crossing needs to know of a point, as small as it can be: views are larger than
+  // caches. Single precision is a thousandth of a chain's own noise.
   struct Point {
-    Vec2 xy, normal, tangent;
+    Vec2f xy, normal, tangent;
     int32_t polyline, next;
   };
+  static Vec2 Widened(const Vec2f& v) { return {v[0], v[1]}; }
+  static Vec2f Narrowed(const Vec2& v) { return {float(v[0]), float(v[1])}; }
 
   std::vector<Point> points_;
   std::vector<int64_t> offsets_;
@@ -181,6 +201,7 @@ class EdgeView {
   double focal_;
   Vec2 low_{0, 0}, high_{0, 0};
   int64_t columns_ = 1, rows_ = 1;
+  std::vector<Stretch> stretches_;
   std::vector<int64_t> cell_offsets_;
   std::vector<Stretch> cell_stretches_;  // a stretch is in every cell that its box touches
 };
@@ -188,7 +209,9 @@ class EdgeView {
 inline std::vector<EdgeView::Stretch> EdgeView::MakeStretches() const {
   std::vector<Stretch> stretches;
   std::vector<int64_t> kept;
-  const auto xy = [this](int64_t i) { return point(i).data(); };
+  std::vector<Vec2> all(num_points());
+  for (int64_t i = 0; i < num_points(); ++i) all[i] = point(i);
+  const auto xy = [&all](int64_t i) { return all[i].data(); };
   const auto add = [&](int64_t i, int64_t j, int64_t count) {
     const Vec2 &a = point(i), &b = point(j);
     stretches.push_back(
@@ -217,13 +240,13 @@ inline void EdgeView::BuildGrid() {
   if (!points_.empty()) low_ = high_ = point(0);
   for (const Point& p : points_) {
     for (int k = 0; k < 2; ++k) {
-      low_[k] = std::min(low_[k], p.xy[k]), high_[k] = std::max(high_[k], p.xy[k]);
+      low_[k] = std::min(low_[k], double(p.xy[k])), high_[k] = std::max(high_[k], double(p.xy[k]));
     }
   }
   columns_ = int64_t((high_[0] - low_[0]) / kCell) + 1;
   rows_ = int64_t((high_[1] - low_[1]) / kCell) + 1;
   cell_offsets_.assign(columns_ * rows_ + 1, 0);
-  const std::vector<Stretch> stretches = MakeStretches();
+  stretches_ = MakeStretches();
   const auto for_cells = [&](const Stretch& stretch, const auto& use) {
     Vec2 low = point(stretch.first), high = low;
     for (int64_t k = 1, i = stretch.first; k <= stretch.count; ++k) {
@@ -236,11 +259,11 @@ inline void EdgeView::BuildGrid() {
       for (int64_t c = Column(low[0]); c <= Column(high[0]); ++c) use(r * columns_ + c);
     }
   };
-  for (const Stretch& s : stretches) for_cells(s, [&](int64_t c) { ++cell_offsets_[c + 1]; });
+  for (const Stretch& s : stretches_) for_cells(s, [&](int64_t c) { ++cell_offsets_[c + 1]; });
   for (size_t c = 1; c < cell_offsets_.size(); ++c) cell_offsets_[c] += cell_offsets_[c - 1];
   cell_stretches_.resize(cell_offsets_.back());
   std::vector<int64_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
-  for (const Stretch& s : stretches)
+  for (const Stretch& s : stretches_)
     for_cells(s, [&](int64_t c) { cell_stretches_[fill[c]++] = s; });
 }
 
