@@ -107,14 +107,23 @@ class ChainDepthOptions(Options):
     max_disagreement_px: float = option(
         1.5, "Largest distance between agreeing crossings along the epipolar line, in pixels", gt=0
     )
+    max_side_difference: float = option(
+        -1.0,
+        "Largest difference of the more alike sides of an edge in two views, in gray levels; "
+        "-1 learns it from the views",
+        ge=-1,
+    )
     min_epipolar_angle_deg: float = option(
         5.0, "Smallest angle between an edge and the epipolar line, in degrees", ge=0, le=90
     )
+    visibility_rate: float = option(
+        0.5, "Chance that an edge of one view is not hidden in another", gt=0, le=1
+    )
     detection_rate: float = option(
-        0.6, "Chance that an edge seen in one view is detected in another", gt=0, le=0.95
+        0.8, "Chance that an edge that is not hidden is detected", gt=0, le=0.95
     )
     none_score: float = option(
-        4.0, "Log likelihood ratio that the agreement of views must exceed to count"
+        3.0, "Log likelihood ratio that the agreement of views must exceed to count"
     )
     break_penalty: float = option(
         4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
@@ -173,7 +182,13 @@ class TracingOptions(Options):
     )
     min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
     min_observations: int = option(
-        4, "Observations that an edge point must have (paper: k_v)", ge=2
+        3, "Observations that an edge point must have (paper: k_v)", ge=2
+    )
+    max_sigma_ratio: float = option(
+        4.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
+    )
+    max_false_edges: float = option(
+        1.0, "Number of 3D edges that chance may make in the whole scene", gt=0
     )
 
 
