@@ -294,7 +294,7 @@ class MeshingOptions(Options):
         ge=0,
     )
     long_facet_factor: float = option(
-        25.0, "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all", ge=0
+        0.5, "Drop triangles with a longer side, in distances to the cameras; 0 keeps all", ge=0
     )
     min_component_faces: int = option(1, "Drop connected components of fewer triangles", ge=1)
     num_threads: int = option(0, "Threads; 0 takes all cores", ge=0)

@@ -258,7 +258,8 @@ void TestSurfaceOfRandomLabels() {
     for (auto& label : is_free) label = random() % 2;
     SurfaceOptions options;
     options.long_facet_factor = round % 3 ? 0.8 : 0;
-    CheckEdges(ExtractSurface(triangulation, is_free, options), round);
+    const std::vector<double> ranges(points.size(), 1.5);
+    CheckEdges(ExtractSurface(triangulation, is_free, ranges, options), round);
   }
 }
 

@@ -261,6 +261,44 @@ def test_one_camera_sees_a_height_field():
     assert as_trimesh(mesh).area_faces[upward].sum() > 3.5
 
 
+def floor_scene(*patches):
+    """Points on a bumpy floor around the origin, ten units under four cameras."""
+    points = np.concatenate([grid_on_floor(*patch) for patch in patches])
+    centers = np.array([[x, y, 10.0] for x in (-1, 1) for y in (-1, 1)])
+    offsets = 4 * np.arange(len(points) + 1)
+    return points, offsets, np.tile(np.arange(4, dtype=np.int32), len(points)), centers
+
+
+def grid_on_floor(side, half_width):
+    x, y = (a.ravel() for a in np.meshgrid(*[np.linspace(-half_width, half_width, side)] * 2))
+    return np.column_stack([x, y, 0.5 * half_width * np.sin(5 * x) * np.cos(7 * y)])
+
+
+def upward_area(mesh):
+    solid = as_trimesh(mesh)
+    return (solid.area_faces * np.maximum(solid.face_normals[:, 2], 0)).sum()
+
+
+def test_dense_points_tear_no_holes_in_the_coarse_surface():
+    coarse = meshing.mesh_points(*floor_scene((7, 4.0)), OPTIONS)
+    both = meshing.mesh_points(*floor_scene((7, 4.0), (60, 0.01)), OPTIONS)
+    assert both.stats["long_facets_dropped"] == coarse.stats["long_facets_dropped"]
+    assert upward_area(coarse) == pytest.approx(64, rel=0.05)
+    assert upward_area(both) == pytest.approx(64, rel=0.05)
+
+
+def test_long_triangles_are_dropped():
+    points, offsets, cameras, centers = floor_scene((9, 1.0), (9, 1.0))
+    points[81:] += [10.0, 0.1, 0]
+    bridged = meshing.mesh_points(
+        points, offsets, cameras, centers, replace(OPTIONS, long_facet_factor=0.0)
+    )
+    apart = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    assert upward_area(bridged) > 20
+    assert upward_area(apart) == pytest.approx(8, rel=0.1)
+    assert apart.stats["long_facets_dropped"] > 0
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
 def test_written_mesh_is_read_back(tmp_path, suffix):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
