@@ -164,12 +164,20 @@ Triangulation Triangulate(const MesherOptions& options, Scene& scene,
   return builder.Flatten();
 }
 
+// 1 for the vertices on polylines, those that were added there included.
+std::vector<std::uint8_t> EdgePoints(const Triangulation& triangulation, const Scene& scene) {
+  std::vector<std::uint8_t> is_edge(triangulation.points.size(), 0);
+  for (Index v : scene.polylines.values) is_edge[v] = 1;
+  std::fill(is_edge.begin() + scene.points.size(), is_edge.end(), 1);
+  return is_edge;
+}
+
 std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, const Scene& scene,
                                          const MesherOptions& options, MesherResult& result,
                                          Stopwatch& watch) {
   if (options.method == "graphcut") {
-    CutProblem problem =
-        VisibilityProblem(triangulation, scene.rays, scene.cameras, options.visibility);
+    CutProblem problem = VisibilityProblem(triangulation, scene.rays, scene.cameras,
+                                           EdgePoints(triangulation, scene), options.visibility);
     watch.Lap("visibility");
     Cut cut = MinimumCut(triangulation.cells, std::move(problem));
     result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
