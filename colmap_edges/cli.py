@@ -33,6 +33,8 @@ VIEWERS = {
     "edges.obj": "3D edges as polylines: Blender, CloudCompare",
     "edges.json": "what each edge is: its points in the model, length, views, residual",
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
+    "mesh.obj": "mesh: MeshLab, Blender, CloudCompare",
+    "mesh.glb": "mesh: Blender, any glTF viewer",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
     "report.json": "options, versions, counts, times and memory of every stage",

@@ -296,6 +296,13 @@ class MeshingOptions(Options):
     quality_weight: float = option(
         0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0
     )
+    edge_solid_weight: float = option(
+        1.0,
+        "graphcut: weight of the solid behind an edge point against that behind other points; "
+        "less leaves more free space behind occluding edges",
+        ge=0,
+        le=1,
+    )
     vote_crossed: float = option(
         1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", ge=0
     )
@@ -309,9 +316,12 @@ class MeshingOptions(Options):
         ge=0,
     )
     long_facet_factor: float = option(
-        25.0, "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all", ge=0
+        0.5, "Drop triangles with a longer side, in distances to the cameras; 0 keeps all", ge=0
     )
     min_component_faces: int = option(1, "Drop connected components of fewer triangles", ge=1)
+    max_faces: int = option(
+        0, "Simplify the mesh to this many triangles by quadric errors; 0 keeps all", ge=0
+    )
     num_threads: int = option(0, "Threads; 0 takes all cores", ge=0)
 
 
@@ -333,5 +343,6 @@ class PipelineOptions(Options):
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
+    mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)

@@ -317,7 +317,7 @@ def mesh_stage(
     stages: Stages,
 ) -> None:
     """Mesh all points of a model, whose last are those of `edges` when there are edges."""
-    from colmap_edges.meshing import Polylines, mesh_points, with_model_attributes, write_mesh
+    from colmap_edges.meshing import Polylines, finished, mesh_points, write_mesh
 
     with stages.stage("mesh") as stage:
         polylines = None
@@ -333,7 +333,8 @@ def mesh_stage(
             replace(options.meshing, num_threads=thread_count(options)),
             polylines,
         )
-        write_mesh(with_model_attributes(mesh, model), folder / "mesh.ply")
+        mesh = finished(mesh, model, options.meshing)
+        write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts["details"] = plain_counts(mesh.stats)
 
