@@ -266,6 +266,16 @@ class SamplingOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BundleAdjustmentOptions(Options):
+    """Poses refined on SfM points and edge points together."""
+
+    robust_factor: float = option(
+        3.0, "Residual from which an observation loses influence, in standard deviations", gt=0
+    )
+    max_steps: int = option(30, "Most steps of each of the adjustments", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class MeshingOptions(Options):
     """Points and rays -> triangle mesh; every option is free of the model's unit."""
 
@@ -315,8 +325,12 @@ class PipelineOptions(Options):
     following: FollowingOptions = field(default_factory=FollowingOptions)
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
+    bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    refine_poses: bool = option(
+        False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
+    )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)
