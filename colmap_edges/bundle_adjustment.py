@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -32,6 +32,8 @@ BoolArray = NDArray[np.bool_]
 
 SFM, EDGE = 0, 1  # kinds of points
 GAUGE_PRIOR = 1e-6  # of the information on each pose: free directions stay, others hardly feel it
+COLUMNS_AT_ONCE = 3072  # of the points' part of the system, while it is eliminated
+ENOUGH_GAIN = 3e-4  # of the cost; steps that gain less move poses by less than their noise
 SMALLEST_SIGMA_PX = 1e-3  # noise below this is taken for none
 
 
@@ -270,8 +272,9 @@ def jacobians(problem: Problem, state: State, local: FloatArray) -> tuple[FloatA
 def squared_ratios(problem: Problem, residuals: FloatArray, noise: Noise) -> FloatArray:
     """(M,) squared residuals of the rows' observations, over where they lose influence."""
     scales = noise.robust_factor * noise.sigmas_px[problem.kinds[problem.rows.points]]
-    ratios: FloatArray = np.bincount(problem.rows.observations, (residuals / scales) ** 2)
-    return ratios[problem.rows.observations]
+    observations = problem.rows.observations
+    sums = np.asarray(np.bincount(observations, (residuals / scales) ** 2), np.float64)
+    return sums[observations]
 
 
 def cost_of(problem: Problem, state: State, residuals: FloatArray, noise: Noise) -> float:
@@ -350,6 +353,17 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
     return full.reshape(6 * count, 6 * count)
 
 
+def outer_square(matrix: csc_array) -> FloatArray:
+    """`matrix @ matrix.T`, dense, from dense blocks of the rows that neighbouring columns share."""
+    total = np.zeros((matrix.shape[0], matrix.shape[0]))
+    for start in range(0, matrix.shape[1], COLUMNS_AT_ONCE):
+        block = matrix[:, start : start + COLUMNS_AT_ONCE]
+        rows = np.unique(block.indices)
+        dense = block.toarray()[rows]
+        total[np.ix_(rows, rows)] += dense @ dense.T
+    return total
+
+
 def solve_step(
     problem: Problem, normals: Normals, damping: float, move_poses: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -358,13 +372,13 @@ def solve_step(
     diagonal = np.einsum("pii->pi", blocks)
     diagonal += damping * diagonal + 1e-12 * diagonal.sum(axis=1, keepdims=True) + 1e-300
     inverse = np.linalg.inv(np.linalg.cholesky(blocks))  # of the lower factor
-    gradient = np.einsum("pij,pj->pi", inverse, normals.point_gradient)
+    gradient: FloatArray = np.einsum("pij,pj->pi", inverse, normals.point_gradient)
     step = np.zeros(6 * problem.num_frames)
     carried = np.zeros_like(gradient)
     if move_poses:
         factors = np.einsum("mij,mj->mi", inverse[problem.rows.points], normals.by_point)
         coupling = normals.by_pose.T @ spread(factors, problem.rows.points, len(blocks))
-        system = normals.pose_system - (coupling @ coupling.T).toarray()
+        system = normals.pose_system - outer_square(coupling.tocsc())
         system[np.diag_indices(len(system))] += damping * np.diag(normals.pose_system)
         right = coupling @ gradient.ravel() - normals.pose_gradient
         step = cho_solve(cho_factor(system), right)
@@ -389,7 +403,7 @@ def apply_step(problem: Problem, state: State, step: FloatArray, points: FloatAr
 def minimize(
     problem: Problem, state: State, noise: Noise, max_steps: int, move_poses: bool = True
 ) -> tuple[State, float]:
-    """Levenberg-Marquardt until a step gains less than a millionth of the cost.
+    """Levenberg-Marquardt until a step gains less than `ENOUGH_GAIN` of the cost.
 
     Returns:
         The state of lowest cost, and its cost.
@@ -408,7 +422,7 @@ def minimize(
         else:
             break
         state, gain, cost, damping = tried, cost - found, found, max(damping / 10, 1e-12)
-        if gain <= 1e-6 * cost:
+        if gain <= ENOUGH_GAIN * cost:
             break
     return state, cost
 
@@ -430,18 +444,18 @@ def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
 
 
 def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> State:
-    """Adjust poses and points; the noise is measured anew as the residuals shrink."""
+    """Adjust poses and points; the noise is measured anew until residuals no longer shrink."""
     prior = np.zeros((problem.num_frames, 6, 6))
-    for move_poses in (False, True, True, True):
-        noise = Noise(
-            sigmas_px=estimate_sigmas(problem, state),
-            robust_factor=options.robust_factor,
-            prior=prior,
-        )
-        if move_poses and not prior.any():
-            noise = replace(noise, prior=GAUGE_PRIOR * frame_information(problem, state, noise))
-            prior = noise.prior
-        state, _ = minimize(problem, state, noise, options.max_steps, move_poses)
+    sigmas = np.full(2, np.inf)
+    for _ in range(options.max_rounds):
+        before, sigmas = sigmas, estimate_sigmas(problem, state)
+        if np.all(sigmas > 0.98 * before):
+            break
+        noise = Noise(sigmas_px=sigmas, robust_factor=options.robust_factor, prior=prior)
+        if not prior.any():
+            prior = GAUGE_PRIOR * frame_information(problem, state, noise)
+            noise = replace(noise, prior=prior)
+        state, _ = minimize(problem, state, noise, options.max_steps)
     return state
 
 
@@ -507,7 +521,7 @@ def refine_poses(
     """Refine the poses of a model on its SfM points and its edges.
 
     The whole stays where it was: position, orientation and scale are those that move the frames
-    least. Poses change only if held-out points gain from it in both halves.
+    least. Poses change only if held-out points gain from it enough in both halves.
 
     Args:
         model: posed views and SfM points; not changed.
@@ -528,8 +542,9 @@ def refine_poses(
     if len(problem.rows.points) < 6 * problem.num_frames + 3 * len(problem.kinds):
         return model, stats  # too little to know anything by
     costs = held_out_costs(problem, start, options)
-    stats["held_out_gains"] = [1 - after / max(before, 1e-300) for before, after in costs]
-    if any(after >= before for before, after in costs):
+    gains = [1 - after / max(before, 1e-300) for before, after in costs]
+    stats["held_out_gains"] = gains
+    if min(gains) < options.min_gain:
         return model, stats
     state = adjust(problem, start, options)
     sigmas = estimate_sigmas(problem, state)

@@ -270,9 +270,17 @@ class BundleAdjustmentOptions(Options):
     """Poses refined on SfM points and edge points together."""
 
     robust_factor: float = option(
-        3.0, "Residual from which an observation loses influence, in standard deviations", gt=0
+        2.0, "Residual from which an observation loses influence, in standard deviations", gt=0
     )
-    max_steps: int = option(30, "Most steps of each of the adjustments", ge=1)
+    min_gain: float = option(
+        0.03,
+        "Share of the cost of held-out points that refined poses must save to be kept; where they "
+        "save less, the poses are as good as the images tell",
+        ge=0,
+        le=1,
+    )
+    max_rounds: int = option(6, "Most times that the noise is measured and steps are taken", ge=1)
+    max_steps: int = option(6, "Most steps of a round", ge=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,3 +342,9 @@ class PipelineOptions(Options):
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)
+
+    def __post_init__(self) -> None:
+        """Raise `OptionError` for a value outside its range, or options that contradict."""
+        super().__post_init__()
+        if self.refine_poses and not self.use_edges:
+            raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
