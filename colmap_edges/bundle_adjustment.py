@@ -8,12 +8,13 @@ intrinsics stay. All images of a frame move together, as COLMAP's rigs demand.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, solve
 from scipy.sparse import csc_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -31,7 +32,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 SFM, EDGE = 0, 1  # kinds of points
-GAUGE_PRIOR = 1e-6  # of the information on each pose: free directions stay, others hardly feel it
+WEAK_PRIOR = 1e-6  # of the information on each pose: what nothing else determines stays
 COLUMNS_AT_ONCE = 3072  # of the points' part of the system, while it is eliminated
 ENOUGH_GAIN = 3e-4  # of the cost; steps that gain less move poses by less than their noise
 SMALLEST_SIGMA_PX = 1e-3  # noise below this is taken for none
@@ -112,7 +113,7 @@ class Noise:
     Attributes:
         sigmas_px: (2,) standard deviations of the rows of SfM and edge points.
         robust_factor: residuals beyond this many standard deviations lose influence.
-        prior: (F, 6, 6) information that holds each frame where it started.
+        prior: (6 F, 6 F) information that holds the whole where it started.
     """
 
     sigmas_px: FloatArray
@@ -282,7 +283,7 @@ def cost_of(problem: Problem, state: State, residuals: FloatArray, noise: Noise)
     ratios = squared_ratios(problem, residuals, noise)
     single = np.where(problem.kinds[problem.rows.points] == EDGE, 1.0, 0.5)  # rows an observation
     losses = single * np.where(np.isfinite(ratios), ratios / (1 + ratios), 1.0)
-    prior = np.einsum("fi,fij,fj->", state.moved, noise.prior, state.moved)
+    prior = state.moved.ravel() @ noise.prior @ state.moved.ravel()
     return float(0.5 * noise.robust_factor**2 * losses.sum() + 0.5 * prior)
 
 
@@ -326,14 +327,13 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     size = np.einsum("pii->p", blocks)[:, None, None]
     blocks += size * problem.tangents[:, :, None] * problem.tangents[:, None, :]
     wide = spread(by_pose, problem.frames[rows.views], problem.num_frames)
-    prior_gradient = np.einsum("fij,fj->fi", noise.prior, state.moved).ravel()
     return Normals(
         by_pose=wide,
         by_point=by_point,
         point_blocks=blocks,
-        pose_system=(wide.T @ wide).toarray() + block_diagonal(noise.prior),
+        pose_system=(wide.T @ wide).toarray() + noise.prior,
         point_gradient=np.add.reduceat(by_point * residuals[:, None], starts),
-        pose_gradient=wide.T @ residuals + prior_gradient,
+        pose_gradient=wide.T @ residuals + noise.prior @ state.moved.ravel(),
     )
 
 
@@ -343,14 +343,6 @@ def spread(values: FloatArray, places: IntArray, count: int) -> csr_array:
     columns = width * places[:, None] + np.arange(width)
     starts = width * np.arange(len(values) + 1)
     return csr_array((values.ravel(), columns.ravel(), starts), (len(values), width * count))
-
-
-def block_diagonal(blocks: FloatArray) -> FloatArray:
-    """(6 F, 6 F) matrix of (F, 6, 6) blocks."""
-    count = len(blocks)
-    full = np.zeros((count, 6, count, 6))
-    full[np.arange(count), :, np.arange(count)] = blocks
-    return full.reshape(6 * count, 6 * count)
 
 
 def outer_square(matrix: csc_array) -> FloatArray:
@@ -381,7 +373,7 @@ def solve_step(
         system = normals.pose_system - outer_square(coupling.tocsc())
         system[np.diag_indices(len(system))] += damping * np.diag(normals.pose_system)
         right = coupling @ gradient.ravel() - normals.pose_gradient
-        step = cho_solve(cho_factor(system), right)
+        step = solve(system, right, assume_a="pos")
         carried = (coupling.T @ step).reshape(-1, 3)
     points = -np.einsum("pji,pj->pi", inverse, gradient + carried)
     return step.reshape(-1, 6), points
@@ -413,9 +405,11 @@ def minimize(
     for _ in range(max_steps):
         normals = normal_equations(problem, state, noise)
         while damping < 1e6:
-            step = solve_step(problem, normals, damping, move_poses)
-            tried = apply_step(problem, state, *step)
-            found = cost_of(problem, tried, project_rows(problem, tried)[0], noise)
+            tried, found = state, np.inf
+            with suppress(LinAlgError):  # more damping makes any system solvable
+                step = solve_step(problem, normals, damping, move_poses)
+                tried = apply_step(problem, state, *step)
+                found = cost_of(problem, tried, project_rows(problem, tried)[0], noise)
             if found <= cost:
                 break
             damping *= 10
@@ -445,7 +439,7 @@ def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
 
 def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> State:
     """Adjust poses and points; the noise is measured anew until residuals no longer shrink."""
-    prior = np.zeros((problem.num_frames, 6, 6))
+    prior = no_prior(problem)
     sigmas = np.full(2, np.inf)
     for _ in range(options.max_rounds):
         before, sigmas = sigmas, estimate_sigmas(problem, state)
@@ -453,18 +447,45 @@ def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> 
             break
         noise = Noise(sigmas_px=sigmas, robust_factor=options.robust_factor, prior=prior)
         if not prior.any():
-            prior = GAUGE_PRIOR * frame_information(problem, state, noise)
+            prior = gauge_prior(problem, state, noise)
             noise = replace(noise, prior=prior)
         state, _ = minimize(problem, state, noise, options.max_steps)
     return state
 
 
-def frame_information(problem: Problem, state: State, noise: Noise) -> FloatArray:
-    """(F, 6, 6) information of the measurements on each frame, were the points known."""
+def no_prior(problem: Problem) -> FloatArray:
+    """(6 F, 6 F) zeros."""
+    return np.zeros((6 * problem.num_frames, 6 * problem.num_frames))
+
+
+def gauge_prior(problem: Problem, state: State, noise: Noise) -> FloatArray:
+    """(6 F, 6 F) information that holds position, orientation and scale of the whole.
+
+    It is as strong along these directions as what the measurements would say of the frames, were
+    the points known, and nothing across. Left to the measurements the whole would drift: edge
+    points cannot follow it along their edges. A rig of several cameras fixes the scale itself.
+    """
     count = problem.num_frames
+    size = 6 * count
     system = normal_equations(problem, state, noise).pose_system.reshape(count, 6, count, 6)
-    blocks: FloatArray = system[np.arange(count), :, np.arange(count)]
-    return blocks
+    information = np.zeros_like(system)
+    index = np.arange(count)
+    information[index, :, index] = system[index, :, index]
+    information = information.reshape(size, size)
+    centers = frame_centers(problem, state)
+    centers -= centers.mean(axis=0)
+    moves = np.zeros((count, 6, 7 if len(problem.frames) == count else 6))
+    for axis, unit in enumerate(np.eye(3)):
+        moves[:, axis, axis] = 1
+        moves[:, 3:, axis] = np.cross(unit, centers)
+        moves[:, 3 + axis, 3 + axis] = 1
+    moves[:, 3:, 6:] = centers[:, :, None]
+    flat = moves.reshape(size, -1)
+    held = information @ flat
+    prior = held @ np.linalg.pinv(flat.T @ held, hermitian=True) @ held.T
+    unseen = np.diag((np.diag(information) == 0).astype(float))
+    weak: FloatArray = prior + WEAK_PRIOR * information + unseen
+    return weak
 
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
@@ -505,7 +526,7 @@ def held_out_costs(
         noise = Noise(
             sigmas_px=estimate_sigmas(judges, before),
             robust_factor=options.robust_factor,
-            prior=np.zeros((problem.num_frames, 6, 6)),
+            prior=no_prior(problem),
         )
         after = replace(moved, points=before.points)
         pair = [

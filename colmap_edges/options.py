@@ -273,7 +273,7 @@ class BundleAdjustmentOptions(Options):
         2.0, "Residual from which an observation loses influence, in standard deviations", gt=0
     )
     min_gain: float = option(
-        0.03,
+        0.005,
         "Share of the cost of held-out points that refined poses must save to be kept; where they "
         "save less, the poses are as good as the images tell",
         ge=0,

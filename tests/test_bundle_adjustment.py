@@ -130,9 +130,7 @@ def test_jacobians_are_the_differences(noisy, views_a_frame):
 def test_step_solves_the_whole_system(noisy):
     problem, state = ba.make_problem(*noisy)
     problem, state = ba.part_of(problem, state, np.arange(len(problem.kinds)) % 40 == 0)
-    noise = ba.Noise(
-        sigmas_px=np.array([0.2, 0.3]), robust_factor=2.0, prior=np.tile(np.eye(6), (10, 1, 1))
-    )
+    noise = ba.Noise(sigmas_px=np.array([0.2, 0.3]), robust_factor=2.0, prior=np.eye(60))
     normals = ba.normal_equations(problem, state, noise)
     poses, points = ba.solve_step(problem, normals, 0.0, True)
     wide = ba.spread(normals.by_point, problem.rows.points, len(problem.kinds))
@@ -205,7 +203,7 @@ def test_unit_and_place_of_the_world_do_not_matter(noisy):
 def test_outliers_do_no_harm(noisy):
     model, edges, normals = noisy
     truth = truth_of(model)
-    start, moved = off(model, edges, turn=5e-4, shift=2e-3)
+    start, moved = off(model, edges)
     clean = pose_errors(solve(start, moved, normals)[0].reconstruction, truth)
     rng = np.random.default_rng(2)
 
@@ -231,8 +229,8 @@ def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     before = [view.rotation.copy() for view in start.views]
     refined, stats = ba.refine_poses(start, moved, normals, OPTIONS)
     assert stats["refined"]
-    assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.1)
-    assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.1)
+    assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
+    assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.25)
     errors = [pose_errors(m.reconstruction, truth) for m in (start, refined)]
     assert max(np.divide(errors[1], errors[0])) < 0.3
     np.testing.assert_array_equal(before, [view.rotation for view in start.views])
