@@ -35,6 +35,7 @@ SFM, EDGE = 0, 1  # kinds of points
 WEAK_PRIOR = 1e-6  # of the information on each pose: what nothing else determines stays
 COLUMNS_AT_ONCE = 3072  # of the points' part of the system, while it is eliminated
 ENOUGH_GAIN = 3e-4  # of the cost; steps that gain less move poses by less than their noise
+LARGEST_RATIO = 1e12  # squared residual over scale of a point behind its view
 SMALLEST_SIGMA_PX = 1e-3  # noise below this is taken for none
 
 
@@ -279,10 +280,10 @@ def squared_ratios(problem: Problem, residuals: FloatArray, noise: Noise) -> Flo
 
 
 def cost_of(problem: Problem, state: State, residuals: FloatArray, noise: Noise) -> float:
-    """Geman-McClure cost of the residuals in standard deviations, and the prior's."""
+    """Cauchy cost of the residuals in standard deviations, and the prior's."""
     ratios = squared_ratios(problem, residuals, noise)
     single = np.where(problem.kinds[problem.rows.points] == EDGE, 1.0, 0.5)  # rows an observation
-    losses = single * np.where(np.isfinite(ratios), ratios / (1 + ratios), 1.0)
+    losses = single * np.log1p(np.minimum(ratios, LARGEST_RATIO))
     prior = state.moved.ravel() @ noise.prior @ state.moved.ravel()
     return float(0.5 * noise.robust_factor**2 * losses.sum() + 0.5 * prior)
 
@@ -314,7 +315,7 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     residuals, local = project_rows(problem, state)
     by_pose, by_point = jacobians(problem, state, local)
     ratios = squared_ratios(problem, residuals, noise)
-    weights = 1 / (1 + ratios) / noise.sigmas_px[problem.kinds[rows.points]]
+    weights = 1 / np.sqrt(1 + ratios) / noise.sigmas_px[problem.kinds[rows.points]]
     usable = np.isfinite(residuals)
     weights[~usable], residuals[~usable] = 0.0, 0.0
     residuals, by_pose, by_point = (
@@ -467,11 +468,8 @@ def gauge_prior(problem: Problem, state: State, noise: Noise) -> FloatArray:
     """
     count = problem.num_frames
     size = 6 * count
-    system = normal_equations(problem, state, noise).pose_system.reshape(count, 6, count, 6)
-    information = np.zeros_like(system)
-    index = np.arange(count)
-    information[index, :, index] = system[index, :, index]
-    information = information.reshape(size, size)
+    within = np.kron(np.eye(count), np.ones((6, 6)))
+    information = within * normal_equations(problem, state, noise).pose_system
     centers = frame_centers(problem, state)
     centers -= centers.mean(axis=0)
     moves = np.zeros((count, 6, 7 if len(problem.frames) == count else 6))

