@@ -270,7 +270,7 @@ class BundleAdjustmentOptions(Options):
     """Poses refined on SfM points and edge points together."""
 
     robust_factor: float = option(
-        2.0, "Residual from which an observation loses influence, in standard deviations", gt=0
+        1.5, "Residual from which an observation loses influence, in standard deviations", gt=0
     )
     min_gain: float = option(
         0.005,

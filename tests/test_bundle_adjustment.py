@@ -230,7 +230,7 @@ def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     refined, stats = ba.refine_poses(start, moved, normals, OPTIONS)
     assert stats["refined"]
     assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
-    assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.25)
+    assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.35)
     errors = [pose_errors(m.reconstruction, truth) for m in (start, refined)]
     assert max(np.divide(errors[1], errors[0])) < 0.5
     np.testing.assert_array_equal(before, [view.rotation for view in start.views])
@@ -317,11 +317,11 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
     start = with_pose_noise(true, 0.2, 0)
     refined, _ = edge_stages(model_from_reconstruction(start), graphs, options, Stages())
     before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
-    assert max(np.divide(after, before)) < 0.7
+    assert max(np.divide(after, before)) < 0.8
     for robust in (False, True):
         alone = pycolmap.Reconstruction(start)
         adjust(alone, poses=True, robust=robust)
-        assert max(np.divide(after, pose_errors(alone, truth))) < 0.9
+        assert max(np.divide(after, pose_errors(alone, truth))) < 0.5
 
 
 def test_true_poses_are_kept(demo_part):
