@@ -540,7 +540,7 @@ def refine_poses(
     """Refine the poses of a model on its SfM points and its edges.
 
     The whole stays where it was: position, orientation and scale are those that move the frames
-    least. Poses change only if held-out points gain from it enough in both halves.
+    least. Poses change only if held-out points gain from it in both halves.
 
     Args:
         model: posed views and SfM points; not changed.
@@ -563,7 +563,7 @@ def refine_poses(
     costs = held_out_costs(problem, start, options)
     gains = [1 - after / max(before, 1e-300) for before, after in costs]
     stats["held_out_gains"] = gains
-    if min(gains) < options.min_gain:
+    if min(gains) <= options.min_gain:
         return model, stats
     state = adjust(problem, start, options)
     sigmas = estimate_sigmas(problem, state)

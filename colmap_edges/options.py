@@ -273,11 +273,7 @@ class BundleAdjustmentOptions(Options):
         1.5, "Residual from which an observation loses influence, in standard deviations", gt=0
     )
     min_gain: float = option(
-        0.005,
-        "Share of the cost of held-out points that refined poses must save to be kept; where they "
-        "save less, the poses are as good as the images tell",
-        ge=0,
-        le=1,
+        0.0, "Share of held-out points' cost that refined poses must save to be kept", ge=0, le=1
     )
     max_rounds: int = option(6, "Most times that the noise is measured and steps are taken", ge=1)
     max_steps: int = option(6, "Most steps of a round", ge=1)
