@@ -281,6 +281,20 @@ class SamplingOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BundleAdjustmentOptions(Options):
+    """Poses refined on SfM points and edge points together."""
+
+    robust_factor: float = option(
+        1.5, "Residual from which an observation loses influence, in standard deviations", gt=0
+    )
+    min_gain: float = option(
+        0.0, "Share of held-out points' cost that refined poses must save to be kept", ge=0, le=1
+    )
+    max_rounds: int = option(6, "Most times that the noise is measured and steps are taken", ge=1)
+    max_steps: int = option(6, "Most steps of a round", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class MeshingOptions(Options):
     """Points and rays -> triangle mesh; every option is free of the model's unit."""
 
@@ -340,9 +354,19 @@ class PipelineOptions(Options):
     following: FollowingOptions = field(default_factory=FollowingOptions)
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
+    bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    refine_poses: bool = option(
+        False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
+    )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)
+
+    def __post_init__(self) -> None:
+        """Raise `OptionError` for a value outside its range, or options that contradict."""
+        super().__post_init__()
+        if self.refine_poses and not self.use_edges:
+            raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")

@@ -61,7 +61,8 @@ class EdgeReconstruction:
     Attributes:
         edges: the 3D edges with their tracks.
         point3D_ids: (N,) ids of the edge points in `reconstruction`.
-        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
+            and SfM points are the input's unless `refine_poses` is set.
         stages: records of the stages, as in report.json.
     """
 
@@ -123,7 +124,7 @@ def run_edges(
         detect_stage(model, image_path, options, stages, graph_writer(model, folder))
         return
     graphs = detect_stage(model, image_path, options, stages)
-    edges = trace_stage(model, graphs, options, stages)
+    model, edges = edge_stages(model, graphs, options, stages)
     extended = write_stage(model, edges, image_path, folder, options, stages)
     if command == "mesh":
         mesh_stage(extended, edges, folder, options, stages)
@@ -148,7 +149,8 @@ def reconstruct(
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_images_exist(model.views, image_path)
-    edges = trace_stage(model, detect_stage(model, image_path, options, stages), options, stages)
+    graphs = detect_stage(model, image_path, options, stages)
+    model, edges = edge_stages(model, graphs, options, stages)
     extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
     return EdgeReconstruction(
         edges=edges, point3D_ids=ids, reconstruction=extended, stages=stages.records()
@@ -264,8 +266,46 @@ def graph_writer(model: Model, folder: Path) -> Visitor:
     return write
 
 
-def trace_stage(
+def edge_stages(
     model: Model, graphs: list[EdgeGraph], options: PipelineOptions, stages: Stages
+) -> tuple[Model, Edges3D]:
+    """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
+
+    Returns:
+        The model that the edges belong to, and the edges.
+    """
+    edges = trace_stage(model, graphs, options, stages)
+    if not options.refine_poses:
+        return model, edges
+    refined = refine_stage(model, edges, graphs, options, stages)
+    if refined is not model:
+        edges = trace_stage(refined, graphs, options, stages, "trace again")
+    return refined, edges
+
+
+def refine_stage(
+    model: Model,
+    edges: Edges3D,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+) -> Model:
+    """Refine the poses on SfM points and edges; the model itself where that does not help."""
+    from colmap_edges.bundle_adjustment import edge_normals, refine_poses
+
+    with stages.stage("refine poses") as stage:
+        normals = edge_normals(model, edges, graphs)
+        refined, stats = refine_poses(model, edges, normals, options.bundle_adjustment)
+        stage.counts = plain_counts(stats)
+    return refined
+
+
+def trace_stage(
+    model: Model,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+    name: str = "trace",
 ) -> Edges3D:
     """Reconstruct 3D edges from the 2D edge graphs."""
     from colmap_edges.paper_tracing import trace_edges_paper
@@ -273,7 +313,7 @@ def trace_stage(
 
     edges: Edges3D
     trace = trace_edges_paper if options.tracing.method == "paper" else trace_edges
-    with stages.stage("trace") as stage:
+    with stages.stage(name) as stage:
         edges, stats = trace(model, graphs, options, thread_count(options))
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
         stage.counts["details"] = plain_counts(stats)
