@@ -142,7 +142,12 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
     Raises:
         ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
     """
-    images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    try:
+        images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    except UnicodeDecodeError as error:
+        raise ColmapEdgesError(
+            f"the name of an image of the model is not UTF-8 ({error.object!r}); rename the image"
+        ) from error
     posed = [image for image in images if image.has_pose]
     views = tuple(view_from_image(image) for image in posed)
     points = sorted(reconstruction.points3D.items())

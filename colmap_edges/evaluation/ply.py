@@ -31,8 +31,12 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     end = content.find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
         raise ColmapEdgesError(f"{path} is not a PLY file")
-    order, elements = _parse_header(content[:end].decode("ascii", "replace").splitlines(), path)
-    body = content[content.index(b"\n", end) + 1 :]
+    header = content[:end].decode("ascii", "replace").splitlines()
+    try:
+        order, elements = _parse_header(header, path)
+    except (ValueError, IndexError) as error:
+        raise ColmapEdgesError(f"{path} has a damaged PLY header: {error}") from error
+    body = content[end:].partition(b"\n")[2]
     tables: dict[str, NDArray[Any]] = {}
     position, lines = 0, body.splitlines() if order == "ascii" else []
     for name, count, properties in elements:
