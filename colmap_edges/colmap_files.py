@@ -60,6 +60,9 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
     data = files["images"].read_bytes()
     images = image_records(data, files["images"])
     check_image_points(data, images, files["images"])
+    if not (folder / "frames.bin").is_file():
+        for image in images:
+            check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], files["images"])
     check_points3D(files["points3D"], images)
     for name, check in (("rigs", check_rigs), ("frames", check_frames)):
         if (folder / f"{name}.bin").is_file():
@@ -124,9 +127,16 @@ def check_frames(path: Path) -> None:
     """Check that frames.bin holds as many frames and data ids as it says."""
     reader = Reader(path)
     for _ in range(reader.take(COUNT)[0]):
-        num_data = reader.take(struct.Struct("<II7dI"))[-1]
-        reader.skip(16 * num_data)
+        frame = reader.take(struct.Struct("<II7dI"))
+        check_rotation(frame[2:6], path)
+        reader.skip(16 * frame[-1])
     reader.end()
+
+
+def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
+    """Check that a quaternion is not zero, which COLMAP silently takes for no rotation."""
+    if not any(quaternion):
+        raise damaged(path, "a pose has a rotation of zeros")
 
 
 def image_records(data: bytes, path: Path) -> list[ImageRecord]:

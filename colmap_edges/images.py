@@ -37,13 +37,21 @@ def check_images_exist(views: Iterable[View], image_path: Path) -> None:
     Raises:
         ColmapEdgesError: naming the first that is missing and how many are.
     """
-    missing = [v.name for v in views if not path_of_image(image_path, v.name).is_file()]
+    missing = [v.name for v in views if not is_file(path_of_image(image_path, v.name))]
     if missing:
         more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise ColmapEdgesError(
             f"image {missing[0]}{more} of the model is not in {image_path}; "
             "give the folder the model was made from as --image_path"
         )
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; names that no file can have name none."""
+    try:
+        return path.is_file()
+    except OSError:  # such as a name of more than 255 bytes
+        return False
 
 
 def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:

@@ -179,11 +179,14 @@ def check_values(model: Model) -> None:
             raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
         if not (np.isfinite(view.rotation).all() and np.isfinite(view.translation).all()):
             raise ColmapEdgesError(f"the pose of image {view.name} is not finite; deregister it")
-        if not np.isfinite(view.camera.params).all() or not view.focal_px > 0:
+        params = np.asarray(view.camera.params)
+        if not np.isfinite(params).all() or not (params[view.camera.focal_length_idxs()] > 0).all():
             raise ColmapEdgesError(
                 f"the camera of image {view.name} has the parameters "
                 f"{view.camera.params_to_string()}; they must be finite and the focal length > 0"
             )
+    if not np.isfinite(model.track_points2D).all():
+        raise ColmapEdgesError("a point2D of the model that observes a point3D is not finite")
     bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
     if len(bad):
         raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
