@@ -47,8 +47,8 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
                 break
             continue
         fields = [(field, _ORDERS[order] + _TYPES[kind]) for field, kind in properties]
-        dtype = np.dtype(fields)
         try:
+            dtype = np.dtype(fields)
             if order == "ascii":
                 rows = [tuple(line.split()) for line in lines[position : position + count]]
                 tables[name] = np.array(rows, dtype=dtype)
@@ -56,8 +56,8 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             else:
                 tables[name] = np.frombuffer(body, dtype, count, position)
                 position += count * dtype.itemsize
-        except ValueError as error:
-            raise ColmapEdgesError(f"{path} is cut short in element '{name}'") from error
+        except (ValueError, OverflowError) as error:
+            raise ColmapEdgesError(f"{path} is damaged in element '{name}': {error}") from error
         if len(tables[name]) != count:
             raise ColmapEdgesError(f"{path} is cut short in element '{name}'")
     return tables
