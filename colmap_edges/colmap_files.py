@@ -69,6 +69,24 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
             check(folder / f"{name}.bin")
 
 
+def check_text_files(folder: Path, num_records: dict[str, int]) -> None:
+    """Check that text files of a model hold as many records as they should, the last one whole.
+
+    Args:
+        folder: where the .txt files are.
+        num_records: records by file name without suffix; an image is two lines, else it is one.
+
+    Raises:
+        ColmapEdgesError: when a file is cut short.
+    """
+    for name, count in num_records.items():
+        path = folder / f"{name}.txt"
+        with path.open("rb") as file:
+            lines = [line[-1:] for line in file if not line.startswith(b"#")]
+        if len(lines) != count * (2 if name == "images" else 1) or b"".join(lines).strip(b"\n"):
+            raise damaged(path, "it is cut short")
+
+
 def damaged(path: Path, why: str) -> ColmapEdgesError:
     """Make the error for a damaged file."""
     return ColmapEdgesError(f"{path} is damaged: {why}; copy or write the model again")

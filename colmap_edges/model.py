@@ -14,7 +14,12 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from colmap_edges.colmap_files import NewPoints, append_points, check_model_files
+from colmap_edges.colmap_files import (
+    NewPoints,
+    append_points,
+    check_model_files,
+    check_text_files,
+)
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -271,13 +276,25 @@ def write_model(
     path = Path(path)
     path.mkdir(exist_ok=True)
     points = new_points(model, edges, colors)
-    if output_type == "BIN":
-        model.reconstruction.write_binary(str(path))
-        append_points(path, points)
-        check_model_files(path, camera_parameter_counts())  # pycolmap is silent on a full disk
-    else:
-        with_points(model.reconstruction, points).write_text(str(path))
+    try:
+        if output_type == "BIN":
+            model.reconstruction.write_binary(str(path))
+            append_points(path, points)
+            check_model_files(path, camera_parameter_counts())
+        else:
+            write_text(with_points(model.reconstruction, points), path)
+    except ColmapEdgesError as error:  # pycolmap is silent on a full disk
+        raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
     return points.ids
+
+
+def write_text(reconstruction: Any, path: Path) -> None:
+    """Write a text model and check that all of it was written."""
+    reconstruction.write_text(str(path))
+    names = {"cameras": "cameras", "images": "reg_images", "points3D": "points3D"}
+    names |= {name: name for name in ("rigs", "frames") if (path / f"{name}.txt").is_file()}
+    counts = {name: getattr(reconstruction, f"num_{known}")() for name, known in names.items()}
+    check_text_files(path, counts)
 
 
 def extend_reconstruction(
@@ -297,6 +314,7 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
         append_points(Path(folder), points)
+        check_model_files(Path(folder), camera_parameter_counts())
         return pycolmap.Reconstruction(folder)
 
 
