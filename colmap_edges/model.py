@@ -279,8 +279,8 @@ def write_model(
     try:
         if output_type == "BIN":
             model.reconstruction.write_binary(str(path))
-            append_points(path, points)
             check_model_files(path, camera_parameter_counts())
+            append_points(path, points)
         else:
             write_text(with_points(model.reconstruction, points), path)
     except ColmapEdgesError as error:  # pycolmap is silent on a full disk
@@ -313,8 +313,8 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
     """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
-        append_points(Path(folder), points)
         check_model_files(Path(folder), camera_parameter_counts())
+        append_points(Path(folder), points)
         return pycolmap.Reconstruction(folder)
 
 

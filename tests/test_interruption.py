@@ -12,7 +12,7 @@ import pytest
 import scenes
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-RUNS, SOAK_RUNS = 4, 60
+RUNS, SOAK_RUNS = 3, 60
 needs_mounts = pytest.mark.skipif(
     not shutil.which("unshare")
     or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode != 0,
@@ -82,7 +82,8 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_fol
         # The whole new output, or what was there before; a kill may leave that moved aside.
         assert found in (expected, earlier if seed % 2 else None, None)
         if number != signal.SIGKILL and code != 0:
-            assert sorted(path.name for path in folder.iterdir()) == ["out"] * (seed % 2)
+            assert [path.name for path in folder.iterdir()] == ["out"] * (found is not None)
+            assert found is not None or not seed % 2
         subprocess.run(mesh_command(output, "--overwrite"), check=True, timeout=120)
         assert contents(output, hash_folder) == expected
         assert [path.name for path in folder.iterdir()] == ["out"]
@@ -137,7 +138,7 @@ def check_refused(done, folder):
 def test_full_disk(mesh_command, undisturbed, tmp_path, hash_folder, soak, show, output_type):
     """On a disk too small for the output the run is refused; with room it is as ever."""
     needed = sum(p.stat().st_size for p in undisturbed[0].rglob("*") if p.is_file()) // 1024
-    sizes = np.linspace(4, 0.9 * needed, 16 if soak else 2).astype(int).tolist()
+    sizes = np.linspace(0.9 * needed, 4, 16 if soak else 1).astype(int).tolist()
     disk = tmp_path / "disk"
     disk.mkdir()
     flags = ["--output_type", output_type, "--overwrite"]
