@@ -63,7 +63,7 @@ class View:
     def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
         """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
         rays = np.column_stack([np.asarray(ideal) / self.focal_px, np.ones(len(ideal))])
-        return np.asarray(self.camera.img_from_cam(rays, check_cheirality=False)).reshape(-1, 2)
+        return np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
 
     def cam_from_world(self, points: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates; z is the depth."""
