@@ -122,6 +122,8 @@ def load_model(path: Path | str) -> Model:
         ColmapEdgesError: when the folder holds no readable model.
     """
     path = Path(path)
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # the error says it all
     try:
         check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
@@ -131,6 +133,8 @@ def load_model(path: Path | str) -> Model:
             f"no readable COLMAP model in {path} ({reason}); "
             "give the folder that holds cameras, images and points3D (.bin or .txt)"
         ) from error
+    finally:
+        pycolmap.logging.minloglevel = level
     return model_from_reconstruction(reconstruction)
 
 
