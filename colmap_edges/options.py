@@ -193,6 +193,21 @@ class TracingOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LinkingOptions(Options):
+    """Pieces of 3D edges -> whole edges with nodes."""
+
+    max_gap_spacings: float = option(
+        8.0, "Largest gap across which 3D edges are joined, in distances between edge points", ge=0
+    )
+    max_join_angle_deg: float = option(
+        30.0, "Largest turn where two 3D edges are joined, in degrees", ge=0, le=90
+    )
+    node_radius_spacings: float = option(
+        2.5, "Distance within which ends of 3D edges meet, in distances between edge points", ge=0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class MatchingOptions(Options):
     """Polyline similarity and PECs (paper: Edge Matching and PEC generation)."""
 
@@ -348,6 +363,7 @@ class PipelineOptions(Options):
     view_selection: ViewSelectionOptions = field(default_factory=ViewSelectionOptions)
     chain_depth: ChainDepthOptions = field(default_factory=ChainDepthOptions)
     tracing: TracingOptions = field(default_factory=TracingOptions)
+    linking: LinkingOptions = field(default_factory=LinkingOptions)
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)

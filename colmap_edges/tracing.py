@@ -22,6 +22,7 @@ from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.edge_graph import EdgeGraph, offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.linking import link_edges
 from colmap_edges.model import Model
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
@@ -129,7 +130,11 @@ def trace_edges(
             continue
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
-    edges, stats = gather(scene, traced, options.tracing)
+    pieces, stats = gather(scene, traced, options.tracing)
+    edges = link_edges(pieces, options.linking)
+    stats["pieces"] = pieces.num_edges
+    stats["edges_closed"] = int(edges.closed.sum())
+    stats["nodes"] = int(edges.end_nodes.max(initial=-1)) + 1
     stats["max_side_difference"] = chain_depth.max_side_difference
     stats["samples"] = int(sum(len(d.samples) for d in depths))
     stats["samples_with_depth"] = int(sum(d.found.sum() for d in depths))

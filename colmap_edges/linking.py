@@ -1,0 +1,195 @@
+"""Pieces of 3D edges -> whole edges: joined across gaps and changes of view, closed, with nodes.
+
+A chain that ends in one view often goes on in another, which traced the rest of the edge (paper:
+the future work on linking 3D edges). Lengths are measured in spacings, the distance between edge
+points there, so that nothing depends on the scene's unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from colmap_edges.edge_graph import offsets_of, walk_joined
+from colmap_edges.edges import Edges3D
+from colmap_edges.options import LinkingOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REACH = 4  # points from an end that tell its direction and spacing
+MIN_LOOP_POINTS = 8  # of a closed edge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """The 2E ends of E edges; end 2e is the first point of edge e, end 2e + 1 its last.
+
+    Attributes:
+        positions: (2E, 3) where they are.
+        outward: (2E, 3) unit directions out of the edge.
+        spacings: (2E,) distance between edge points there.
+    """
+
+    positions: FloatArray
+    outward: FloatArray
+    spacings: FloatArray
+
+
+def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
+    """Join the edges whose ends face each other, close loops and give ends that meet one node.
+
+    Args:
+        edges: pieces; their ends may overlap by a few points, which are then left out.
+        options: how far apart and how parallel.
+
+    Returns:
+        The linked edges, tracks reordered with their points.
+    """
+    if edges.num_edges == 0:
+        return edges
+    ends = find_ends(edges)
+    partner = match_ends(ends, np.diff(edges.edge_offsets), options)
+    skip = overlaps(edges, ends, partner)
+    order, lengths, closed, tips = [], [], [], []
+    for path, is_closed in walk_joined(partner):
+        pieces = [points_from(edges, end, skip) for end in path]
+        order.extend(pieces)
+        lengths.append(sum(len(piece) for piece in pieces))
+        closed.append(is_closed)
+        tips.append((path[0], path[-1] ^ 1))
+    loops = np.array(closed, bool)
+    return reordered(
+        edges,
+        np.concatenate(order),
+        offsets_of(np.array(lengths, np.int64)),
+        loops,
+        find_nodes(ends, np.array(tips), loops, options),
+    )
+
+
+def find_ends(edges: Edges3D) -> Ends:
+    """The ends of all edges with their directions and spacings."""
+    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
+    tips = np.column_stack([first, last]).ravel()
+    inner = np.column_stack(
+        [np.minimum(first + REACH, last), np.maximum(last - REACH, first)]
+    ).ravel()
+    chords = edges.points[tips] - edges.points[inner]
+    lengths = np.linalg.norm(chords, axis=1)
+    return Ends(
+        positions=edges.points[tips],
+        outward=chords / (lengths[:, None] + 1e-300),
+        spacings=lengths / np.maximum(np.abs(tips - inner), 1),
+    )
+
+
+def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Pairs of ends within `radius` of the smaller spacing of the two, a < b, and their gaps."""
+    tree = cKDTree(ends.positions)
+    found = tree.query_ball_point(ends.positions, radius * ends.spacings, return_sorted=True)
+    a = np.repeat(np.arange(len(found)), [len(row) for row in found])
+    b = np.concatenate([np.zeros(0, np.int64), *(np.array(row, np.int64) for row in found)])
+    gap = ends.positions[b] - ends.positions[a]
+    near = np.linalg.norm(gap, axis=1) <= radius * np.minimum(ends.spacings[a], ends.spacings[b])
+    keep = near & (a < b)
+    return a[keep], b[keep], gap[keep]
+
+
+def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions) -> IntArray:
+    """(2E,) the end that continues each end, best pairs first, or -1."""
+    a, b, gap = near_pairs(ends, options.max_gap_spacings)
+    spacing = np.minimum(ends.spacings[a], ends.spacings[b])
+    turn = -np.einsum("ij,ij->i", ends.outward[a], ends.outward[b])
+    direction = ends.outward[a] - ends.outward[b]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-300
+    along = np.einsum("ij,ij->i", direction, gap)
+    across = np.linalg.norm(gap - along[:, None] * direction, axis=1)
+    bend = np.tan(np.radians(options.max_join_angle_deg))
+    allowed = turn >= np.cos(np.radians(options.max_join_angle_deg))
+    allowed &= across <= bend * np.maximum(along, spacing)
+    # An overlap is left out later, of one piece; it must not be all of it.
+    allowed &= along >= -(REACH - 1) * spacing
+    allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
+    cost = np.linalg.norm(gap, axis=1) / spacing + 2 * across / spacing
+    partner = np.full(len(ends.positions), -1, np.int64)
+    for row in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
+        if partner[a[row]] < 0 and partner[b[row]] < 0:
+            partner[a[row]], partner[b[row]] = b[row], a[row]
+    return partner
+
+
+def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
+    """(2E,) points to leave out at each end, since the piece it is joined to goes past them."""
+    skip = np.zeros(len(partner), np.int64)
+    joined = np.flatnonzero((partner >= 0) & (np.arange(len(partner)) < partner))
+    other = partner[joined]
+    sizes = np.diff(edges.edge_offsets)[other // 2]
+    for step in range(REACH):
+        tip = np.where(
+            other % 2 == 0, edges.edge_offsets[other // 2], edges.edge_offsets[other // 2 + 1] - 1
+        )
+        place = tip + np.where(other % 2 == 0, 1, -1) * np.minimum(step, sizes - 1)
+        ahead = np.einsum(
+            "ij,ij->i", edges.points[place] - ends.positions[joined], ends.outward[joined]
+        )
+        passed = (ahead < 0.3 * ends.spacings[joined]) & (skip[other] == step) & (sizes > step + 2)
+        skip[other[passed]] += 1
+    return skip
+
+
+def points_from(edges: Edges3D, end: int, skip: IntArray) -> IntArray:
+    """Indices of an edge's points from one of its ends to the other, overlaps left out."""
+    first = edges.edge_offsets[end // 2] + skip[end & ~1]
+    last = edges.edge_offsets[end // 2 + 1] - skip[end | 1]
+    return np.arange(first, last) if end % 2 == 0 else np.arange(last - 1, first - 1, -1)
+
+
+def find_nodes(
+    ends: Ends, tips: IntArray, closed: NDArray[np.bool_], options: LinkingOptions
+) -> NDArray[np.int32]:
+    """(L, 2) node of both ends of each linked edge, whose (L, 2) ends are `tips`; -1 for none."""
+    free = np.unique(tips[~closed])
+    own = Ends(
+        positions=ends.positions[free], outward=ends.outward[free], spacings=ends.spacings[free]
+    )
+    nodes = np.full(len(ends.positions), -1, np.int32)
+    if len(free):
+        a, b, _ = near_pairs(own, options.node_radius_spacings)
+        links = coo_array((np.ones(len(a)), (a, b)), shape=(len(free), len(free)))
+        _, labels = connected_components(links, directed=False)
+        shared = np.bincount(labels)[labels] > 1
+        numbers = np.unique(labels[shared], return_inverse=True)[1]
+        nodes[free[shared]] = numbers
+    result: NDArray[np.int32] = nodes[tips]
+    result[closed] = -1
+    return result
+
+
+def reordered(
+    edges: Edges3D,
+    order: IntArray,
+    offsets: IntArray,
+    closed: NDArray[np.bool_],
+    end_nodes: NDArray[np.int32],
+) -> Edges3D:
+    """The points of `edges` in another order, with their tracks, cut into other edges."""
+    lengths = np.diff(edges.track_offsets)[order]
+    track_offsets = offsets_of(lengths)
+    rows = np.arange(track_offsets[-1]) - np.repeat(track_offsets[:-1], lengths)
+    rows += np.repeat(edges.track_offsets[order], lengths)
+    return Edges3D(
+        points=edges.points[order],
+        edge_offsets=offsets,
+        closed=closed,
+        track_offsets=track_offsets,
+        track_views=edges.track_views[rows],
+        track_points2D=edges.track_points2D[rows],
+        sigmas=edges.sigmas[order],
+        end_nodes=end_nodes,
+    )
