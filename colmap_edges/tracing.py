@@ -111,10 +111,31 @@ def trace_edges(
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
     edges, stats = gather(scene, traced, options.tracing)
-    stats["samples"] = int(sum(len(d.samples) for d in depths))
-    stats["samples_with_depth"] = int(sum(d.found.sum() for d in depths))
-    stats["samples_confirmed"] = int(sum((a >= 1).sum() for a in agreeing))
-    return edges, stats
+    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+
+
+def count_samples(
+    scene: Scene,
+    depths: list[ChainDepths],
+    agreeing: list[NDArray[np.int32]],
+    options: TracingOptions,
+) -> dict[str, Any]:
+    """Count the samples on chains after each check, and the views that overlap with none."""
+    in_runs = 0
+    for graph, found, others in zip(scene.graphs, depths, agreeing, strict=True):
+        rows = np.flatnonzero(found.found & (others >= 1))
+        if len(rows):
+            linked = link_samples(graph, found, rows, options)
+            sizes, sure = sure_runs(linked, others[rows], options)
+            in_runs += int(sizes[sure].sum())
+    return {
+        "views": len(depths),
+        "views_without_neighbors": sum(len(n) == 0 for n in scene.neighbors),
+        "samples": sum(len(d.samples) for d in depths),
+        "samples_with_depth": int(sum(d.found.sum() for d in depths)),
+        "samples_confirmed": int(sum((a >= 1).sum() for a in agreeing)),
+        "samples_in_runs": in_runs,
+    }
 
 
 def curves_of_view(
@@ -196,10 +217,7 @@ def densify(
     empty = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
     if len(rows) == 0:
         return empty
-    runs = np.concatenate([[0], np.cumsum(~linked)])
-    sizes = np.bincount(runs)
-    sure = np.bincount(runs, weights=agreeing[rows] >= options.min_agreeing_views)
-    good = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    sizes, good = sure_runs(linked, agreeing[rows], options)
     spacing = options.point_spacing_px
     indices, inverse, ids = [], [], []
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -217,6 +235,26 @@ def densify(
     if not indices:
         return empty
     return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
+
+
+def sure_runs(
+    linked: BoolArray, agreeing: NDArray[np.int32], options: TracingOptions
+) -> tuple[IntArray, BoolArray]:
+    """Runs of linked samples that are long enough and confirmed by enough views.
+
+    Args:
+        linked: (n - 1,) whether a sample belongs with the one before.
+        agreeing: (n,) views that confirm each sample.
+        options: gives how many samples and views are enough.
+
+    Returns:
+        (R,) samples of each run, (R,) whether the run is kept.
+    """
+    runs = np.concatenate([[0], np.cumsum(~linked)])
+    sizes = np.bincount(runs)
+    sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
+    kept = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    return sizes, kept
 
 
 def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
@@ -290,6 +328,7 @@ def gather(
     stats = {
         "points_traced": len(every),
         "min_observations": needed,
+        "points_observed_enough": int((every >= needed).sum()),
         "points_dropped_few_observations": int((every < needed).sum()),
     }
     return make_edges(scene, parts), stats
