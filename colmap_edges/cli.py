@@ -35,6 +35,7 @@ VIEWERS = {
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
+    "report.html": "all of it to look at: a web browser, no network needed",
     "report.json": "options, versions, counts, times and memory of every stage",
 }
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -118,6 +119,8 @@ def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
     for stage in report["stages"]:
         counts = (f"{value:,} {key.replace('_', ' ')}" for key, value in scalars(stage["counts"]))
         lines.append(f"{stage['name']:>8}  {stage['wall_s']:6.1f} s  {', '.join(counts)}")
+    for finding in report["findings"]:
+        lines.append(f"Note: {finding['text']}. To change that: {finding['remedy']}.")
     lines.append(f"Done in {seconds:.1f} s. In {output}:")
     for name, what in VIEWERS.items():
         if (output / name).exists():

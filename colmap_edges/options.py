@@ -317,6 +317,7 @@ class PipelineOptions(Options):
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)

@@ -15,12 +15,14 @@ import cv2
 import numpy as np
 
 import colmap_edges
-from colmap_edges.detection import detect_chains
+from colmap_edges.detection import Chains, detect_chains
+from colmap_edges.diagnosis import diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edge_io import write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
+from colmap_edges.meshing import Mesh, Polylines, mesh_points, with_model_attributes, write_mesh
 from colmap_edges.model import (
     Model,
     extend_reconstruction,
@@ -33,10 +35,11 @@ from colmap_edges.model import (
 from colmap_edges.options import PipelineOptions
 from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
+from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.stages import Progress, Stages, no_progress, plain_counts
 
-# What a visitor of a detected image gets: its place among the views, its pixels, its graph.
-Visitor = Callable[[int, "np.ndarray[Any, Any]", EdgeGraph], None]
+# What a visitor of an image gets: its place among the views, its pixels, its chains, its graph.
+Visitor = Callable[[int, "np.ndarray[Any, Any]", Chains, EdgeGraph], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +103,15 @@ def run(
             check_model(model, str(paths.input_path))
             stage.counts = model_counts(model)
         if command == "mesh" and not options.use_edges:
-            mesh_stage(model, None, folder, options, stages)
+            mesh = mesh_stage(model, None, folder, options, stages)
+            contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            run_edges(command, model, paths.image_path, folder, options, stages)
+            contents = run_edges(command, model, paths.image_path, folder, options, stages)
         report = make_report(command, paths, options, stages)
+        if options.report and command != "detect":
+            report_stage(contents, folder, report, stages)
+            report["stages"] = stages.records()
         text = json.dumps(report, indent=2, default=str) + "\n"
         (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     return report
@@ -117,16 +124,18 @@ def run_edges(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-) -> None:
+) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
     if command == "detect":
         detect_stage(model, image_path, options, stages, graph_writer(model, folder))
-        return
-    graphs = detect_stage(model, image_path, options, stages)
+        return Contents(model=model)
+    taker = PictureTaker(model) if options.report else None
+    graphs = detect_stage(model, image_path, options, stages, taker.take if taker else None)
     edges = trace_stage(model, graphs, options, stages)
     extended = write_stage(model, edges, image_path, folder, options, stages)
-    if command == "mesh":
-        mesh_stage(extended, edges, folder, options, stages)
+    mesh = mesh_stage(extended, edges, folder, options, stages) if command == "mesh" else None
+    pictures = taker.pictures() if taker else ()
+    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
 
 def reconstruct(
@@ -214,22 +223,24 @@ def detect_stage(
     """
     with stages.stage("detect", len(model.views)) as stage:
 
-        def detect(index: int) -> tuple[int, EdgeGraph]:
+        def detect(index: int) -> tuple[int, int, EdgeGraph]:
             view = model.views[index]
             image = read_image(view, image_path)
             gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
             chains = detect_chains(gray, options.detection)
             graph = build_edge_graph(chains, view, options.edge_graph)
             if visit:
-                visit(index, image, graph)
+                visit(index, image, chains, graph)
             stage.advance()
-            return len(chains.offsets) - 1, graph
+            return len(chains.offsets) - 1, len(chains.points), graph
 
         found = map_threads(detect, len(model.views), thread_count(options))
-        graphs = [graph for _, graph in found]
+        graphs = [graph for *_, graph in found]
         stage.counts = {
             "images": len(graphs),
-            "chains": sum(count for count, _ in found),
+            "images_without_edges": sum(len(graph.points) == 0 for graph in graphs),
+            "chains": sum(count for count, *_ in found),
+            "chain_pixels": sum(pixels for _, pixels, _ in found),
             "polylines": sum(graph.num_polylines for graph in graphs),
             "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
             "edge_pixels": sum(len(graph.points) for graph in graphs),
@@ -249,7 +260,7 @@ def map_threads(function: Callable[[int], Any], count: int, num_threads: int) ->
 def graph_writer(model: Model, folder: Path) -> Visitor:
     """Make the visitor that writes each view's edge graph as .npz and overlay PNG."""
 
-    def write(index: int, image: np.ndarray[Any, Any], graph: EdgeGraph) -> None:
+    def write(index: int, image: np.ndarray[Any, Any], _chains: Chains, graph: EdgeGraph) -> None:
         name = model.views[index].name
         arrays = path_of_image(folder / "edge_graphs", name + ".npz")
         picture = path_of_image(folder / "overlays", name + ".png")
@@ -315,10 +326,8 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-) -> None:
+) -> Mesh:
     """Mesh all points of a model, whose last are those of `edges` when there are edges."""
-    from colmap_edges.meshing import Polylines, mesh_points, with_model_attributes, write_mesh
-
     with stages.stage("mesh") as stage:
         polylines = None
         if edges is not None:
@@ -333,9 +342,17 @@ def mesh_stage(
             replace(options.meshing, num_threads=thread_count(options)),
             polylines,
         )
-        write_mesh(with_model_attributes(mesh, model), folder / "mesh.ply")
+        mesh = with_model_attributes(mesh, model)
+        write_mesh(mesh, folder / "mesh.ply")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts["details"] = plain_counts(mesh.stats)
+    return mesh
+
+
+def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stages: Stages) -> None:
+    """Write report.html: what was made, in 3D, over the images and in figures."""
+    with stages.stage("report") as stage:
+        stage.counts = write_report(folder / "report.html", contents, record)
 
 
 def make_report(
@@ -348,6 +365,8 @@ def make_report(
         "paths": asdict(paths),
         "options": asdict(options),
         "stages": stages.records(),
+        "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
+        "funnel": [asdict(step) for step in funnel(stages.records(), options)],
     }
 
 

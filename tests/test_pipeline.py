@@ -282,9 +282,9 @@ def meshed(scene_paths, tmp_path_factory):
 
 def test_mesh_writes_every_file(meshed, scene_model):
     output, report = meshed
-    expected = ["edges.json", "edges.obj", "edges.ply", "mesh.ply", "report.json", "sparse"]
-    assert sorted(path.name for path in output.iterdir()) == expected
-    names = ["read", "detect", "trace", "write", "mesh"]
+    expected = ["edges.json", "edges.obj", "edges.ply", "mesh.ply", "report.html", "report.json"]
+    assert sorted(path.name for path in output.iterdir()) == [*expected, "sparse"]
+    names = ["read", "detect", "trace", "write", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     edge_points = report["stages"][3]["counts"]["edge_points"]
     written = load_model(output / "sparse")
@@ -303,12 +303,13 @@ def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model)
 def test_mesh_is_the_same_on_any_number_of_threads(meshed, scene_paths, tmp_path, hash_folder):
     run("mesh", paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3))
     digests = [hash_folder(output) for output in (meshed[0], tmp_path / "out")]
-    assert all(digest.pop("report.json") for digest in digests)  # it holds times
+    for name in ("report.json", "report.html"):  # they hold times
+        assert all(digest.pop(name) for digest in digests)
     assert digests[0] == digests[1]
 
 
 def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
-    options = PipelineOptions(use_edges=False)
+    options = PipelineOptions(use_edges=False, report=False)
     report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
     assert [stage["name"] for stage in report["stages"]] == ["read", "mesh"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
