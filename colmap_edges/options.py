@@ -297,7 +297,6 @@ class MeshingOptions(Options):
         25.0, "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all", ge=0
     )
     min_component_faces: int = option(1, "Drop connected components of fewer triangles", ge=1)
-    num_threads: int = option(0, "Threads; 0 takes all cores", ge=0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -282,10 +282,14 @@ def trace_stage(
     from colmap_edges.paper_tracing import trace_edges_paper
     from colmap_edges.tracing import trace_edges
 
-    edges: Edges3D
-    trace = trace_edges_paper if options.tracing.method == "paper" else trace_edges
-    with stages.stage("trace") as stage:
-        edges, stats = trace(model, graphs, options, thread_count(options))
+    threads = thread_count(options)
+    paper = options.tracing.method == "paper"
+    with stages.stage("trace", 1 if paper else 2 * len(graphs)) as stage:
+        edges, stats = (
+            trace_edges_paper(model, graphs, options, threads)
+            if paper
+            else trace_edges(model, graphs, options, threads, stage.advance)
+        )
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
         stage.counts["details"] = plain_counts(stats)
     return edges
@@ -339,8 +343,9 @@ def mesh_stage(
             model.track_offsets,
             model.track_views,
             model.camera_centers,
-            replace(options.meshing, num_threads=thread_count(options)),
+            options.meshing,
             polylines,
+            thread_count(options),
         )
         mesh = with_model_attributes(mesh, model)
         write_mesh(mesh, folder / "mesh.ply")

@@ -6,6 +6,7 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -59,7 +60,11 @@ class Scene:
 
 
 def trace_edges(
-    model: Model, graphs: list[EdgeGraph], options: PipelineOptions, num_threads: int
+    model: Model,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None] = lambda: None,
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
@@ -68,6 +73,7 @@ def trace_edges(
         graphs: the edge graph of each view.
         options: every step's parameters.
         num_threads: threads to use; the result does not depend on it.
+        advance: called twice a view, when its depths are known and when its edges are.
 
     Returns:
         The 3D edges and counts in, kept and dropped by reason.
@@ -86,7 +92,7 @@ def trace_edges(
             options.chain_depth,
             num_threads,
         )
-        for v in range(len(graphs))
+        for v in each_told(range(len(graphs)), advance)
     ]
     agreeing = [
         count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
@@ -101,7 +107,8 @@ def trace_edges(
         covered=[np.zeros(len(graph.points), bool) for graph in graphs],
     )
     traced = []
-    for view in np.argsort([-int(a.sum()) for a in agreeing], kind="stable"):
+    order = np.argsort([-int(a.sum()) for a in agreeing], kind="stable")
+    for view in each_told(order, advance):
         driver = int(view)
         curves, indices = curves_of_view(
             scene, driver, depths[driver], agreeing[driver], options.tracing
@@ -112,6 +119,13 @@ def trace_edges(
         mark_covered(scene, traced[-1], options.tracing)
     edges, stats = gather(scene, traced, options.tracing)
     return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+
+
+def each_told(items: Iterable[Any], advance: Callable[[], None]) -> Iterator[Any]:
+    """The items; `advance` is called when each is done with."""
+    for item in items:
+        yield item
+        advance()
 
 
 def count_samples(

@@ -291,6 +291,15 @@ def test_mesh_writes_every_file(meshed, scene_model):
     assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
 
 
+def test_tracing_advances_with_every_view(scene_paths, tmp_path):
+    steps = []
+    paths = paths_of(scene_paths, tmp_path / "out")
+    options = PipelineOptions(report=False)
+    run("reconstruct", paths, options, progress=lambda *step: steps.append(step))
+    traced = [step[1:] for step in steps if step[0] == "trace"]
+    assert traced == [(done, 20) for done in [*range(21), 20]]
+
+
 def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):
     written = load_model(meshed[0] / "sparse")
     points = written.points3D_xyz[len(scene_model.point3D_ids) :]
