@@ -19,8 +19,9 @@ import click
 from colmap_edges import __version__
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PRESETS, PipelineOptions
 from colmap_edges.stages import Progress, no_progress
+from colmap_edges.workspace import find_images, find_model
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
@@ -38,6 +39,7 @@ VIEWERS = {
     "report.html": "all of it to look at: a web browser, no network needed",
     "report.json": "options, versions, counts, times and memory of every stage",
 }
+FULL = f"{__name__}.full_help"
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -45,16 +47,30 @@ class Command(click.Command):
     """A command that lists the flags of each option group under the group's name."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the flags, those of no group first."""
+        """Write the flags, those of no group first; --help_full writes all."""
         groups: dict[str, list[tuple[str, str]]] = {}
+        left_out = 0
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
-            if record:
+            if record and not (FULL in ctx.meta or getattr(param, "basic", True)):
+                left_out += 1
+            elif record:
                 group = param.opts[0].removeprefix("--").rpartition(".")[0]
                 groups.setdefault(group, []).append(record)
         for group in sorted(groups, key=lambda name: name != ""):
             with formatter.section(group or "Options"):
                 formatter.write_dl(groups[group], col_max=45)
+        if left_out:
+            with formatter.indentation():
+                formatter.write(f"\n--help_full shows {left_out} more options of single steps.\n")
+
+
+def show_full_help(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    """Write the help with every flag and exit."""
+    if value and not ctx.resilient_parsing:
+        ctx.meta[FULL] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
 
 
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
@@ -63,19 +79,31 @@ def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None)
         ctx.default_map = read_config(ctx, value)
 
 
-def path_flag(name: str, help: str, *, required: bool = True) -> click.Option:
+def path_flag(name: str, help: str) -> click.Option:
     """Make a flag that takes a path."""
+    return click.Option([f"--{name}"], type=click.Path(path_type=Path), help=help)
+
+
+def quality_flag() -> click.Option:
+    """Make the flag that chooses a preset."""
     return click.Option(
-        [f"--{name}"], type=click.Path(path_type=Path), required=required, help=help
+        ["--quality"],
+        type=click.Choice(tuple(PRESETS), case_sensitive=False),
+        metavar="|".join(PRESETS),
+        help="Preset: low is faster, high compares more views; other flags go before [medium]",
     )
 
 
 def run_flags(names: set[str]) -> list[click.Parameter]:
     """Make the flags of a command that runs stages."""
     return [
-        path_flag("image_path", "Folder of the images"),
-        path_flag("input_path", "Folder of the COLMAP model (bin or txt)"),
-        path_flag("output_path", "Folder to make; it appears when the run is complete"),
+        path_flag(
+            "workspace_path", "COLMAP workspace: has images and sparse/0; gives the paths below"
+        ),
+        path_flag("image_path", "Folder of the images [WORKSPACE/images]"),
+        path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
+        path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
+        *([quality_flag()] if "tracing" in names else []),
         click.Option(
             ["--config"],
             type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -86,6 +114,14 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
         click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
+        click.Option(
+            ["--help_full"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=show_full_help,
+            help="Show all options, also those of single steps, and exit",
+        ),
         *make_flags(names),
     ]
 
@@ -107,10 +143,25 @@ def run_command(name: str, values: dict[str, Any]) -> None:
 
     signal.signal(signal.SIGTERM, on_terminate)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
-    paths = Paths(**{key: values[key] for key in ("image_path", "input_path", "output_path")})
+    paths = Paths(**paths_from_flags(values))
     with progress_bars() as progress:
         report = run(name, paths, options, overwrite=values["overwrite"], progress=progress)
     click.echo(summary(report, paths.output_path, time.perf_counter() - started))
+
+
+def paths_from_flags(values: dict[str, Any]) -> dict[str, Path]:
+    """The paths of a run; those that are not given come from the workspace."""
+    workspace = values["workspace_path"]
+    finders: dict[str, Callable[[Path], Path]] = {
+        "image_path": find_images,
+        "input_path": find_model,
+        "output_path": lambda folder: folder / "edges",
+    }
+    missing = [name for name in finders if values[name] is None]
+    if missing and workspace is None:
+        flags = ", ".join(f"--{name}" for name in missing)
+        raise click.UsageError(f"Missing {flags}; or give --workspace_path")
+    return {name: values[name] or find(workspace) for name, find in finders.items()}
 
 
 def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
