@@ -32,6 +32,8 @@ VIEWERS = {
     "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",
     "edges.ply": "3D edges: MeshLab, Blender",
     "edges.obj": "3D edges as polylines: Blender, CloudCompare",
+    "edges.glb": "3D edges: glTF viewers, Blender, game engines",
+    "edges.dxf": "3D edges as 3D polylines: CAD programs",
     "edges.json": "what each edge is: its points in the model, length, views, residual",
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
     "edge_graphs": "2D edge graphs: numpy.load",

@@ -18,7 +18,7 @@ import colmap_edges
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.diagnosis import diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
-from colmap_edges.edge_io import write_json, write_obj, write_ply
+from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
@@ -314,6 +314,8 @@ def write_stage(
         residuals = observation_residuals(model, edges)
         write_ply(edges, colors, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
+        write_glb(edges, colors, folder / "edges.glb")
+        write_dxf(edges, folder / "edges.dxf")
         write_json(edges, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
