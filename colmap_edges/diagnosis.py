@@ -18,6 +18,7 @@ MIN_KEPT_SHARE = 0.4
 MIN_FOLLOWED_SHARE = 0.02
 MIN_POSED_SHARE = 0.7
 LARGE_RESIDUAL_PX = 1.0
+MAX_NAMES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +112,13 @@ def needed_views(options: PipelineOptions) -> tuple[str, int]:
 def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Finding]:
     """What detection explains: images without edges, chains that were filtered."""
     images, empty = detect.get("images", 0), detect.get("images_without_edges", 0)
+    if damaged := detect.get("damaged"):
+        yield Finding(
+            text=f"{len(damaged)} of {images} images could not be read and were left out: "
+            f"{', '.join(damaged[:MAX_NAMES])}{', ...' if len(damaged) > MAX_NAMES else ''}",
+            remedy="replace the damaged files and run again",
+        )
+        images -= len(damaged)
     if images and empty == images:
         yield Finding(
             text=f"no edge was detected in any of {images} images",

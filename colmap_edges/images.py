@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.edges import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.model import Model, View
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
@@ -50,16 +50,17 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
     """Read the image of a view, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
-        ColmapEdgesError: when it cannot be read or is not of its camera's size.
+        ImageError: when it cannot be read.
+        ColmapEdgesError: when it is not of its camera's size.
     """
     path = path_of_image(image_path, view.name)
     try:
         data = np.fromfile(path, np.uint8)
         image = cv2.imdecode(data, COLOR) if len(data) else None
     except (OSError, cv2.error) as error:
-        raise ColmapEdgesError(f"cannot read image {path}: {error}") from error
+        raise ImageError(f"cannot read image {path}: {error}") from error
     if image is None:
-        raise ColmapEdgesError(f"cannot read image {path}: damaged, or no image format known here")
+        raise ImageError(f"cannot read image {path}: damaged, or no image format known here")
     height, width = image.shape[:2]
     if (width, height) != (view.width, view.height):
         raise ColmapEdgesError(

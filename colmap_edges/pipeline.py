@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -20,7 +21,7 @@ from colmap_edges.diagnosis import diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
 from colmap_edges.meshing import Mesh, Polylines, mesh_points, with_model_attributes, write_mesh
 from colmap_edges.model import (
@@ -40,6 +41,11 @@ from colmap_edges.stages import Progress, Stages, no_progress, plain_counts
 
 # What a visitor of an image gets: its place among the views, its pixels, its chains, its graph.
 Visitor = Callable[[int, "np.ndarray[Any, Any]", Chains, EdgeGraph], None]
+
+
+logger = logging.getLogger(__name__)
+
+NO_CHAINS = Chains(points=np.zeros((0, 2)), normals=np.zeros((0, 2)), offsets=np.zeros(1, np.int64))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,33 +225,68 @@ def detect_stage(
 ) -> list[EdgeGraph]:
     """Detect the 2D edge graph of every view, in the views' order.
 
-    As many images are in memory at once as there are threads.
+    As many images are in memory at once as there are threads. Damaged images are left out: they
+    get an empty graph and are counted.
+
+    Raises:
+        ColmapEdgesError: when fewer than two images can be read.
     """
     with stages.stage("detect", len(model.views)) as stage:
+        damaged: dict[int, ImageError] = {}
 
         def detect(index: int) -> tuple[int, int, EdgeGraph]:
             view = model.views[index]
-            image = read_image(view, image_path)
-            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-            chains = detect_chains(gray, options.detection)
-            graph = build_edge_graph(chains, view, options.edge_graph)
-            if visit:
-                visit(index, image, chains, graph)
+            try:
+                image = read_image(view, image_path)
+            except ImageError as error:
+                damaged[index] = error
+                chains, graph = NO_CHAINS, build_edge_graph(NO_CHAINS, view, options.edge_graph)
+            else:
+                gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+                chains = detect_chains(gray, options.detection)
+                graph = build_edge_graph(chains, view, options.edge_graph)
+                if visit:
+                    visit(index, image, chains, graph)
             stage.advance()
             return len(chains.offsets) - 1, len(chains.points), graph
 
         found = map_threads(detect, len(model.views), thread_count(options))
-        graphs = [graph for *_, graph in found]
-        stage.counts = {
-            "images": len(graphs),
-            "images_without_edges": sum(len(graph.points) == 0 for graph in graphs),
-            "chains": sum(count for count, *_ in found),
-            "chain_pixels": sum(pixels for _, pixels, _ in found),
-            "polylines": sum(graph.num_polylines for graph in graphs),
-            "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
-            "edge_pixels": sum(len(graph.points) for graph in graphs),
-        }
-    return graphs
+        report_damaged(damaged, len(model.views))
+        names = [model.views[index].name for index in sorted(damaged)]
+        stage.counts = detection_counts(found, names)
+    return [graph for *_, graph in found]
+
+
+def detection_counts(
+    found: Sequence[tuple[int, int, EdgeGraph]], damaged: list[str]
+) -> dict[str, Any]:
+    """Counts of detection.
+
+    Args:
+        found: chains, their pixels and the edge graph of each image.
+        damaged: names of the images that could not be read.
+    """
+    graphs = [graph for *_, graph in found]
+    return {
+        "images": len(graphs),
+        "images_damaged": len(damaged),
+        "images_without_edges": sum(len(graph.points) == 0 for graph in graphs) - len(damaged),
+        "chains": sum(count for count, *_ in found),
+        "chain_pixels": sum(pixels for _, pixels, _ in found),
+        "polylines": sum(graph.num_polylines for graph in graphs),
+        "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
+        "edge_pixels": sum(len(graph.points) for graph in graphs),
+        "damaged": damaged,
+    }
+
+
+def report_damaged(damaged: Mapping[int, ImageError], num_images: int) -> None:
+    """Log the images that could not be read; raise when only one or none could."""
+    errors = [damaged[index] for index in sorted(damaged)]
+    if errors and num_images - len(errors) < 2:
+        raise ColmapEdgesError(f"{errors[0]} ({len(errors)} of {num_images} images are so)")
+    for error in errors:
+        logger.warning("%s; it is left out", error)
 
 
 def map_threads(function: Callable[[int], Any], count: int, num_threads: int) -> list[Any]:

@@ -53,6 +53,11 @@ def test_nothing_to_say_when_all_went_well(options, details):
             "no edge was detected in any of 10 images",
             "--Detection.min_chain_length_px",
         ),
+        (
+            {"detect": {"damaged": ["a.jpg", "b.jpg", "c.jpg", "d.jpg"]}},
+            "4 of 10 images could not be read and were left out: a.jpg, b.jpg, c.jpg, ...",
+            "replace the damaged files",
+        ),
         ({"detect": {"images_without_edges": 2}}, "2 of 10 images have no edge", "blurred"),
         (
             {"trace": {"views_without_neighbors": 10}},

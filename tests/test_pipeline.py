@@ -75,10 +75,9 @@ def damage(kind, images, sparse):
     first = sorted(images.iterdir())[0]
     if kind == "missing image":
         first.unlink()
-    elif kind == "unreadable image":
-        first.write_bytes(b"no picture")
-    elif kind == "empty image":
-        first.write_bytes(b"")
+    elif kind == "unreadable images":
+        for path in sorted(images.iterdir())[:-1]:
+            path.write_bytes(b"no picture")
     elif kind == "image of another size":
         cv2.imwrite(str(first), np.zeros((50, 70, 3), np.uint8))
     elif kind == "truncated model":
@@ -96,8 +95,7 @@ def damage(kind, images, sparse):
     ("kind", "message"),
     [
         ("missing image", "view_001.png of the model is not in"),
-        ("unreadable image", "cannot read image .*view_001.png"),
-        ("empty image", "cannot read image .*view_001.png"),
+        ("unreadable images", "cannot read image .*view_001.png.*9 of 10 images"),
         ("image of another size", "view_001.png is 70x50, its camera 480x360"),
         ("truncated model", "points3D.bin is damaged"),
         ("no model", "no readable COLMAP model"),
@@ -111,6 +109,19 @@ def test_bad_input_is_one_line_and_writes_nothing(scene_paths, tmp_path, kind, m
         detect(inputs, tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "sparse"]
+
+
+def test_damaged_images_are_left_out_and_named(scene_paths, tmp_path, caplog):
+    images, sparse = copy_scene(scene_paths, tmp_path)
+    (images / "view_003.png").write_bytes(b"no picture")
+    (images / "view_007.png").write_bytes(b"")
+    report = run("mesh", paths_of((images, sparse), tmp_path / "out"), PipelineOptions())
+    assert report["stages"][1]["counts"]["damaged"] == ["view_003.png", "view_007.png"]
+    assert "view_003.png, view_007.png" in report["findings"][0]["text"]
+    assert [record.levelname for record in caplog.records] == ["WARNING", "WARNING"]
+    records = json.loads((tmp_path / "out" / "edges.json").read_text())["edges"]
+    seen = {image_id for record in records for image_id in record["image_ids"]}
+    assert {1, 2, 4, 5} <= seen and not {3, 7} & seen
 
 
 @pytest.mark.parametrize("relation", [".", "below/out", ".."])
