@@ -17,7 +17,7 @@ import numpy as np
 
 import colmap_edges
 from colmap_edges.detection import Chains, detect_chains
-from colmap_edges.diagnosis import diagnose, funnel
+from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
@@ -71,13 +71,17 @@ class EdgeReconstruction:
         edges: the 3D edges with their tracks.
         point3D_ids: (N,) ids of the edge points in `reconstruction`.
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points.
+        residuals_px: (T,) distance of each observation from the projection of its edge point.
         stages: records of the stages, as in report.json.
+        findings: where edges were lost and what to do about it; empty when all went well.
     """
 
     edges: Edges3D
     point3D_ids: np.ndarray[Any, np.dtype[np.int64]]
     reconstruction: Any
+    residuals_px: np.ndarray[Any, np.dtype[np.float64]]
     stages: list[dict[str, Any]]
+    findings: list[Finding]
 
 
 def run(
@@ -150,12 +154,17 @@ def reconstruct(
     """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
 
     Args:
-        reconstruction: the sparse model; it is not changed.
-        image_path: folder of its images.
-        options: defaults when not given.
+        reconstruction: the sparse model, a pycolmap.Reconstruction; it is not changed. Its
+            cameras may be of any model, with distortion; images without poses are left out.
+        image_path: folder of its images, as they were when the model was made.
+        options: every stage's options, `preset("high")` for instance; defaults when not given.
+
+    Returns:
+        The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
 
     Raises:
-        ColmapEdgesError: on bad input.
+        ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
+            images are missing, of another size, or all but one damaged.
     """
     options = options or PipelineOptions()
     image_path = Path(image_path)
@@ -166,7 +175,12 @@ def reconstruct(
     edges = trace_stage(model, detect_stage(model, image_path, options, stages), options, stages)
     extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
     return EdgeReconstruction(
-        edges=edges, point3D_ids=ids, reconstruction=extended, stages=stages.records()
+        edges=edges,
+        point3D_ids=ids,
+        reconstruction=extended,
+        residuals_px=observation_residuals(model, edges),
+        stages=stages.records(),
+        findings=diagnose(stages.records(), options),
     )
 
 

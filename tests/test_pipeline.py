@@ -343,6 +343,18 @@ def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_path
     assert result.reconstruction.num_points3D() == count + len(result.point3D_ids)
     written = load_model(meshed[0] / "sparse")
     np.testing.assert_allclose(written.points3D_xyz[count:], result.edges.points, rtol=1e-14)
+    assert np.median(result.residuals_px) < 0.5
+    assert [stage["name"] for stage in result.stages] == ["detect", "trace"]
+    mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
+    with_edge_points = colmap_edges.mesh(result.reconstruction)
+    assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0
+
+
+def test_every_public_name_can_be_imported():
+    for name in colmap_edges.__all__:
+        assert getattr(colmap_edges, name)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = colmap_edges.no_such_name
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "a/../../b.png", ""])
