@@ -277,16 +277,40 @@ def evaluate(verbose: bool, **values: Any) -> None:
 def version_text() -> str:
     """Versions of this program and of what it computes with."""
     parts = [f"colmap-edges {__version__}"]
-    for name in ("pycolmap", "opencv-contrib-python-headless", "numpy"):
+    names = {"pycolmap": "pycolmap", "OpenCV": "opencv-contrib-python-headless", "numpy": "numpy"}
+    for name, distribution in names.items():
         try:
-            parts.append(f"{name} {version(name)}")
+            parts.append(f"{name} {version(distribution)}")
         except PackageNotFoundError:
             continue
-    return ", ".join(parts)
+    return ", ".join([*parts, cgal_text()])
+
+
+def cgal_text() -> str:
+    """Version of the CGAL that the mesher was built with."""
+    try:
+        from colmap_edges import _mesher
+    except ImportError:
+        return "no CGAL, so no meshing"
+    return f"CGAL {_mesher.cgal_version}"
+
+
+def show_version(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    """Write the versions and exit."""
+    if value and not ctx.resilient_parsing:
+        click.echo(version_text())
+        ctx.exit()
 
 
 @click.group(context_settings={"token_normalize_func": normalize, "max_content_width": 100})
-@click.version_option(message=version_text(), version=__version__)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=show_version,
+    help="Show the versions of this program and of what it computes with, and exit",
+)
 def cli() -> None:
     """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
 

@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -52,7 +53,8 @@ def test_help_imports_nothing_heavy():
 
 
 def test_version():
-    assert f"colmap-edges {colmap_edges.__version__}, pycolmap" in call("--version")
+    pattern = rf"colmap-edges {re.escape(colmap_edges.__version__)}, pycolmap \d.*, OpenCV \d.*, "
+    assert re.search(pattern + r"numpy \d.*, CGAL \d", call("--version"))
 
 
 def test_detect_says_where_files_are(flags, tmp_path):
