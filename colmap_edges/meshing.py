@@ -195,11 +195,7 @@ def mesh_points(
         min_component_faces=options.min_component_faces,
         num_threads=num_threads or os.cpu_count() or 1,
     )
-    if not stats["cells"]:
-        raise ColmapEdgesError(
-            f"nothing to mesh: the {len(points)} points span no volume; "
-            "give a model with more 3D points"
-        )
+    check_volume(stats, len(points))
     return Mesh(
         vertices=vertices,
         faces=faces,
@@ -207,6 +203,15 @@ def mesh_points(
         colors=np.zeros((len(vertices), 3), np.uint8),
         stats=stats,
     )
+
+
+def check_volume(stats: Mapping[str, float], num_points: int) -> None:
+    """Raise when the points have no tetrahedron between them."""
+    if not stats["cells"]:
+        raise ColmapEdgesError(
+            f"nothing to mesh: the {num_points} points span no volume; "
+            "give a model with more 3D points"
+        )
 
 
 def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -26,6 +26,8 @@ MAX_PICTURES = 120
 BYTES_PER_PIXEL = 0.7  # of a picture with its layers, roughly
 MIN_SIDE_PX, MAX_SIDE_PX = 240, 960
 JPEG_QUALITY = 75
+# Lines on nothing: as small as the best compression to a tenth, in a third of its time.
+RUN_LENGTHS = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
 
 
@@ -146,7 +148,7 @@ def layer(
     bgra = np.empty((*shape, 4), np.uint8)
     bgra[..., :3] = np.where(mask[..., None] > 0, np.array(color, np.uint8), 0)
     bgra[..., 3] = mask
-    return encoded(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    return encoded(".png", bgra, RUN_LENGTHS)
 
 
 def encoded(kind: str, image: Picture, options: list[int]) -> bytes:
