@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from colmap_edges.edges import Edges3D
 from colmap_edges.meshing import Mesh
@@ -42,7 +43,7 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
     if contents.mesh is not None:
         traces.append(mesh_trace(contents.mesh, hidden=edges is not None))
     if edges is not None:
-        traces += [edges_trace(edges, rows, starts), selection_trace()]
+        traces += [edges_trace(edges, rows, starts), edges_legend(edges), selection_trace()]
     return {"data": traces, "layout": layout(model, edges, low, high)}, starts
 
 
@@ -78,9 +79,8 @@ def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
 def cameras_trace(model: Model, size: float) -> Trace:
     """Every camera as a pyramid towards what it sees."""
     centers = model.camera_centers
-    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2)
-    gaps[np.diag_indices(len(centers))] = np.inf
-    depth = min(0.5 * float(np.median(gaps.min(axis=1))), 0.04 * size)
+    gaps = cKDTree(centers).query(centers, k=2)[0][:, 1]
+    depth = min(0.5 * float(np.median(gaps)), 0.04 * size)
     lines = np.concatenate([pyramid(view, max(depth, 0.005 * size)) for view in model.views])
     names = [html.escape(view.name) for view in model.views]
     return {
@@ -168,12 +168,26 @@ def edges_trace(edges: Edges3D, rows: IntArray, starts: IntArray) -> Trace:
     return {
         "type": "scatter3d",
         "mode": "lines",
-        "name": f"edges ({edges.num_edges:,})",
+        "legendgroup": "edges",
+        "showlegend": False,
         "line": {"width": 3, "colorscale": "Viridis", "color": typed(np.zeros(len(rows)))},
         "customdata": typed(np.repeat(np.arange(edges.num_edges), np.diff(starts)), "i4"),
         "hovertemplate": "edge %{customdata}<extra></extra>",
         "meta": "edges",
         **xyz(points),
+    }
+
+
+def edges_legend(edges: Edges3D) -> Trace:
+    """What stands for the edges in the legend, where lines of many colours would be black."""
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": f"edges ({edges.num_edges:,})",
+        "legendgroup": "edges",
+        "line": {"width": 3, "color": "#35b779"},
+        "hoverinfo": "skip",
+        **xyz(np.full((1, 3), np.nan)),
     }
 
 
