@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import time
@@ -221,6 +222,9 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         yield
     except OptionError as error:
         raise click.UsageError(str(error)) from error
+    except BrokenPipeError as error:  # what reads the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise click.exceptions.Exit(1) from error
     except (ColmapEdgesError, OSError, MemoryError) as error:
         if verbose:
             traceback.print_exc()

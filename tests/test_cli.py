@@ -143,6 +143,14 @@ def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
 
 
+def test_reader_that_leaves_is_no_error(flags, tmp_path):
+    call("detect", *flags)
+    with start("info", tmp_path / "out") as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
 def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
