@@ -8,7 +8,7 @@ paper's three-view selection).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from colmap_edges.options import ChainDepthOptions
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
+MIN_SURE = 200  # supports of such depths that are enough to learn from
 MIN_SAMPLES = 5  # that a polyline shall have, if its length allows
 
 
@@ -59,6 +61,7 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
     return _kernels.EdgeView(
         graph.ideal,
         graph.normals,
+        graph.sides,
         graph.polyline_offsets,
         graph.closed,
         view.rotation,
@@ -102,9 +105,10 @@ def compute_chain_depths(
         edge_views: all views in the kernels' form.
         graph: the source's edge graph.
         inverse_depths: (2,) smallest and largest inverse depth.
-        options: sampling, agreement and continuity.
+        options: sampling, agreement and continuity; sides may differ without limit where it is -1.
         num_threads: threads to use; the result does not depend on it.
     """
+    limit = options.max_side_difference
     samples, offsets = sample_chains(graph, options.sample_step_px)
     found = _kernels.chain_depths(
         edge_views[source],
@@ -115,7 +119,9 @@ def compute_chain_depths(
         min_inverse_depth=float(inverse_depths[0]),
         max_inverse_depth=float(inverse_depths[1]),
         max_disagreement_px=options.max_disagreement_px,
+        max_side_difference=limit if limit >= 0 else 255.0,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
         none_score=options.none_score,
         break_penalty=options.break_penalty,
@@ -133,3 +139,41 @@ def compute_chain_depths(
         support_views=np.asarray(neighbors, np.int32)[support_neighbors],
         support_positions=positions,
     )
+
+
+def learn_side_difference(
+    neighbors: tuple[IntArray, ...],
+    edge_views: list[_kernels.EdgeView],
+    graphs: list[EdgeGraph],
+    inverse_depths: FloatArray,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> float:
+    """How much the more alike sides of one edge differ between views, in gray levels.
+
+    Depths that geometry alone makes sure tell it, for a few samples of a few views; so what
+    exposure, gloss or moving lights change is allowed for. 255, no limit, if there are too few.
+    """
+    unlimited = replace(
+        options, max_side_difference=255.0, sample_step_px=4 * options.sample_step_px
+    )
+    differences = []
+    for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
+        depths = compute_chain_depths(
+            view,
+            neighbors[view],
+            edge_views,
+            graphs[view],
+            inverse_depths[view],
+            unlimited,
+            num_threads,
+        )
+        owners = np.repeat(np.arange(len(depths.samples)), np.diff(depths.support_offsets))
+        sure = depths.scores[owners] > SURE_SCORE
+        own = graphs[view].sides[depths.samples[owners]].astype(int)
+        for other in np.unique(depths.support_views):
+            rows = sure & (depths.support_views == other)
+            theirs = graphs[other].sides[depths.support_positions[rows].astype(int)]
+            differences.append(np.abs(own[rows] - theirs).min(axis=1))
+    every = np.concatenate([np.zeros(0, int), *differences])
+    return 1.5 * float(np.percentile(every, 90)) + 1 if len(every) >= MIN_SURE else 255.0

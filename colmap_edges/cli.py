@@ -37,6 +37,8 @@ VIEWERS = {
     "edges.dxf": "3D edges as 3D polylines: CAD programs",
     "edges.json": "what each edge is: its points in the model, length, views, residual",
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
+    "mesh.obj": "mesh: MeshLab, Blender, CloudCompare",
+    "mesh.glb": "mesh: Blender, any glTF viewer",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
     "report.html": "all of it to look at: a web browser, no network needed",

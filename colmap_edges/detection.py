@@ -18,6 +18,9 @@ from colmap_edges.options import DetectionOptions
 
 FloatArray = NDArray[np.float64]
 
+SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
+REMAP_WIDTH = 1 << 14
+
 
 @dataclass(frozen=True, kw_only=True)
 class Chains:
@@ -26,11 +29,13 @@ class Chains:
     Attributes:
         points: (N, 2) float64 image pixels, COLMAP's origin; one chain's are contiguous.
         normals: (N, 2) float64 unit gradient directions, dark to bright.
+        sides: (N, 2) uint8 gray on the dark and on the bright side of the edge.
         offsets: (C + 1,) int64; chain c is points[offsets[c]:offsets[c + 1]].
     """
 
     points: FloatArray
     normals: FloatArray
+    sides: NDArray[np.uint8]
     offsets: NDArray[np.int64]
 
 
@@ -49,7 +54,29 @@ def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains
     gradient_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)
     gradient_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)
     points, normals = _kernels.refine_subpixel(gradient_x, gradient_y, pixels)
-    return Chains(points=points + 0.5, normals=normals, offsets=offsets)
+    dark, bright = (
+        sample_gray(blurred, points + distance * normals)
+        for distance in (-SIDE_DISTANCE_PX, SIDE_DISTANCE_PX)
+    )
+    return Chains(
+        points=points + 0.5,
+        normals=normals,
+        sides=np.column_stack([dark, bright]),
+        offsets=offsets,
+    )
+
+
+def sample_gray(image: NDArray[np.float32], pixels: FloatArray) -> NDArray[np.uint8]:
+    """(N,) gray at (N, 2) sub-pixel positions (OpenCV's origin), that of the border outside."""
+    count = len(pixels)
+    if count == 0:
+        return np.zeros(0, np.uint8)
+    rows = -(-count // REMAP_WIDTH)  # remap takes no more columns than that
+    at = np.zeros((rows * REMAP_WIDTH, 2), np.float32)
+    at[:count] = pixels
+    maps = at.reshape(rows, REMAP_WIDTH, 2)
+    gray = cv2.remap(image, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(np.clip(np.round(gray.ravel()[:count]), 0, 255), np.uint8)
 
 
 def detect_pixel_chains(

@@ -54,7 +54,8 @@ def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
     found: dict[str, Counts] = {}
     for stage in stages:
         counts = stage["counts"]
-        found[stage["name"]] = {**counts, **counts.get("details", {})}
+        name = "trace" if stage["name"] == "trace again" else stage["name"]
+        found[name] = {**counts, **counts.get("details", {})}
     return found
 
 

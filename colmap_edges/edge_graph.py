@@ -32,6 +32,7 @@ class EdgeGraph:
             origin; those of one polyline are contiguous.
         ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
         normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
+        sides: (N, 2) uint8 gray on the dark and on the bright side.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
         closed: (P,) bool; the last point of a closed polyline connects to its first.
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
@@ -44,6 +45,7 @@ class EdgeGraph:
     points: NDArray[np.float64]
     ideal: NDArray[np.float64]
     normals: NDArray[np.float64]
+    sides: NDArray[np.uint8]
     polyline_offsets: NDArray[np.int64]
     closed: NDArray[np.bool_]
     end_nodes: NDArray[np.int32]
@@ -91,7 +93,10 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
     keep = ~bad[ids]
     lengths = np.diff(chains.offsets)[~bad]
     return Chains(
-        points=chains.points[keep], normals=chains.normals[keep], offsets=offsets_of(lengths)
+        points=chains.points[keep],
+        normals=chains.normals[keep],
+        sides=chains.sides[keep],
+        offsets=offsets_of(lengths),
     )
 
 
@@ -125,6 +130,7 @@ def join_chains(
     joined = Chains(
         points=chains.points[order],
         normals=chains.normals[order],
+        sides=chains.sides[order],
         offsets=offsets_of(np.array(lengths, np.int64)),
     )
     return joined, np.array(closed, bool)
@@ -208,6 +214,7 @@ def assemble(
         points=chains.points,
         ideal=ideal,
         normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
+        sides=chains.sides,
         polyline_offsets=chains.offsets,
         closed=closed,
         end_nodes=end_nodes,
@@ -331,6 +338,7 @@ def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
         points=graph.points[points],
         ideal=graph.ideal[points],
         normals=graph.normals[points],
+        sides=graph.sides[points],
         polyline_offsets=offsets_of(np.diff(graph.polyline_offsets)[keep]),
         closed=graph.closed[keep],
         end_nodes=graph.end_nodes[keep],

@@ -90,7 +90,7 @@ def mesh(
         polylines = Polylines(indices, edges.edge_offsets, edges.closed)
     centers = model.camera_centers
     result = mesh_points(points, offsets, cameras, centers, options, polylines, num_threads)
-    return with_model_attributes(result, model)
+    return finished(result, model, options)
 
 
 def as_model(source: Any) -> Model:
@@ -102,6 +102,12 @@ def as_model(source: Any) -> Model:
     if isinstance(source, str | os.PathLike):
         return model_module.load_model(Path(source))
     return model_module.model_from_reconstruction(source)
+
+
+def finished(mesh_of_indices: Mesh, model: Model, options: MeshingOptions) -> Mesh:
+    """Add what the model knows of the points, then simplify if asked to."""
+    mesh = with_model_attributes(mesh_of_indices, model)
+    return simplify(mesh, options.max_faces) if options.max_faces else mesh
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
@@ -188,6 +194,7 @@ def mesh_points(
         method=options.method,
         sigma_factor=options.sigma_factor,
         quality_weight=options.quality_weight,
+        edge_solid_weight=options.edge_solid_weight,
         vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
         vote_threshold=options.vote_threshold,
         min_segment_factor=options.min_segment_factor,
@@ -233,6 +240,45 @@ def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.
     loops = closed & (np.diff(offsets) > 2)
     indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
     return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
+
+
+def simplify(mesh: Mesh, max_faces: int) -> Mesh:
+    """Collapse edges by quadric errors until `max_faces` triangles are left.
+
+    Borders and topology are kept; a manifold stays one. Vertices move, so those of the result
+    know no 3D points; each takes the colour of the nearest vertex of `mesh`.
+
+    Raises:
+        ColmapEdgesError: when MeshLab fails.
+    """
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    import pymeshlab
+    from scipy.spatial import cKDTree
+
+    # Around the origin and of size 1, where MeshLab's single precision does no harm.
+    center = mesh.vertices.mean(axis=0)
+    size = float(np.abs(mesh.vertices - center).max())
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh((mesh.vertices - center) / size, mesh.faces))
+    try:
+        meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=max_faces, preserveboundary=True, preservetopology=True, autoclean=False
+        )
+        meshes.meshing_remove_unreferenced_vertices()
+    except pymeshlab.PyMeshLabException as error:
+        raise ColmapEdgesError(f"MeshLab cannot simplify to {max_faces} faces: {error}") from error
+    current = meshes.current_mesh()
+    vertices = current.vertex_matrix() * size + center
+    nearest = cKDTree(mesh.vertices).query(vertices)[1]
+    return replace(
+        mesh,
+        vertices=vertices,
+        faces=np.ascontiguousarray(current.face_matrix(), np.int32),
+        point3D_ids=np.full(len(vertices), -1, np.int64),
+        colors=mesh.colors[nearest],
+        stats={**mesh.stats, "faces_before_simplification": len(mesh.faces)},
+    )
 
 
 def load_extension() -> Any:

@@ -238,6 +238,35 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     return residuals
 
 
+def frames_of_views(model: Model) -> IntArray:
+    """(V,) COLMAP's id of the frame that each view's image belongs to."""
+    images = model.reconstruction.images
+    return np.array([images[view.image_id].frame_id for view in model.views], np.int64)
+
+
+def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> Model:
+    """A model with other poses and points, on a copy of the reconstruction.
+
+    Args:
+        model: the model to start from; it is not changed.
+        motions: (F, 3, 4) motion of the world before each frame's pose, frames by ascending id.
+        points3D_xyz: (N, 3) the points, as they lie after the motions.
+    """
+    moved = pycolmap.Reconstruction(model.reconstruction)
+    for frame_id, motion in zip(np.unique(frames_of_views(model)), motions, strict=True):
+        frame = moved.frames[frame_id]
+        frame.rig_from_world = frame.rig_from_world * pycolmap.Rigid3d(motion)
+    for point3D_id, xyz in zip(model.point3D_ids, points3D_xyz, strict=True):
+        moved.points3D[point3D_id].xyz = xyz
+    moved.update_point_3d_errors()
+    return replace(
+        model,
+        views=tuple(view_from_image(moved.images[view.image_id]) for view in model.views),
+        points3D_xyz=points3D_xyz,
+        reconstruction=moved,
+    )
+
+
 def write_model(
     model: Model,
     edges: Edges3D,

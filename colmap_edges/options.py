@@ -119,14 +119,23 @@ class ChainDepthOptions(Options):
         gt=0,
         basic=True,
     )
+    max_side_difference: float = option(
+        -1.0,
+        "Largest difference of the more alike sides of an edge in two views, in gray levels; "
+        "-1 learns it from the views",
+        ge=-1,
+    )
     min_epipolar_angle_deg: float = option(
         5.0, "Smallest angle between an edge and the epipolar line, in degrees", ge=0, le=90
     )
+    visibility_rate: float = option(
+        0.5, "Chance that an edge of one view is not hidden in another", gt=0, le=1
+    )
     detection_rate: float = option(
-        0.6, "Chance that an edge seen in one view is detected in another", gt=0, le=0.95
+        0.8, "Chance that an edge that is not hidden is detected", gt=0, le=0.95
     )
     none_score: float = option(
-        4.0, "Log likelihood ratio that the agreement of views must exceed to count"
+        3.0, "Log likelihood ratio that the agreement of views must exceed to count"
     )
     break_penalty: float = option(
         4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
@@ -186,7 +195,13 @@ class TracingOptions(Options):
     )
     min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
     min_observations: int = option(
-        4, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
+        3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
+    )
+    max_sigma_ratio: float = option(
+        4.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
+    )
+    max_false_edges: float = option(
+        1.0, "Number of 3D edges that chance may make in the whole scene", gt=0
     )
 
 
@@ -279,6 +294,20 @@ class SamplingOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BundleAdjustmentOptions(Options):
+    """Poses refined on SfM points and edge points together."""
+
+    robust_factor: float = option(
+        1.5, "Residual from which an observation loses influence, in standard deviations", gt=0
+    )
+    min_gain: float = option(
+        0.0, "Share of held-out points' cost that refined poses must save to be kept", ge=0, le=1
+    )
+    max_rounds: int = option(6, "Most times that the noise is measured and steps are taken", ge=1)
+    max_steps: int = option(6, "Most steps of a round", ge=1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class MeshingOptions(Options):
     """Points and rays -> triangle mesh; every option is free of the model's unit."""
 
@@ -295,6 +324,13 @@ class MeshingOptions(Options):
     quality_weight: float = option(
         0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0, basic=True
     )
+    edge_solid_weight: float = option(
+        1.0,
+        "graphcut: weight of the solid behind an edge point against that behind other points; "
+        "less leaves more free space behind occluding edges",
+        ge=0,
+        le=1,
+    )
     vote_crossed: float = option(
         1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", ge=0
     )
@@ -308,13 +344,19 @@ class MeshingOptions(Options):
         ge=0,
     )
     long_facet_factor: float = option(
-        25.0,
-        "Drop triangles with a longer side, in 95th percentiles of sides; 0 keeps all",
+        0.5,
+        "Drop triangles with a longer side, in distances to the cameras; 0 keeps all",
         ge=0,
         basic=True,
     )
     min_component_faces: int = option(
         1, "Drop connected components of fewer triangles", ge=1, basic=True
+    )
+    max_faces: int = option(
+        0,
+        "Simplify the mesh to this many triangles by quadric errors; 0 keeps all",
+        ge=0,
+        basic=True,
     )
 
 
@@ -333,12 +375,23 @@ class PipelineOptions(Options):
     following: FollowingOptions = field(default_factory=FollowingOptions)
     visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
+    bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
     report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
+    refine_poses: bool = option(
+        False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
+    )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
+    mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
     random_seed: int = option(0, "Seed of every random choice", ge=0)
+
+    def __post_init__(self) -> None:
+        """Raise `OptionError` for a value outside its range, or options that contradict."""
+        super().__post_init__()
+        if self.refine_poses and not self.use_edges:
+            raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
 
 
 # What --quality sets; medium is the defaults.

@@ -23,7 +23,7 @@ from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, wr
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
-from colmap_edges.meshing import Mesh, Polylines, mesh_points, with_model_attributes, write_mesh
+from colmap_edges.meshing import Mesh, Polylines, finished, mesh_points, write_mesh
 from colmap_edges.model import (
     Model,
     extend_reconstruction,
@@ -45,7 +45,12 @@ Visitor = Callable[[int, "np.ndarray[Any, Any]", Chains, EdgeGraph], None]
 
 logger = logging.getLogger(__name__)
 
-NO_CHAINS = Chains(points=np.zeros((0, 2)), normals=np.zeros((0, 2)), offsets=np.zeros(1, np.int64))
+NO_CHAINS = Chains(
+    points=np.zeros((0, 2)),
+    normals=np.zeros((0, 2)),
+    sides=np.zeros((0, 2), np.uint8),
+    offsets=np.zeros(1, np.int64),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +75,8 @@ class EdgeReconstruction:
     Attributes:
         edges: the 3D edges with their tracks.
         point3D_ids: (N,) ids of the edge points in `reconstruction`.
-        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
+            and SfM points are the input's unless `refine_poses` is set.
         residuals_px: (T,) distance of each observation from the projection of its edge point.
         stages: records of the stages, as in report.json.
         findings: where edges were lost and what to do about it; empty when all went well.
@@ -141,7 +147,7 @@ def run_edges(
         return Contents(model=model)
     taker = PictureTaker(model) if options.report else None
     graphs = detect_stage(model, image_path, options, stages, taker.take if taker else None)
-    edges = trace_stage(model, graphs, options, stages)
+    model, edges = edge_stages(model, graphs, options, stages)
     extended = write_stage(model, edges, image_path, folder, options, stages)
     mesh = mesh_stage(extended, edges, folder, options, stages) if command == "mesh" else None
     pictures = taker.pictures() if taker else ()
@@ -172,7 +178,8 @@ def reconstruct(
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_images_exist(model.views, image_path)
-    edges = trace_stage(model, detect_stage(model, image_path, options, stages), options, stages)
+    graphs = detect_stage(model, image_path, options, stages)
+    model, edges = edge_stages(model, graphs, options, stages)
     extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
     return EdgeReconstruction(
         edges=edges,
@@ -330,8 +337,46 @@ def graph_writer(model: Model, folder: Path) -> Visitor:
     return write
 
 
-def trace_stage(
+def edge_stages(
     model: Model, graphs: list[EdgeGraph], options: PipelineOptions, stages: Stages
+) -> tuple[Model, Edges3D]:
+    """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
+
+    Returns:
+        The model that the edges belong to, and the edges.
+    """
+    edges = trace_stage(model, graphs, options, stages)
+    if not options.refine_poses:
+        return model, edges
+    refined = refine_stage(model, edges, graphs, options, stages)
+    if refined is not model:
+        edges = trace_stage(refined, graphs, options, stages, "trace again")
+    return refined, edges
+
+
+def refine_stage(
+    model: Model,
+    edges: Edges3D,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+) -> Model:
+    """Refine the poses on SfM points and edges; the model itself where that does not help."""
+    from colmap_edges.bundle_adjustment import edge_normals, refine_poses
+
+    with stages.stage("refine poses") as stage:
+        normals = edge_normals(model, edges, graphs)
+        refined, stats = refine_poses(model, edges, normals, options.bundle_adjustment)
+        stage.counts = plain_counts(stats)
+    return refined
+
+
+def trace_stage(
+    model: Model,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+    name: str = "trace",
 ) -> Edges3D:
     """Reconstruct 3D edges from the 2D edge graphs."""
     from colmap_edges.paper_tracing import trace_edges_paper
@@ -339,7 +384,7 @@ def trace_stage(
 
     threads = thread_count(options)
     paper = options.tracing.method == "paper"
-    with stages.stage("trace", 1 if paper else 2 * len(graphs)) as stage:
+    with stages.stage(name, 1 if paper else 2 * len(graphs)) as stage:
         edges, stats = (
             trace_edges_paper(model, graphs, options, threads)
             if paper
@@ -404,8 +449,8 @@ def mesh_stage(
             polylines,
             thread_count(options),
         )
-        mesh = with_model_attributes(mesh, model)
-        write_mesh(mesh, folder / "mesh.ply")
+        mesh = finished(mesh, model, options.meshing)
+        write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts["details"] = plain_counts(mesh.stats)
     return mesh

@@ -7,13 +7,18 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.chain_depths import ChainDepths, compute_chain_depths, make_edge_view
+from colmap_edges.chain_depths import (
+    ChainDepths,
+    compute_chain_depths,
+    learn_side_difference,
+    make_edge_view,
+)
 from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.edge_graph import EdgeGraph, offsets_of
 from colmap_edges.edges import Edges3D
@@ -21,11 +26,15 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
+from colmap_edges.significance import chance_of_observations
 from colmap_edges.view_selection import select_views
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+TESTS_PER_CURVE = 30  # depths that a chain could have had
+INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +47,14 @@ class Traced:
         offsets: (E + 1,) CSR of the points by curve.
         views: (K + 1,) view of each column of `positions`, the driver first.
         positions: (N, K + 1) positions on the views' chains; NaN where not observed.
+        uncertainties: (N,) the same standard deviation in pixels of the driver.
+        log_chances: (N,) log10 of the chance of as many observations.
     """
 
     points: FloatArray
     sigmas: FloatArray
+    uncertainties: FloatArray
+    log_chances: FloatArray
     offsets: IntArray
     views: IntArray
     positions: FloatArray
@@ -82,6 +95,12 @@ def trace_edges(
     edge_views = [
         make_edge_view(graph, view) for graph, view in zip(graphs, model.views, strict=True)
     ]
+    chain_depth = options.chain_depth
+    if chain_depth.max_side_difference < 0:
+        learned = learn_side_difference(
+            near.neighbors, edge_views, graphs, near.inverse_depths, chain_depth, num_threads
+        )
+        chain_depth = replace(chain_depth, max_side_difference=learned)
     depths = [
         compute_chain_depths(
             v,
@@ -89,7 +108,7 @@ def trace_edges(
             edge_views,
             graphs[v],
             near.inverse_depths[v],
-            options.chain_depth,
+            chain_depth,
             num_threads,
         )
         for v in each_told(range(len(graphs)), advance)
@@ -118,6 +137,7 @@ def trace_edges(
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
     edges, stats = gather(scene, traced, options.tracing)
+    stats["max_side_difference"] = chain_depth.max_side_difference
     return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
 
 
@@ -293,17 +313,27 @@ def trace_view(
     """Refine the curves of one driver and find their observations."""
     witnesses = scene.witnesses[view]
     driver = scene.model.views[view]
+    views = [scene.model.views[w] for w in witnesses]
+    edge_views = [scene.edge_views[w] for w in witnesses]
     curves, positions, sigmas = refine_curves(
+        driver, curves, views, edge_views, options.refinement, num_threads
+    )
+    observed = np.isfinite(positions).sum(axis=1)
+    displacements = np.where(observed > 0, sigmas, 0) * np.sqrt(observed)
+    log_chances = chance_of_observations(
         driver,
         curves,
-        [scene.model.views[w] for w in witnesses],
-        [scene.edge_views[w] for w in witnesses],
+        displacements / options.refinement.noise_px,
+        views,
+        edge_views,
         options.refinement,
         num_threads,
     )
     return Traced(
         points=lift(driver, curves.ideal, curves.inverse_depths),
         sigmas=sigmas / curves.inverse_depths**2,
+        uncertainties=sigmas / curves.inverse_depths * driver.focal_px,
+        log_chances=log_chances,
         offsets=curves.offsets,
         views=np.concatenate([[view], witnesses]),
         positions=np.column_stack([indices.astype(np.float64), positions]),
@@ -335,32 +365,48 @@ def gather(
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Filter points by their number of observations and make the 3D edges of what is left."""
     counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
-    every = np.concatenate(counts) if counts else np.zeros(0)
-    median = float(np.median(every)) if len(every) else 0.0
-    needed = max(options.min_observations, median / 2 + 1)
-    parts = [keep_points(t, c >= needed, options) for t, c in zip(traced, counts, strict=True)]
+    every = np.concatenate([np.zeros(0, int), *counts])
+    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
+    enough = every >= options.min_observations
+    limit = options.max_sigma_ratio * float(np.median(uncertain[enough])) if enough.any() else 0.0
+    sure = enough & (uncertain <= limit)
+    tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
+    max_log = np.log10(options.max_false_edges / max(tests, 1))
+    starts = np.cumsum([0, *(len(c) for c in counts)])
+    parts = [
+        keep_points(t, sure[a:b], max_log, options)
+        for t, a, b in zip(traced, starts[:-1], starts[1:], strict=True)
+    ]
     stats = {
         "points_traced": len(every),
-        "min_observations": needed,
-        "points_observed_enough": int((every >= needed).sum()),
-        "points_dropped_few_observations": int((every < needed).sum()),
+        "points_observed_enough": int(enough.sum()),
+        "points_dropped_few_observations": int((~enough).sum()),
+        "points_dropped_uncertain": int((enough & ~sure).sum()),
+        "points_dropped_chance": int(sure.sum()) - sum(len(part.points) for part in parts),
     }
     return make_edges(scene, parts), stats
 
 
-def keep_points(traced: Traced, keep: BoolArray, options: TracingOptions) -> Traced:
-    """Split curves where points are dropped; short pieces go with them."""
+def keep_points(
+    traced: Traced, keep: BoolArray, max_log_chance: float, options: TracingOptions
+) -> Traced:
+    """Split curves where points are dropped; pieces that chance may have made go with them."""
     ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
-    # One or two weak points inside a curve stay: the curve around them holds them.
     broken = np.ones(len(ids), bool)
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
     pieces = np.cumsum(broken) - 1
     sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
-    keep = keep & (sizes[pieces] >= options.min_curve_points)
+    # Points nearer to each other than that are not independent evidence.
+    share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
+    logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
+    good = (sizes >= options.min_curve_points) & (logs <= max_log_chance)
+    keep = keep & good[pieces]
     lengths = np.unique(pieces[keep], return_counts=True)[1]
     return Traced(
         points=traced.points[keep],
         sigmas=traced.sigmas[keep],
+        uncertainties=traced.uncertainties[keep],
+        log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
         views=traced.views,
         positions=traced.positions[keep],

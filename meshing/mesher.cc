@@ -164,12 +164,20 @@ Triangulation Triangulate(const MesherOptions& options, Scene& scene,
   return builder.Flatten();
 }
 
+// 1 for the vertices on polylines, those that were added there included.
+std::vector<std::uint8_t> EdgePoints(const Triangulation& triangulation, const Scene& scene) {
+  std::vector<std::uint8_t> is_edge(triangulation.points.size(), 0);
+  for (Index v : scene.polylines.values) is_edge[v] = 1;
+  std::fill(is_edge.begin() + scene.points.size(), is_edge.end(), 1);
+  return is_edge;
+}
+
 std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, const Scene& scene,
                                          const MesherOptions& options, MesherResult& result,
                                          Stopwatch& watch) {
   if (options.method == "graphcut") {
-    CutProblem problem =
-        VisibilityProblem(triangulation, scene.rays, scene.cameras, options.visibility);
+    CutProblem problem = VisibilityProblem(triangulation, scene.rays, scene.cameras,
+                                           EdgePoints(triangulation, scene), options.visibility);
     watch.Lap("visibility");
     Cut cut = MinimumCut(triangulation.cells, std::move(problem));
     result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
@@ -179,6 +187,26 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
   watch.Lap("visibility");
   auto is_free = FreeByVotes(votes, options.votes.threshold);
   return options.method == "carve" ? is_free : GrowManifold(triangulation, votes, is_free);
+}
+
+// How far away each vertex is seen from: the distance of the nearest of its cameras, or the median
+// length of all rays if that is longer. Unlike the spacing of points it does not shrink where
+// points are added, which must not tear holes elsewhere.
+std::vector<double> SeenFrom(const std::vector<Vec3>& points, const Scene& scene) {
+  std::vector<double> nearest(points.size(), 0), lengths;
+  lengths.reserve(scene.rays.values.size());
+  for (std::size_t v = 0; v < points.size(); ++v) {
+    const std::size_t first = lengths.size();
+    for (const Index* camera = scene.rays.begin(v); camera != scene.rays.end(v); ++camera)
+      lengths.push_back(Norm(scene.cameras[*camera] - points[v]));
+    if (lengths.size() > first)
+      nearest[v] = *std::min_element(lengths.begin() + first, lengths.end());
+  }
+  if (lengths.empty()) return std::vector<double>(points.size(), HUGE_VAL);
+  const auto median = lengths.begin() + lengths.size() / 2;
+  std::nth_element(lengths.begin(), median, lengths.end());
+  for (double& range : nearest) range = std::max(range, *median);
+  return nearest;
 }
 
 void AddSurface(const MesherInput& input, const Scene& scene, const Triangulation& triangulation,
@@ -215,7 +243,8 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
   if (triangulation.cells.empty()) return result;
   const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);
   watch.Lap("labelling");
-  const Surface surface = ExtractSurface(triangulation, is_free, options.surface);
+  const Surface surface = ExtractSurface(triangulation, is_free,
+                                         SeenFrom(triangulation.points, scene), options.surface);
   AddSurface(input, scene, triangulation, surface, result);
   watch.Lap("surface");
   return result;

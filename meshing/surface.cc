@@ -127,18 +127,17 @@ void Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
   facets.partners.resize(3 * std::size_t(count));
 }
 
-Index DropLongFacets(const Triangulation& triangulation, double factor, Facets& facets) {
-  if (factor <= 0 || facets.corners.empty()) return 0;
-  std::vector<double> lengths(3 * facets.corners.size());
-  for (Index side = 0; side < 3 * facets.size(); ++side)
-    lengths[side] =
-        Norm(triangulation.points[facets.From(side)] - triangulation.points[facets.To(side)]);
-  std::vector<double> sorted = lengths;
-  auto percentile = sorted.begin() + static_cast<std::ptrdiff_t>(0.95 * (sorted.size() - 1));
-  std::nth_element(sorted.begin(), percentile, sorted.end());
+Index DropLongFacets(const Triangulation& triangulation, const std::vector<double>& ranges,
+                     double factor, Facets& facets) {
+  if (factor <= 0) return 0;
+  const auto& points = triangulation.points;
   std::vector<std::uint8_t> kept(facets.corners.size());
-  for (Index f = 0; f < facets.size(); ++f)
-    kept[f] = *std::max_element(&lengths[3 * f], &lengths[3 * f] + 3) <= factor * *percentile;
+  for (Index f = 0; f < facets.size(); ++f) {
+    const auto& [a, b, c] = facets.corners[f];
+    const double longest = std::max(
+        {Norm(points[a] - points[b]), Norm(points[b] - points[c]), Norm(points[c] - points[a])});
+    kept[f] = longest <= factor * std::min({ranges[a], ranges[b], ranges[c]});
+  }
   const Index before = facets.size();
   Keep(kept, facets);
   return before - facets.size();
@@ -234,12 +233,12 @@ void AddFaces(const Index* corners, const Index* midpoints, Surface& surface) {
 }  // namespace
 
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
-                       const SurfaceOptions& options) {
+                       const std::vector<double>& ranges, const SurfaceOptions& options) {
   Surface surface;
   Facets facets = Extractor(triangulation, is_free).Extract();
   surface.stats.boundary_facets = facets.size();
   surface.stats.long_facets_dropped =
-      DropLongFacets(triangulation, options.long_facet_factor, facets);
+      DropLongFacets(triangulation, ranges, options.long_facet_factor, facets);
   surface.stats.component_faces_dropped = DropSmallComponents(options.min_component_faces, facets);
   const std::vector<Index> vertex_of = SplitVertices(facets, surface);
   const std::vector<Index> midpoints = SplitEdges(facets, vertex_of, surface);

@@ -11,9 +11,9 @@
 namespace mesher {
 
 struct SurfaceOptions {
-  double long_facet_factor = 25;  // facets with a longer side, in 95th percentiles of all, are
-                                  // dropped; 0 keeps all
-  Index min_component_faces = 1;  // smaller connected components are dropped
+  double long_facet_factor = 0.5;  // facets with a longer side, in ranges of their vertices, are
+                                   // dropped; 0 keeps all
+  Index min_component_faces = 1;   // smaller connected components are dropped
 };
 
 struct SurfaceStats {
@@ -34,7 +34,9 @@ struct Surface {
 // The facets between free and solid cells, normals towards free space. Where solid cells touch
 // along an edge or in a vertex only, the surface is cut open there and keeps its shape: in the
 // result every edge has one or two faces and the faces around a vertex form one fan or one disk.
+//
+// `ranges` holds for each vertex how far away it is seen from; the shortest of a facet counts.
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
-                       const SurfaceOptions& options);
+                       const std::vector<double>& ranges, const SurfaceOptions& options);
 
 }  // namespace mesher

@@ -10,6 +10,8 @@
 namespace mesher {
 namespace {
 
+std::int64_t Scaled(double factor, std::int64_t weight) { return std::llround(factor * weight); }
+
 // Weight 1 - exp(-d^2 / 2 sigma^2) of a crossing at distance d from a point.
 class SoftWeight {
  public:
@@ -26,7 +28,7 @@ class SoftWeight {
 };
 
 void AddRay(const Triangulation& triangulation, const RayWalker& walker, const SoftWeight& weight,
-            CutProblem& problem) {
+            double solid, CutProblem& problem) {
   if (walker.front() == kNone) {
     walker.VisitOutside(true, [&](Index cell) { AtomicAdd(problem.source[cell], kRayWeight); });
   } else {
@@ -36,12 +38,14 @@ void AddRay(const Triangulation& triangulation, const RayWalker& walker, const S
     });
     AtomicAdd(problem.source[last], kRayWeight);
   }
+  const std::int64_t solid_weight = Scaled(solid, kRayWeight);
   if (walker.behind() == kNone) {
-    walker.VisitOutside(false, [&](Index cell) { AtomicAdd(problem.sink[cell], kRayWeight); });
+    walker.VisitOutside(false, [&](Index cell) { AtomicAdd(problem.sink[cell], solid_weight); });
   } else {
     const Crossing exit = walker.BehindExit();
-    AtomicAdd(problem.arcs[4 * std::size_t(exit.cell) + exit.facet], weight(exit.distance));
-    AtomicAdd(problem.sink[exit.next], kRayWeight);
+    AtomicAdd(problem.arcs[4 * std::size_t(exit.cell) + exit.facet],
+              Scaled(solid, weight(exit.distance)));
+    AtomicAdd(problem.sink[exit.next], solid_weight);
   }
 }
 
@@ -124,13 +128,18 @@ double TypicalSpacing(const Triangulation& triangulation) {
 }
 
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
-                             const std::vector<Vec3>& cameras, const VisibilityOptions& options) {
+                             const std::vector<Vec3>& cameras,
+                             const std::vector<std::uint8_t>& is_edge,
+                             const VisibilityOptions& options) {
   CutProblem problem(triangulation.cells.size());
   const SoftWeight weight(options.sigma_factor * TypicalSpacing(triangulation));
   ParallelChunks(triangulation.num_vertices(), options.num_threads, [&](auto begin, auto end) {
-    for (auto v = begin; v < end; ++v)
+    for (auto v = begin; v < end; ++v) {
+      const double solid = is_edge[v] ? options.edge_solid_weight : 1;
       for (const Index* camera = rays.begin(v); camera != rays.end(v); ++camera)
-        AddRay(triangulation, RayWalker(triangulation, v, cameras[*camera]), weight, problem);
+        AddRay(triangulation, RayWalker(triangulation, v, cameras[*camera]), weight, solid,
+               problem);
+    }
   });
   AddQuality(triangulation, options, problem);
   return problem;

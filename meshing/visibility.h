@@ -8,8 +8,9 @@
 namespace mesher {
 
 struct VisibilityOptions {
-  double sigma_factor = 1;      // softness of a point's depth, in units of the spacing of points
-  double quality_weight = 0.2;  // weight of well-shaped surfaces against one ray
+  double sigma_factor = 1;       // softness of a point's depth, in units of the spacing of points
+  double quality_weight = 0.2;   // weight of well-shaped surfaces against one ray
+  double edge_solid_weight = 1;  // of the solid behind an edge point, against that behind others
   int num_threads = 1;
 };
 
@@ -20,8 +21,12 @@ constexpr std::int64_t kRayWeight = 1 << 20;
 double TypicalSpacing(const Triangulation& triangulation);
 
 // Soft visibility (Labatut et al. 2009) and surface quality as a minimum cut problem. Row v of
-// `rays` holds the cameras that see vertex v; none of them may coincide with the vertex.
+// `rays` holds the cameras that see vertex v; none of them may coincide with the vertex. What lies
+// behind a point is taken for solid; edge_solid_weight says how much for vertices with is_edge set,
+// since a ray that grazes an occluding edge goes on through free space on one side of it.
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
-                             const std::vector<Vec3>& cameras, const VisibilityOptions& options);
+                             const std::vector<Vec3>& cameras,
+                             const std::vector<std::uint8_t>& is_edge,
+                             const VisibilityOptions& options);
 
 }  // namespace mesher

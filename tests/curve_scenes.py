@@ -94,6 +94,7 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
         points=view.image_from_ideal(ideal),
         ideal=ideal,
         normals=np.tile([1.0, 0.0], (len(ideal), 1)),
+        sides=np.zeros(ideal.shape, np.uint8),
         polyline_offsets=offsets,
         closed=np.array([curve.closed for curve in curves], bool),
         end_nodes=np.arange(2 * count, dtype=np.int32).reshape(count, 2),

@@ -119,6 +119,7 @@ def graph_from_ideal(view, ideal, normals, closed) -> EdgeGraph:
         points=points,
         ideal=joined,
         normals=np.concatenate([np.zeros((0, 2)), *normals]),
+        sides=np.tile(np.array([[60, 180]], np.uint8), (len(points), 1)),
         polyline_offsets=offsets,
         closed=np.array(closed, bool),
         end_nodes=nodes,

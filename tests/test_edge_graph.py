@@ -42,6 +42,7 @@ def make_chains(*parts):
     return Chains(
         points=np.concatenate([points for points, _ in parts]),
         normals=np.concatenate(normals),
+        sides=np.zeros((sum(len(points) for points, _ in parts), 2), np.uint8),
         offsets=offsets_of(np.array([len(points) for points, _ in parts])),
     )
 
@@ -51,7 +52,13 @@ def build(chains, view=VIEW, **options):
 
 
 def no_chains():
-    return Chains(points=np.zeros((0, 2)), normals=np.zeros((0, 2)), offsets=np.zeros(1, np.int64))
+    nothing = np.zeros((0, 2))
+    return Chains(
+        points=nothing,
+        normals=nothing,
+        sides=nothing.astype(np.uint8),
+        offsets=np.zeros(1, np.int64),
+    )
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -153,6 +160,7 @@ def bare_graph(*polylines):
         points=points,
         ideal=points,
         normals=np.zeros_like(points),
+        sides=np.zeros(points.shape, np.uint8),
         polyline_offsets=lengths,
         closed=np.zeros(count, bool),
         end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),

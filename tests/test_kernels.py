@@ -75,7 +75,8 @@ def random_pose(rng):
 
 def edge_view(points, normals, offsets, closed, pose=None, focal=FOCAL):
     rotation, translation = pose if pose else (np.eye(3), np.zeros(3))
-    return _kernels.EdgeView(points, normals, offsets, closed, rotation, translation, focal)
+    sides = np.zeros((len(points), 2), np.uint8)
+    return _kernels.EdgeView(points, normals, sides, offsets, closed, rotation, translation, focal)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -251,8 +252,9 @@ def test_crossings_are_those_of_all_segments(seed):
         depth, _, _, _, _, positions = _kernels.chain_depths(
             source, [view, view], np.array([index]), np.array([0, 1]), steps=1.0,
             min_inverse_depth=low, max_inverse_depth=high, max_disagreement_px=0.1,
-            min_angle_sin=0.0, detection_rate=0.6, none_score=-1e9, break_penalty=0.0,
-            max_clusters=6, num_threads=1,
+            max_side_difference=255.0,
+            min_angle_sin=0.0, visibility_rate=1.0, detection_rate=0.6, none_score=-1e9,
+            break_penalty=0.0, max_clusters=6, num_threads=1,
         )  # fmt: skip
         start, end = (project(*pose, sample, rho) for rho in (low, high))
         if np.linalg.norm(end - start) < 1.1:
@@ -306,8 +308,8 @@ def test_bad_focal_lengths_and_samples_are_refused():
         )
     with pytest.raises(ValueError, match="not a point"):
         _kernels.chain_depths(
-            view, [view], np.array([1]), np.array([0, 1]), 1.0, 0.1, 1.0, 1.5, 0.1, 0.6, 4.0, 4.0,
-            6, 1,
+            view, [view], np.array([1]), np.array([0, 1]), 1.0, 0.1, 1.0, 1.5, 255.0, 0.1,
+            0.5, 0.6, 4.0, 4.0, 6, 1,
         )  # fmt: skip
 
 

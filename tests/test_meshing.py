@@ -261,6 +261,123 @@ def test_one_camera_sees_a_height_field():
     assert as_trimesh(mesh).area_faces[upward].sum() > 3.5
 
 
+def floor_scene(*patches):
+    """Points on a bumpy floor around the origin, ten units under four cameras."""
+    points = np.concatenate([grid_on_floor(*patch) for patch in patches])
+    centers = np.array([[x, y, 10.0] for x in (-1, 1) for y in (-1, 1)])
+    offsets = 4 * np.arange(len(points) + 1)
+    return points, offsets, np.tile(np.arange(4, dtype=np.int32), len(points)), centers
+
+
+def grid_on_floor(side, half_width):
+    x, y = (a.ravel() for a in np.meshgrid(*[np.linspace(-half_width, half_width, side)] * 2))
+    return np.column_stack([x, y, 0.5 * half_width * np.sin(5 * x) * np.cos(7 * y)])
+
+
+def upward_area(mesh):
+    solid = as_trimesh(mesh)
+    return (solid.area_faces * np.maximum(solid.face_normals[:, 2], 0)).sum()
+
+
+def test_dense_points_tear_no_holes_in_the_coarse_surface():
+    coarse = meshing.mesh_points(*floor_scene((7, 4.0)), OPTIONS)
+    both = meshing.mesh_points(*floor_scene((7, 4.0), (60, 0.01)), OPTIONS)
+    assert both.stats["long_facets_dropped"] == coarse.stats["long_facets_dropped"]
+    assert upward_area(coarse) == pytest.approx(64, rel=0.05)
+    assert upward_area(both) == pytest.approx(64, rel=0.05)
+
+
+def test_long_triangles_are_dropped():
+    points, offsets, cameras, centers = floor_scene((9, 1.0), (9, 1.0))
+    points[81:] += [10.0, 0.1, 0]
+    bridged = meshing.mesh_points(
+        points, offsets, cameras, centers, replace(OPTIONS, long_facet_factor=0.0)
+    )
+    apart = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    assert upward_area(bridged) > 20
+    assert upward_area(apart) == pytest.approx(8, rel=0.1)
+    assert apart.stats["long_facets_dropped"] > 0
+
+
+def test_simplified_sphere_stays_a_sphere():
+    points, offsets, cameras, centers = sphere_scene()
+    shift = np.array([5e6, -2e6, 100.0])
+    mesh = meshing.mesh_points(points + shift, offsets, cameras, centers + shift, OPTIONS)
+    colors = np.rint(127 * points + 127).astype(np.uint8)[mesh.point3D_ids]
+    simple = meshing.simplify(replace(mesh, colors=colors), 300)
+    solid = as_trimesh(simple)
+    assert len(simple.faces) <= 300 and solid.is_watertight and solid.euler_number == 2
+    assert_manifold(simple)
+    np.testing.assert_allclose(np.linalg.norm(simple.vertices - shift, axis=1), 1, atol=0.03)
+    assert np.abs(127 * (simple.vertices - shift) + 127 - simple.colors).max() < 25
+    assert meshing.simplify(mesh, len(mesh.faces)) is mesh
+
+
+def test_edges_without_solid_weight_leave_nothing_solid():
+    scene = sphere_scene()
+    count = len(scene[0])
+    edges = meshing.Polylines(np.arange(count, dtype=np.int32), np.array([0, count]), [False])
+    for weight, is_empty in ((0.0, True), (1.0, False)):
+        options = replace(OPTIONS, edge_solid_weight=weight, min_segment_factor=0.0)
+        mesh = meshing.mesh_points(*scene, options, edges)
+        assert (len(mesh.faces) == 0) == is_empty
+
+
+def torus_scene(count=3000):
+    """A ring of radii 1 and 0.4, seen from outside and from within its hole."""
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(0, 2 * np.pi, (2, count))
+    normals = np.column_stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)])
+    points = np.column_stack([np.cos(u), np.sin(u), np.zeros(count)]) + 0.4 * normals
+    axis = np.column_stack([np.zeros((9, 2)), np.linspace(-1, 1, 9)])
+    centers = np.concatenate([4 * fibonacci_sphere(20), axis])
+    along = centers[None] - points[:, None]
+    seen = (along * normals[:, None]).sum(2) > 0
+    inner = np.linspace(0.02, 1, 60)[:, None]
+    for i, j in np.argwhere(seen):  # not through the ring itself
+        way = points[i] + inner * along[i, j]
+        tube = np.hypot(np.hypot(way[:, 0], way[:, 1]) - 1, way[:, 2])
+        seen[i, j] = (tube > 0.4).all()
+    offsets = np.concatenate([[0], np.cumsum(seen.sum(1))]).astype(np.int64)
+    return points, offsets, np.nonzero(seen)[1].astype(np.int32), centers
+
+
+@pytest.mark.parametrize(
+    ("scene", "euler_number", "volume"),
+    [(sphere_scene, 2, 4 / 3 * np.pi), (box_scene, 2, 1.0), (torus_scene, 0, 0.32 * np.pi**2)],
+)
+def test_euler_characteristic_of_solids(scene, euler_number, volume):
+    mesh = meshing.mesh_points(*scene(), replace(OPTIONS, min_component_faces=100))
+    solid = as_trimesh(mesh)
+    assert_manifold(mesh)
+    assert solid.is_watertight and solid.euler_number == euler_number
+    assert solid.volume == pytest.approx(volume, rel=0.01)
+
+
+@pytest.mark.parametrize("method", ["carve", "manifold"])
+@pytest.mark.parametrize("scene", [sphere_scene, torus_scene])
+def test_votes_find_the_solids(scene, method):
+    mesh = meshing.mesh_points(*scene(), replace(OPTIONS, method=method))
+    assert_manifold(mesh)
+    volume = 4 / 3 * np.pi if scene is sphere_scene else 0.32 * np.pi**2
+    assert abs(as_trimesh(mesh).volume) == pytest.approx(volume, rel=0.04)
+
+
+def test_manifold_growth_makes_one_closed_sphere():
+    solid = as_trimesh(meshing.mesh_points(*sphere_scene(), replace(OPTIONS, method="manifold")))
+    assert solid.is_watertight and solid.euler_number == 2
+
+
+def test_huge_coordinates_do_not_matter():
+    points, offsets, cameras, centers = sphere_scene()
+    shift = np.array([500_000.0, 5_000_000.0, 300.0])
+    reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
+    moved = meshing.mesh_points(points + shift, offsets, cameras, centers + shift, OPTIONS)
+    assert as_trimesh(moved).is_watertight
+    assert face_set(moved) == face_set(reference)
+    np.testing.assert_array_equal(moved.vertices, (points + shift)[moved.point3D_ids])
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
 def test_written_mesh_is_read_back(tmp_path, suffix):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)

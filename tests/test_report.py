@@ -101,10 +101,15 @@ def test_edge_figures_by_hand():
 
 def test_dropped_points_are_those_the_graph_has_not():
     points = np.array([[1, 2], [3, 4], [5, 6], [7, 8.5]])
-    chains = Chains(points=points, normals=points, offsets=np.array([0, 4]))
+    chains = chains_of(points)
     graph = graph_of(points[[3, 1]], [0, 2])
     assert dropped_points(chains, graph)[:, 0].tolist() == [[1, 2], [5, 6]]
     assert len(dropped_points(chains, graph_of(points, [0, 4]))) == 0
+
+
+def chains_of(points):
+    sides = np.zeros((len(points), 2), np.uint8)
+    return Chains(points=points, normals=points, sides=sides, offsets=np.array([0, len(points)]))
 
 
 def graph_of(points, offsets):
@@ -113,6 +118,7 @@ def graph_of(points, offsets):
         points=points,
         ideal=points,
         normals=points,
+        sides=np.zeros((len(points), 2), np.uint8),
         polyline_offsets=np.array(offsets, np.int64),
         closed=np.zeros(count, bool),
         end_nodes=np.zeros((count, 2), np.int32),
@@ -146,7 +152,7 @@ def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_
     model = dataclasses.replace(scene_model, views=views)
     rng = np.random.default_rng(0)
     taker, graph = PictureTaker(model), graph_of(rng.uniform(0, 360, (20_000, 2)), [0, 20_000])
-    chains = Chains(points=graph.points, normals=graph.points, offsets=np.array([0, 20_000]))
+    chains = chains_of(graph.points)
     noise = rng.integers(0, 255, (1500, 2000, 3), np.uint8)
     for index in range(100):
         taker.take(index, noise, chains, graph)

@@ -72,21 +72,25 @@ std::vector<int64_t> ToVector(const Offsets& values) {
   return {values.data(), values.data() + values.size()};
 }
 
-void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals, Offsets offsets,
+void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals,
+                  InArray<uint8_t, nb::shape<-1, 2>> sides, Offsets offsets,
                   InArray<bool, nb::ndim<1>> closed, InArray<double, nb::shape<3, 3>> rotation,
                   InArray<double, nb::shape<3>> translation, double focal) {
+  std::vector<Sides> grays(sides.shape(0));
+  for (size_t i = 0; i < grays.size(); ++i) grays[i] = {sides(i, 0), sides(i, 1)};
   Mat3 r;
   Vec3 t;
   std::copy_n(rotation.data(), 9, r.begin());
   std::copy_n(translation.data(), 3, t.begin());
-  new (self) EdgeView(ToVec2(points), ToVec2(normals), ToVector(offsets),
+  new (self) EdgeView(ToVec2(points), ToVec2(normals), grays, ToVector(offsets),
                       {closed.data(), closed.data() + closed.size()}, r, t, focal);
 }
 
 nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const EdgeView*>& neighbors,
                             Offsets samples, Offsets sample_offsets, double steps,
                             double min_inverse_depth, double max_inverse_depth,
-                            double max_disagreement_px, double min_angle_sin, double detection_rate,
+                            double max_disagreement_px, double max_side_difference,
+                            double min_angle_sin, double visibility_rate, double detection_rate,
                             double none_score, double break_penalty, int max_clusters,
                             int num_threads) {
   CheckOffsets(sample_offsets, samples.size());
@@ -99,11 +103,11 @@ nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const Edge
   ChainDepths result;
   {
     nb::gil_scoped_release release;
-    result =
-        ComputeChainDepths(source, neighbors, starts, offsets, steps,
-                           {min_inverse_depth, max_inverse_depth, max_disagreement_px,
-                            min_angle_sin, detection_rate, none_score, break_penalty, max_clusters},
-                           num_threads);
+    result = ComputeChainDepths(
+        source, neighbors, starts, offsets, steps,
+        {min_inverse_depth, max_inverse_depth, max_disagreement_px, max_side_difference,
+         min_angle_sin, visibility_rate, detection_rate, none_score, break_penalty, max_clusters},
+        num_threads);
   }
   const size_t count = starts.size(), total = result.positions.size();
   return nb::make_tuple(
@@ -161,12 +165,12 @@ NB_MODULE(_kernels, m) {
         "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
   nb::class_<colmap_edges::EdgeView>(m, "EdgeView", "A view's edge graph with its pose and a grid.")
-      .def("__init__", &colmap_edges::MakeEdgeView, "points"_a, "normals"_a, "offsets"_a,
+      .def("__init__", &colmap_edges::MakeEdgeView, "points"_a, "normals"_a, "sides"_a, "offsets"_a,
            "closed"_a, "rotation"_a, "translation"_a, "focal"_a);
   m.def("chain_depths", &colmap_edges::ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
         "sample_offsets"_a, "steps"_a, "min_inverse_depth"_a, "max_inverse_depth"_a,
-        "max_disagreement_px"_a, "min_angle_sin"_a, "detection_rate"_a, "none_score"_a,
-        "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
+        "max_disagreement_px"_a, "max_side_difference"_a, "min_angle_sin"_a, "visibility_rate"_a,
+        "detection_rate"_a, "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
   m.def("associate", &colmap_edges::AssociateArrays, "view"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,

@@ -19,8 +19,10 @@ namespace colmap_edges {
 struct ChainDepthParameters {
   double min_inverse_depth, max_inverse_depth;
   double max_disagreement_px;  // between two hypotheses, along their epipolar lines
+  double max_side_difference;  // gray levels between the more alike sides of an edge in two views
   double min_angle_sin;        // between edge and epipolar line
-  double detection_rate;       // chance that an edge seen in one view is detected in another
+  double visibility_rate;      // chance that an edge of one view is not hidden in another
+  double detection_rate;       // chance that it is detected there if so
   double none_score;           // what a cluster's log likelihood ratio must exceed
   double break_penalty;        // for a change from one cluster to another that does not go on
   int max_clusters;
@@ -83,6 +85,11 @@ class Sampler {
     std::vector<Seen> seen;
   };
 
+  // One side at least belongs to the body that the edge is on, and looks the same from elsewhere.
+  bool LookAlike(const Sides& a, const Sides& b) const {
+    const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
+    return std::min(dark, bright) <= p_.max_side_difference;
+  }
   void Collect(int64_t i, int32_t neighbor, Found* found);
   void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
   void ScoreAll(const Found& found);
@@ -136,6 +143,7 @@ inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
   const Vec2 &n0 = source_.normal(i), &tangent0 = source_.tangent(i);
   const double sin0 = std::abs(Cross(tangent0, toward)) / (toward_norm + 1e-300);
   if (sin0 < p_.min_angle_sin) return;
+  const Sides& sides0 = source_.sides(i);
   const double polarity0 = Dot(n0, toward) / (toward_norm + 1e-300);
   const Vec3 a = Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
   const Vec3& b = pair.translation;
@@ -151,7 +159,7 @@ inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
   const bool wide = std::abs(u[0]) > std::abs(u[1]);
   indexes_[neighbor].VisitCrossings(a, low, high, &crossed_, [&](int64_t s, double t) {
     const double sin = std::abs(Cross(u, view.tangent(s)));
-    if (sin < p_.min_angle_sin) return;
+    if (sin < p_.min_angle_sin || !LookAlike(sides0, view.sides(s))) return;
     const int k = wide ? 0 : 1;
     const double q = view.point(s)[k], at = q + t * (view.point(view.Next(s))[k] - q);
     const double rho = (at * a[2] - f * a[k]) / (f * b[k] - at * b[2]);
@@ -225,7 +233,8 @@ inline void Sampler::ScoreAll(const Found& found) {
       const double other = agree_[n] >= 0 ? hypotheses[agree_[n]].sigma : sigma;
       const double window = std::sqrt(2.0) * p_.max_disagreement_px * (sigma + other);
       const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
-      ratio *= agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
+      const double seen = agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
+      ratio *= p_.visibility_rate * seen + 1 - p_.visibility_rate;
     }
     scores_[u] = std::log(ratio);
   }

@@ -16,6 +16,7 @@
 namespace colmap_edges {
 
 using Vec2 = std::array<double, 2>;
+using Sides = std::array<uint8_t, 2>;
 using Vec2f = std::array<float, 2>;
 using Vec3 = std::array<double, 3>;
 using Mat3 = std::array<double, 9>;  // row major
@@ -53,10 +54,11 @@ inline Vec3 Scaled(const Vec3& a, double s) { return {a[0] * s, a[1] * s, a[2] *
 
 class EdgeView {
  public:
-  // points, normals: (N, 2) ideal pixels; offsets: (P + 1) polylines; closed: (P).
+  // points, normals: (N, 2) ideal pixels; sides: (N, 2) gray on the dark and the bright side;
+  // offsets: (P + 1) polylines; closed: (P).
   EdgeView(const std::vector<Vec2>& points, const std::vector<Vec2>& normals,
-           std::vector<int64_t> offsets, std::vector<uint8_t> closed, const Mat3& rotation,
-           const Vec3& translation, double focal)
+           const std::vector<Sides>& sides, std::vector<int64_t> offsets,
+           std::vector<uint8_t> closed, const Mat3& rotation, const Vec3& translation, double focal)
       : points_(points.size()),
         offsets_(std::move(offsets)),
         closed_(std::move(closed)),
@@ -64,15 +66,15 @@ class EdgeView {
         translation_(translation),
         focal_(focal) {
     if (offsets_.empty() || offsets_.front() != 0 || offsets_.back() != int64_t(points.size()) ||
-        normals.size() != points.size() || closed_.size() + 1 != offsets_.size() ||
+        normals.size() != points.size() || sides.size() != points.size() ||
+        closed_.size() + 1 != offsets_.size() ||
         !std::is_sorted(offsets_.begin(), offsets_.end())) {
       throw std::invalid_argument("points, normals, offsets and closed do not fit together");
     }
     if (!(focal > 0)) throw std::invalid_argument("focal must be positive");
     for (int32_t p = 0; p < num_polylines(); ++p) {
       for (int64_t i = first(p); i <= last(p); ++i) {
-        const int64_t next = i < last(p) ? i + 1 : (closed_[p] ? first(p) : -1);
-        points_[i] = {Narrowed(points[i]), Narrowed(normals[i]), {1, 0}, p, int32_t(next)};
+        points_[i] = {Narrowed(points[i]), Narrowed(normals[i]), {1, 0}, p, sides[i], i == last(p)};
       }
     }
     for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Narrowed(FindTangent(i));
@@ -83,6 +85,7 @@ class EdgeView {
   int64_t num_polylines() const { return int64_t(closed_.size()); }
   Vec2 point(int64_t i) const { return Widened(points_[i].xy); }
   Vec2 normal(int64_t i) const { return Widened(points_[i].normal); }
+  const Sides& sides(int64_t i) const { return points_[i].sides; }
   int32_t polyline(int64_t i) const { return points_[i].polyline; }
   int64_t first(int32_t p) const { return offsets_[p]; }
   int64_t last(int32_t p) const { return offsets_[p + 1] - 1; }
@@ -98,7 +101,10 @@ class EdgeView {
   }
 
   // The point after i along its polyline, -1 at an open end.
-  int64_t Next(int64_t i) const { return points_[i].next; }
+  int64_t Next(int64_t i) const {
+    if (!points_[i].last) return i + 1;
+    return closed(polyline(i)) ? first(polyline(i)) : -1;
+  }
 
   // The point `steps` after i (before, if negative), stopping at open ends.
   int64_t Advance(int64_t i, int64_t steps) const {
@@ -188,7 +194,9 @@ class EdgeView {
   // caches. Single precision is a thousandth of a chain's own noise.
   struct Point {
     Vec2f xy, normal, tangent;
-    int32_t polyline, next;
+    int32_t polyline;
+    Sides sides;
+    bool last;  // of its polyline
   };
   static Vec2 Widened(const Vec2f& v) { return {v[0], v[1]}; }
   static Vec2f Narrowed(const Vec2& v) { return {float(v[0]), float(v[1])}; }

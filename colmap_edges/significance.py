@@ -1,0 +1,77 @@
+"""Which curves more views observe than chance would make (a contrario).
+
+Where edges are dense, any 3D curve projects near some chain of many views. How often is measured
+where the curve is not: the same curve moved in depth tells how likely a view observes it by chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from colmap_edges.cross_check import lift
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.model import View
+from colmap_edges.options import RefinementOptions
+from colmap_edges.refinement import Curves, associate, drop_lone, replace_depths
+
+FloatArray = NDArray[np.float64]
+
+DISPLACEMENTS_PX = (-12.0, 12.0)  # beyond the edge itself, within its surroundings
+CLOSE_PX = 0.75
+PRIOR_TRIALS = 20  # with one hit: what is known of chance before it is measured
+MIN_LOG = -12.0  # one point alone is not trusted further
+
+
+def chance_of_observations(
+    driver: View,
+    curves: Curves,
+    displacements: FloatArray,
+    views: list[View],
+    edge_views: list[_kernels.EdgeView],
+    options: RefinementOptions,
+    num_threads: int,
+) -> FloatArray:
+    """(N,) log10 of the chance that as many views observe a point of a curve.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points.
+        displacements: (N,) change of inverse depth that moves the point one pixel in the views.
+        views: the K views.
+        edge_views: their chains.
+        options: how near and how parallel an observation is.
+        num_threads: threads to use.
+    """
+    ids, count = curves.curve_ids, len(curves.offsets) - 1
+    visible = count_in_image(lift(driver, curves.ideal, curves.inverse_depths), views)
+    hits = np.zeros(count)
+    observed = np.zeros(len(curves.ideal))
+    for distance in (0.0, *DISPLACEMENTS_PX):
+        moved = replace_depths(curves, curves.inverse_depths + distance * displacements)
+        positions = associate(
+            driver, moved, edge_views, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+        )
+        positions = drop_lone(positions, curves.offsets, edge_views)
+        seen = np.isfinite(positions).sum(axis=1)
+        if distance == 0.0:
+            observed = seen
+        else:
+            hits += np.bincount(ids, weights=seen, minlength=count)
+    trials = len(DISPLACEMENTS_PX) * np.bincount(ids, weights=visible, minlength=count)
+    rates = np.minimum((hits + 1) / (trials + PRIOR_TRIALS), 0.9)
+    with np.errstate(divide="ignore"):
+        logs = np.log10(binom.sf(observed - 1, np.maximum(visible, observed), rates[ids]))
+    result: FloatArray = np.maximum(logs, MIN_LOG)
+    return result
+
+
+def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
+    """(N,) number of views whose image (N, 3) world points fall into."""
+    counts = np.zeros(len(points))
+    for view in views:
+        pixels, depths = view.project(points)
+        inside = (pixels > 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
+        counts += inside & (depths > 0)
+    return counts
