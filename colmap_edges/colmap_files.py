@@ -60,10 +60,31 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
     data = files["images"].read_bytes()
     images = image_records(data, files["images"])
     check_image_points(data, images, files["images"])
+    if not (folder / "frames.bin").is_file():
+        for image in images:
+            check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], files["images"])
     check_points3D(files["points3D"], images)
     for name, check in (("rigs", check_rigs), ("frames", check_frames)):
         if (folder / f"{name}.bin").is_file():
             check(folder / f"{name}.bin")
+
+
+def check_text_files(folder: Path, num_records: dict[str, int]) -> None:
+    """Check that text files of a model hold as many records as they should, the last one whole.
+
+    Args:
+        folder: where the .txt files are.
+        num_records: records by file name without suffix; an image is two lines, else it is one.
+
+    Raises:
+        ColmapEdgesError: when a file is cut short.
+    """
+    for name, count in num_records.items():
+        path = folder / f"{name}.txt"
+        with path.open("rb") as file:
+            lines = [line[-1:] for line in file if not line.startswith(b"#")]
+        if len(lines) != count * (2 if name == "images" else 1) or b"".join(lines).strip(b"\n"):
+            raise damaged(path, "it is cut short")
 
 
 def damaged(path: Path, why: str) -> ColmapEdgesError:
@@ -124,9 +145,16 @@ def check_frames(path: Path) -> None:
     """Check that frames.bin holds as many frames and data ids as it says."""
     reader = Reader(path)
     for _ in range(reader.take(COUNT)[0]):
-        num_data = reader.take(struct.Struct("<II7dI"))[-1]
-        reader.skip(16 * num_data)
+        frame = reader.take(struct.Struct("<II7dI"))
+        check_rotation(frame[2:6], path)
+        reader.skip(16 * frame[-1])
     reader.end()
+
+
+def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
+    """Check that a quaternion is not zero, which COLMAP silently takes for no rotation."""
+    if not any(quaternion):
+        raise damaged(path, "a pose has a rotation of zeros")
 
 
 def image_records(data: bytes, path: Path) -> list[ImageRecord]:

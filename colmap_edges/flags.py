@@ -19,7 +19,7 @@ def zero_or_one(value: Any) -> bool:
     """Take a truth value as COLMAP writes it, 0 or 1; also true and false."""
     words = {"0": False, "1": True, "false": False, "true": True}
     if str(value).lower() not in words:
-        raise ValueError(f"{value!r} is neither 0 nor 1")
+        raise click.BadParameter(f"{value!r} is neither 0 nor 1")
     return words[str(value).lower()]
 
 

@@ -37,13 +37,21 @@ def check_images_exist(views: Iterable[View], image_path: Path) -> None:
     Raises:
         ColmapEdgesError: naming the first that is missing and how many are.
     """
-    missing = [v.name for v in views if not path_of_image(image_path, v.name).is_file()]
+    missing = [v.name for v in views if not is_file(path_of_image(image_path, v.name))]
     if missing:
         more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise ColmapEdgesError(
             f"image {missing[0]}{more} of the model is not in {image_path}; "
             "give the folder the model was made from as --image_path"
         )
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; names that no file can have name none."""
+    try:
+        return path.is_file()
+    except OSError:  # such as a name of more than 255 bytes
+        return False
 
 
 def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
@@ -54,19 +62,30 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
         ColmapEdgesError: when it is not of its camera's size.
     """
     path = path_of_image(image_path, view.name)
-    try:
-        data = np.fromfile(path, np.uint8)
-        image = cv2.imdecode(data, COLOR) if len(data) else None
-    except (OSError, cv2.error) as error:
-        raise ImageError(f"cannot read image {path}: {error}") from error
-    if image is None:
-        raise ImageError(f"cannot read image {path}: damaged, or no image format known here")
+    image = read_picture(path)
     height, width = image.shape[:2]
     if (width, height) != (view.width, view.height):
         raise ColmapEdgesError(
             f"image {path} is {width}x{height}, its camera {view.width}x{view.height}; "
             "give the images the model was made from (undistorted ones for an undistorted model)"
         )
+    return image
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Read any image file, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
+
+    Raises:
+        ImageError: when it cannot be read.
+    """
+    try:
+        data = np.fromfile(path, np.uint8)
+        image = cv2.imdecode(data, COLOR) if len(data) else None
+    except (OSError, MemoryError, cv2.error) as error:
+        reason = " ".join(str(error).split())
+        raise ImageError(f"cannot read image {path}: {reason}") from error
+    if image is None:
+        raise ImageError(f"cannot read image {path}: damaged, or no image format known here")
     return np.asarray(image, np.uint8)
 
 

@@ -41,15 +41,23 @@ def describe_model(model: Model) -> str:
 
 def describe_output(path: Path) -> str:
     """What a run made: its command, stages, edges and model."""
-    report = read_json(path / REPORT_NAME)
-    lines = [f"output of colmap-edges {report['command']}"]
-    for stage in report["stages"]:
-        lines.append(f"{stage['name']}: {stage['wall_s']} s, {stage['peak_mb']} MB")
-        lines += count_lines(stage["counts"], "  ")
+    try:
+        lines = report_lines(read_json(path / REPORT_NAME))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ColmapEdgesError(f"{path / REPORT_NAME} is damaged: no {error}; run again") from error
     if (path / "sparse").is_dir():
         model = describe_model(load_model(path / "sparse"))
         lines += ["sparse:", *(f"  {line}" for line in model.split("\n"))]
     return "\n".join(lines)
+
+
+def report_lines(report: dict[str, Any]) -> list[str]:
+    """The command of a run and what its stages did."""
+    lines = [f"output of colmap-edges {report['command']}"]
+    for stage in report["stages"]:
+        lines.append(f"{stage['name']}: {stage['wall_s']} s, {stage['peak_mb']} MB")
+        lines += count_lines(stage["counts"], "  ")
+    return lines
 
 
 def count_lines(counts: dict[str, Any], indent: str) -> list[str]:

@@ -14,7 +14,12 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from colmap_edges.colmap_files import NewPoints, append_points, check_model_files
+from colmap_edges.colmap_files import (
+    NewPoints,
+    append_points,
+    check_model_files,
+    check_text_files,
+)
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -58,7 +63,7 @@ class View:
     def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
         """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
         rays = np.column_stack([np.asarray(ideal) / self.focal_px, np.ones(len(ideal))])
-        return np.asarray(self.camera.img_from_cam(rays, check_cheirality=False)).reshape(-1, 2)
+        return np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
 
     def cam_from_world(self, points: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates; z is the depth."""
@@ -117,6 +122,8 @@ def load_model(path: Path | str) -> Model:
         ColmapEdgesError: when the folder holds no readable model.
     """
     path = Path(path)
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # the error says it all
     try:
         check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
@@ -126,6 +133,8 @@ def load_model(path: Path | str) -> Model:
             f"no readable COLMAP model in {path} ({reason}); "
             "give the folder that holds cameras, images and points3D (.bin or .txt)"
         ) from error
+    finally:
+        pycolmap.logging.minloglevel = level
     return model_from_reconstruction(reconstruction)
 
 
@@ -142,7 +151,12 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
     Raises:
         ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
     """
-    images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    try:
+        images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    except UnicodeDecodeError as error:
+        raise ColmapEdgesError(
+            f"the name of an image of the model is not UTF-8 ({error.object!r}); rename the image"
+        ) from error
     posed = [image for image in images if image.has_pose]
     views = tuple(view_from_image(image) for image in posed)
     points = sorted(reconstruction.points3D.items())
@@ -174,11 +188,14 @@ def check_values(model: Model) -> None:
             raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
         if not (np.isfinite(view.rotation).all() and np.isfinite(view.translation).all()):
             raise ColmapEdgesError(f"the pose of image {view.name} is not finite; deregister it")
-        if not np.isfinite(view.camera.params).all() or not view.focal_px > 0:
+        params = np.asarray(view.camera.params)
+        if not np.isfinite(params).all() or not (params[view.camera.focal_length_idxs()] > 0).all():
             raise ColmapEdgesError(
                 f"the camera of image {view.name} has the parameters "
                 f"{view.camera.params_to_string()}; they must be finite and the focal length > 0"
             )
+    if not np.isfinite(model.track_points2D).all():
+        raise ColmapEdgesError("a point2D of the model that observes a point3D is not finite")
     bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
     if len(bad):
         raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
@@ -292,13 +309,25 @@ def write_model(
     path = Path(path)
     path.mkdir(exist_ok=True)
     points = new_points(model, edges, colors)
-    if output_type == "BIN":
-        model.reconstruction.write_binary(str(path))
-        append_points(path, points)
-        check_model_files(path, camera_parameter_counts())  # pycolmap is silent on a full disk
-    else:
-        with_points(model.reconstruction, points).write_text(str(path))
+    try:
+        if output_type == "BIN":
+            model.reconstruction.write_binary(str(path))
+            check_model_files(path, camera_parameter_counts())
+            append_points(path, points)
+        else:
+            write_text(with_points(model.reconstruction, points), path)
+    except ColmapEdgesError as error:  # pycolmap is silent on a full disk
+        raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
     return points.ids
+
+
+def write_text(reconstruction: Any, path: Path) -> None:
+    """Write a text model and check that all of it was written."""
+    reconstruction.write_text(str(path))
+    names = {"cameras": "cameras", "images": "reg_images", "points3D": "points3D"}
+    names |= {name: name for name in ("rigs", "frames") if (path / f"{name}.txt").is_file()}
+    counts = {name: getattr(reconstruction, f"num_{known}")() for name, known in names.items()}
+    check_text_files(path, counts)
 
 
 def extend_reconstruction(
@@ -317,6 +346,7 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
     """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
+        check_model_files(Path(folder), camera_parameter_counts())
         append_points(Path(folder), points)
         return pycolmap.Reconstruction(folder)
 

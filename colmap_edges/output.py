@@ -65,6 +65,7 @@ def new_folder(output: Path) -> Iterator[Path]:
         replace(output, partial, previous)
     except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
+        restore(output, previous)
         if isinstance(error, OSError):  # inputs have errors of their own
             reason = error.strerror or error
             raise ColmapEdgesError(f"cannot write to {output}: {reason}") from error
@@ -102,9 +103,14 @@ def recover(output: Path, partial: Path, previous: Path) -> None:
             shutil.rmtree(entry)
         else:
             entry.unlink()
+    restore(output, previous)
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def restore(output: Path, previous: Path) -> None:
+    """Put an output that was moved aside back, when nothing took its place."""
     if previous.exists() and not output.exists():
         previous.rename(output)
-    shutil.rmtree(previous, ignore_errors=True)
 
 
 def replace(output: Path, partial: Path, previous: Path) -> None:

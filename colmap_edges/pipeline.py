@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -328,7 +329,9 @@ def graph_writer(model: Model, folder: Path) -> Visitor:
         picture = path_of_image(folder / "overlays", name + ".png")
         for path in (arrays, picture):
             path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(arrays, **vars(graph))
+        packed = BytesIO()  # a .npz cut short on a full disk would complain when it is deleted
+        np.savez(packed, **vars(graph))
+        arrays.write_bytes(packed.getvalue())
         done, encoded = cv2.imencode(".png", draw_edge_graph(image, graph))
         if not done:
             raise ColmapEdgesError(f"cannot encode the overlay {picture}")

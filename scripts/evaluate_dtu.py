@@ -47,7 +47,7 @@ def main(
         benchmark.run(scenes, output_path, methods, progress=click.echo)
     except ColmapEdgesError as error:
         sys.exit(f"error: {error}")
-    click.echo((output_path / "evaluation.md").read_text())
+    click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def main(
         benchmark.run(listed, output_path, methods, progress=click.echo)
     except ColmapEdgesError as error:
         sys.exit(f"error: {error}")
-    click.echo((output_path / "evaluation.md").read_text())
+    click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,28 @@ import scenes
 from colmap_edges.model import load_model
 
 
+def pytest_addoption(parser):
+    parser.addoption("--soak", action="store_true", help="run the long versions of tests")
+
+
+@pytest.fixture(scope="session")
+def soak(request):
+    """Whether the long version of a test is asked for."""
+    return request.config.getoption("--soak")
+
+
+@pytest.fixture
+def show(soak, capsys):
+    """A function that prints a line of the long versions' counts."""
+
+    def write(line: str) -> None:
+        if soak:
+            with capsys.disabled():
+                print(line, flush=True)  # noqa: T201
+
+    return write
+
+
 @pytest.fixture(scope="session")
 def scene():
     return scenes.make_scene()

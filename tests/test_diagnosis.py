@@ -45,7 +45,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
 @pytest.mark.parametrize(
     ("lost", "text", "remedy"),
     [
-        ({"read": {"images_with_poses": 3}}, "only 3 images have poses", "min_observations 3"),
+        ({"read": {"images_with_poses": 2}}, "only 2 images have poses", "min_observations 2"),
         ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (
@@ -83,7 +83,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"trace": {"points_observed_enough": 40}},
             "90 % of 400 traced edge points",
-            "--Tracing.min_observations (now 4)",
+            "--Tracing.min_observations (now 3)",
         ),
         ({"edges": 0}, "no 3D edge came out", "--Tracing.min_curve_points"),
         ({"write": {"median_residual_px": 1.4}}, "miss their observations by 1.40 px", "adjuster"),
@@ -136,7 +136,7 @@ def test_flags_that_are_named_exist():
 
     known = {flag.opts[0] for flag in make_flags({f.name for f in fields(PipelineOptions)})}
     runs = [
-        stages(read={"images_with_poses": 3, "points3D": 0}),
+        stages(read={"images_with_poses": 2, "points3D": 0}),
         stages(detect={"images_without_edges": 10, "edge_pixels": 0}),
         stages(trace={"samples_with_depth": 1, "samples_confirmed": 0, "points_traced": 900}),
         stages(trace={"samples_confirmed": 3, "views_without_neighbors": 3}),

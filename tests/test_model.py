@@ -190,6 +190,32 @@ def test_track_into_nowhere(scene_paths, tmp_path):
         load_model(folder)
 
 
+@pytest.mark.parametrize("frames", [True, False])
+def test_rotation_of_zeros(scene_paths, tmp_path, frames):
+    """COLMAP takes it for no rotation, which would be wrong without a word."""
+    folder = tmp_path / "sparse"
+    shutil.copytree(scene_paths[1], folder)
+    path, at = folder / ("frames.bin" if frames else "images.bin"), 16 if frames else 12
+    data = bytearray(path.read_bytes())
+    data[at : at + 32] = bytes(32)
+    path.write_bytes(data)
+    if not frames:  # as before rigs came
+        (folder / "frames.bin").unlink()
+        (folder / "rigs.bin").unlink()
+    with pytest.raises(ColmapEdgesError, match="a rotation of zeros"):
+        load_model(folder)
+
+
+def test_name_that_is_not_utf8(scene_paths, tmp_path):
+    folder = tmp_path / "sparse"
+    shutil.copytree(scene_paths[1], folder)
+    data = (folder / "images.bin").read_bytes()
+    (folder / "images.bin").write_bytes(data.replace(b"view_002", b"view\xff002"))
+    with pytest.raises(ColmapEdgesError, match="is not UTF-8") as caught:
+        load_model(folder)
+    assert "view\\xff002" in str(caught.value)
+
+
 def test_images_and_points_of_different_models(scene_paths, tmp_path):
     folder = tmp_path / "sparse"
     shutil.copytree(scene_paths[1], folder)
@@ -202,24 +228,34 @@ def test_images_and_points_of_different_models(scene_paths, tmp_path):
     ("part", "message"),
     [
         ("focal", "camera of image view_001.png has the parameters 0"),
+        ("one focal", "camera of image view_001.png has the parameters"),
+        ("negative focal", "camera of image view_001.png has the parameters -"),
         ("params", "camera of image view_001.png has the parameters nan"),
         ("pose", "pose of image view_001.png is not finite"),
         ("point", "point3D 1 of the model is not finite"),
+        ("pixel", "point2D of the model that observes a point3D is not finite"),
         ("name", "two images of the model are named same.png"),
     ],
 )
 def test_values_that_are_none(scene, part, message):
     reconstruction = pycolmap.Reconstruction(scene.reconstruction)
     image = reconstruction.images[1]
-    if part in ("focal", "params"):
+    if part in ("focal", "one focal", "negative focal", "params"):
         params = np.array(image.camera.params)
-        params[:2] = 0 if part == "focal" else np.nan
+        if part == "one focal":
+            params[1] = 0
+        elif part == "negative focal":
+            params[:2] *= -1
+        else:
+            params[:2] = 0 if part == "focal" else np.nan
         reconstruction.cameras[1].params = params
     elif part == "pose":
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0, np.nan, 0]))
         reconstruction.frames[image.frame_id].rig_from_world = pose
     elif part == "point":
         reconstruction.points3D[1].xyz = np.array([np.inf, 0, 0])
+    elif part == "pixel":
+        next(p for p in image.points2D if p.has_point3D()).xy = np.array([np.nan, 0])
     else:
         for image_id in (1, 2):
             reconstruction.images[image_id].name = "same.png"

@@ -121,7 +121,7 @@ def _run_method(scene: Scene, method: str, folder: Path, progress: Progress) -> 
     done = folder / f"{slug}.json"
     if done.is_file():
         progress(f"  {method}: done before")
-        return dict(json.loads(done.read_text()))
+        return dict(json.loads(done.read_text(encoding="utf-8")))
     started = time.perf_counter()
     try:
         record = evaluate_method(scene, method, folder, folder / slug)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, make_score, scores
 from colmap_edges.evaluation.ply import read_ply
 from colmap_edges.evaluation.raycasting import RayCaster
@@ -66,19 +67,24 @@ def load_curves(path: Path) -> Curves:
     if not path.is_file():
         raise ColmapEdgesError(f"{path} does not exist; give curves as .ply or .npz")
     if path.suffix == ".npz":
-        with np.load(path) as data:
-            missing = {"points", "edges"} - set(data)
-            if missing:
-                raise ColmapEdgesError(f"{path} holds no array {', '.join(sorted(missing))}")
-            points, segments = data["points"], data["edges"]
+        data = read_arrays(path)
+        missing = {"points", "edges"} - set(data)
+        if missing:
+            raise ColmapEdgesError(f"{path} holds no array {', '.join(sorted(missing))}")
+        points, segments = data["points"], data["edges"]
     else:
         elements = read_ply(path, ("vertex", "edge"))
         points = columns(elements.get("vertex"), ("x", "y", "z"), path)
         segments = np.empty((0, 2), dtype=np.int64)
         if len(elements.get("edge", ())):
             segments = columns(elements["edge"], ("vertex1", "vertex2"), path)
-    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    segments = np.asarray(segments, dtype=np.int64).reshape(-1, 2)
+    try:
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        segments = np.asarray(segments, dtype=np.int64).reshape(-1, 2)
+    except (ValueError, TypeError) as error:
+        raise ColmapEdgesError(f"{path}: no numbers by three and two") from error
+    if not np.isfinite(points).all():
+        raise ColmapEdgesError(f"{path}: a point is not finite")
     if len(segments) and (segments.min() < 0 or segments.max() >= len(points)):
         raise ColmapEdgesError(f"{path}: a segment names a point outside 0..{len(points) - 1}")
     return Curves(points=points, segments=segments)

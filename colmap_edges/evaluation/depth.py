@@ -13,6 +13,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.observations import observed_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
@@ -83,18 +84,31 @@ def load_reference_depths(folder: Path, model: Model) -> list[ReferenceDepth]:
     views = {str(Path(view.name).with_suffix("")): view for view in model.views}
     references = []
     for path in paths:
-        with np.load(path) as data:
-            if "depth" not in data:
-                raise ColmapEdgesError(f"{path} holds no array 'depth'")
-            depth = np.asarray(data["depth"], dtype=np.float32)
-            name = str(data["image_name"]) if "image_name" in data else path.stem
-            scale = float(data["scale"]) if "scale" in data else 0.0
+        depth, scale, name = read_depth(path)
         view = views.get(str(Path(name).with_suffix(""))) or views.get(path.stem)
         if view is None:
             raise ColmapEdgesError(f"{path} is of image {name}, which the model does not hold")
         scale = scale or depth.shape[1] / view.width
         references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
     return references
+
+
+def read_depth(path: Path) -> tuple[NDArray[np.float32], float, str]:
+    """Depths (H, W), scale (0: not stated) and image name of a depth map."""
+    data = read_arrays(path)
+    if "depth" not in data:
+        raise ColmapEdgesError(f"{path} holds no array 'depth'")
+    name = str(data["image_name"]) if "image_name" in data else path.stem
+    try:
+        depth = np.asarray(data["depth"], dtype=np.float32)
+        scale = float(data.get("scale", np.float64(0)))
+    except (ValueError, TypeError) as error:
+        raise ColmapEdgesError(f"{path} holds a depth or scale that is no number") from error
+    if depth.ndim != 2 or not depth.size or not (np.isfinite(scale) and scale >= 0):
+        raise ColmapEdgesError(
+            f"{path} holds depths {depth.shape} of scale {scale}, not an image's"
+        )
+    return depth, scale, name
 
 
 def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> NDArray[np.float32]:

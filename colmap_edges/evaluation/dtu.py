@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -20,9 +19,11 @@ from scipy.linalg import rq
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import cloud_to_cloud
 from colmap_edges.evaluation.curves import columns
 from colmap_edges.evaluation.ply import read_ply
+from colmap_edges.images import read_picture
 from colmap_edges.model import FloatArray
 from colmap_edges.triangulation import PosedImage
 
@@ -126,8 +127,21 @@ def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[
         matrix_path = calibration / f"pos_{position:03d}.txt"
         if not matrix_path.is_file():
             raise ColmapEdgesError(f"{matrix_path} is missing; it calibrates {path.name}")
-        images.append(_posed_image(path, np.loadtxt(matrix_path).reshape(3, 4)))
+        images.append(_posed_image(path, read_matrix(matrix_path)))
     return folder, images
+
+
+def read_matrix(path: Path) -> FloatArray:
+    """The projection matrix (3, 4) of a text file.
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    try:
+        values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        return values.reshape(3, 4)
+    except ValueError as error:
+        raise ColmapEdgesError(f"{path} holds no 3 x 4 matrix: {error}") from error
 
 
 def _choose_light(folder: Path, light: str) -> dict[int, Path]:
@@ -159,19 +173,19 @@ def repackaged_images(folder: Path) -> tuple[Path, list[PosedImage]]:
     if not cameras or not paths:
         raise ColmapEdgesError(f"{folder} holds no cameras*.npz or no image/*.png")
     # cameras.npz and cameras_sphere.npz hold the same world_mat.
-    with np.load(cameras[0]) as data:
-        missing = [i for i in range(len(paths)) if f"world_mat_{i}" not in data]
-        if missing:
-            raise ColmapEdgesError(f"{cameras[0]} holds no world_mat_{missing[0]}")
-        matrices = [data[f"world_mat_{i}"][:3, :4].astype(np.float64) for i in range(len(paths))]
+    data = read_arrays(cameras[0])
+    matrices = []
+    for i in range(len(paths)):
+        matrix = data.get(f"world_mat_{i}", np.empty(0))
+        if matrix.ndim != 2 or min(matrix.shape) < 3 or matrix.shape[1] < 4:
+            raise ColmapEdgesError(f"{cameras[0]} holds no matrix world_mat_{i}")
+        matrices.append(matrix[:3, :4].astype(np.float64))
     images = [_posed_image(path, matrix) for path, matrix in zip(paths, matrices, strict=True)]
     return folder / "image", images
 
 
 def _posed_image(path: Path, projection: FloatArray) -> PosedImage:
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise ColmapEdgesError(f"{path} is not a readable image")
+    picture = read_picture(path)
     calibration, rotation, translation = decompose_projection(projection)
     return PosedImage(
         name=path.name,
@@ -216,15 +230,22 @@ def load_reference(root: Path, scan: int) -> DtuReference:
     plane_path = find(root, f"ObsMask/Plane{scan}.mat")
     try:
         mask, plane = loadmat(mask_path), loadmat(plane_path)
-        return DtuReference(
+        reference = DtuReference(
             points=points,
             mask=mask["ObsMask"].astype(bool),
             box=mask["BB"].astype(np.float64).reshape(2, 3),
             resolution=float(np.squeeze(mask["Res"])),
             plane=plane["P"].astype(np.float64).reshape(4),
         )
-    except (KeyError, ValueError, TypeError) as error:
-        raise ColmapEdgesError(f"{mask_path} or {plane_path.name} is not DTU's: {error}") from error
+    except Exception as error:  # SciPy's reader has no list of what it raises
+        reason = " ".join(str(error).split())[:200]
+        raise ColmapEdgesError(
+            f"{mask_path} or {plane_path.name} is not DTU's: {reason}"
+        ) from error
+    finite = all(np.isfinite(values).all() for values in (reference.box, reference.plane))
+    if reference.mask.ndim != 3 or not finite or not 0 < reference.resolution < np.inf:
+        raise ColmapEdgesError(f"{mask_path} or {plane_path.name} is not DTU's: absurd values")
+    return reference
 
 
 def sample_mesh(

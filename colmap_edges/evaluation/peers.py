@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -17,6 +16,17 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.curves import Curves, load_curves
 from colmap_edges.model import FloatArray, Model, View
+
+# What readers of damaged files come to.
+DAMAGE = (
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +65,7 @@ def load(path: Path, model: Model, spacing_px: float = 4.0) -> Edges3D:
         if path.suffix == ".json":
             return read_openmvg(path, model)
         return sample_lines(read_lines(path), model, spacing_px)
-    except (ValueError, KeyError, IndexError, struct.error) as error:
+    except DAMAGE as error:
         raise ColmapEdgesError(f"{path} is not a readable line reconstruction: {error}") from error
 
 
@@ -71,7 +81,7 @@ def read_lines(path: Path) -> list[Line]:
         raise ColmapEdgesError(f"{path} holds neither lines3D.bin nor track_*.txt")
     if path.suffix == ".obj":
         return read_obj(path)
-    first = path.read_text().split("\n", 1)[0].split()
+    first = path.read_text(encoding="utf-8").split("\n", 1)[0].split()
     return read_limap1(path) if len(first) == 1 else read_line3dpp(path)
 
 
@@ -87,7 +97,7 @@ def read_curves(path: Path) -> Curves:
         raise ColmapEdgesError(f"{path} does not exist; give 3D edges")
     try:
         segments = np.concatenate([line.segments for line in read_lines(path)])
-    except (ValueError, IndexError) as error:
+    except DAMAGE as error:
         raise ColmapEdgesError(f"{path} holds no readable lines: {error}") from error
     index = np.arange(2 * len(segments)).reshape(-1, 2)
     return Curves(points=segments.reshape(-1, 3), segments=index)
@@ -96,7 +106,7 @@ def read_curves(path: Path) -> Curves:
 def read_line3dpp(path: Path) -> list[Line]:
     """Read Line3D++'s text: one 3D line a row, its 3D segments, then its 2D segments by camera."""
     lines = []
-    for row in path.read_text().splitlines():
+    for row in path.read_text(encoding="utf-8").splitlines():
         values = np.array(row.split(), dtype=np.float64)
         if not len(values):
             continue
@@ -114,7 +124,7 @@ def read_line3dpp(path: Path) -> list[Line]:
 def read_obj(path: Path) -> list[Line]:
     """Read `l` elements of an OBJ; the format holds no visibility."""
     vertices, lines = [], []
-    for row in path.read_text().splitlines():
+    for row in path.read_text(encoding="utf-8").splitlines():
         words = row.split()
         if words[:1] == ["v"]:
             vertices.append([float(word) for word in words[1:4]])
@@ -130,7 +140,7 @@ def read_obj(path: Path) -> list[Line]:
 
 def read_limap1(path: Path) -> list[Line]:
     """Read LIMAP 1.x's `alltracks.txt`: id and counts, two ends, image ids, line ids a track."""
-    rows = [row.split() for row in path.read_text().splitlines() if row.strip()]
+    rows = [row.split() for row in path.read_text(encoding="utf-8").splitlines() if row.strip()]
     count = int(rows[0][0])
     lines = []
     for track in range(count):
@@ -141,7 +151,7 @@ def read_limap1(path: Path) -> list[Line]:
 
 def read_limap1_track(path: Path) -> Line:
     """Read one `track_N.txt` of LIMAP 1.x."""
-    rows = [row.split() for row in path.read_text().splitlines()]
+    rows = [row.split() for row in path.read_text(encoding="utf-8").splitlines()]
     count = int(rows[1][0])
     images = [int(word) for word in rows[2][1:]]
     if rows[2][0] != "image_id_list" or len(images) != count:
@@ -319,7 +329,7 @@ def read_openmvg(path: Path, model: Model) -> Edges3D:
     EdgeGraph3D appends its edge points to the SfM points without telling them apart: give a file
     from which the SfM points were taken out, or mesh without the model's own points.
     """
-    data = json.loads(path.read_text())
+    data = json.loads(path.read_text(encoding="utf-8"))
     names = {Path(view.name).stem: index for index, view in enumerate(model.views)}
     views = {}
     for entry in data["views"]:

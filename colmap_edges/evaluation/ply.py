@@ -31,8 +31,12 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     end = content.find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
         raise ColmapEdgesError(f"{path} is not a PLY file")
-    order, elements = _parse_header(content[:end].decode("ascii", "replace").splitlines(), path)
-    body = content[content.index(b"\n", end) + 1 :]
+    header = content[:end].decode("ascii", "replace").splitlines()
+    try:
+        order, elements = _parse_header(header, path)
+    except (ValueError, IndexError) as error:
+        raise ColmapEdgesError(f"{path} has a damaged PLY header: {error}") from error
+    body = content[end:].partition(b"\n")[2]
     tables: dict[str, NDArray[Any]] = {}
     position, lines = 0, body.splitlines() if order == "ascii" else []
     for name, count, properties in elements:
@@ -43,8 +47,8 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
                 break
             continue
         fields = [(field, _ORDERS[order] + _TYPES[kind]) for field, kind in properties]
-        dtype = np.dtype(fields)
         try:
+            dtype = np.dtype(fields)
             if order == "ascii":
                 rows = [tuple(line.split()) for line in lines[position : position + count]]
                 tables[name] = np.array(rows, dtype=dtype)
@@ -52,8 +56,8 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             else:
                 tables[name] = np.frombuffer(body, dtype, count, position)
                 position += count * dtype.itemsize
-        except ValueError as error:
-            raise ColmapEdgesError(f"{path} is cut short in element '{name}'") from error
+        except (ValueError, OverflowError) as error:
+            raise ColmapEdgesError(f"{path} is damaged in element '{name}': {error}") from error
         if len(tables[name]) != count:
             raise ColmapEdgesError(f"{path} is cut short in element '{name}'")
     return tables

@@ -26,6 +26,16 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     return geometry
 
 
+def check_geometry(geometry: Any, path: Path) -> None:
+    """Raise `ColmapEdgesError` when vertices are no 3D points or faces name none of them."""
+    vertices = np.asarray(getattr(geometry, "vertices", np.empty(0)))
+    faces = np.asarray(getattr(geometry, "faces", np.empty(0)))
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise ColmapEdgesError(f"{path} is damaged: its vertices are no finite 3D points")
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ColmapEdgesError(f"{path} is damaged: a face names a vertex that is not there")
+
+
 def load_geometry(path: Path) -> Any:
     """Read a mesh or point cloud as trimesh gives it.
 
@@ -35,9 +45,16 @@ def load_geometry(path: Path) -> Any:
     if not path.is_file():
         raise ColmapEdgesError(f"{path} does not exist; give a mesh or point cloud")
     try:
-        return trimesh.load(path, process=False, maintain_order=True)
+        loaded = trimesh.load(path, process=False, maintain_order=True)
+        if isinstance(loaded, trimesh.Scene):  # such as GLB's
+            loaded = trimesh.util.concatenate(loaded.dump())
     except Exception as error:
-        raise ColmapEdgesError(f"{path} is not a readable mesh or point cloud: {error}") from error
+        reason = " ".join(str(error).split())[:200]
+        if isinstance(error, ImportError):  # of what trimesh guesses encodings with
+            reason = "its text is not UTF-8"
+        raise ColmapEdgesError(f"{path} is not a readable mesh or point cloud: {reason}") from error
+    check_geometry(loaded, path)
+    return loaded
 
 
 class RayCaster:

@@ -25,14 +25,14 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
     """
     path = run_path / "edges.json"
     try:
-        records = json.loads(path.read_text())["edges"]
+        records = json.loads(path.read_text(encoding="utf-8"))["edges"]
         written = load_model(run_path / "sparse")
         ids = [np.array(record["point3D_ids"], dtype=np.int64) for record in records]
         rows = np.searchsorted(written.point3D_ids, np.concatenate([*ids, np.empty(0, np.int64)]))
         names = {view.name: index for index, view in enumerate(model.views)}
         views = np.array([names[view.name] for view in written.views], dtype=np.int32)
         counts = np.diff(written.track_offsets)[rows]
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
         raise ColmapEdgesError(f"{run_path} holds no edges that fit its model: {error}") from error
     starts = written.track_offsets[rows]
     taken = np.fromiter(

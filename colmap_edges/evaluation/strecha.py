@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images import read_picture
 from colmap_edges.model import FloatArray
 from colmap_edges.triangulation import PosedImage
 
@@ -64,15 +64,15 @@ def read_camera(
 
 def _numbers(path: Path) -> FloatArray:
     try:
-        return np.array(path.read_text().replace(",", " ").split(), dtype=np.float64)
+        return np.array(
+            path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64
+        )
     except ValueError as error:
         raise ColmapEdgesError(f"{path} holds something else than numbers: {error}") from error
 
 
 def _posed_image(path: Path, camera: Path, calibration: FloatArray | None) -> PosedImage:
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise ColmapEdgesError(f"{path} is not a readable image")
+    picture = read_picture(path)
     matrix, rotation, translation = read_camera(camera, calibration)
     return PosedImage(
         name=path.name,

@@ -443,15 +443,23 @@ class EdgeTracer {
     return false;
   }
 
-  // Whether the last step of the leader on a closed polyline passed the place it started from.
+  // Whether the last step of the leader on a closed polyline passed the place it started from;
+  // the leader of the start may have dropped out meanwhile.
   bool CameRound(const std::vector<Strand>& before, const std::vector<Strand>& after,
                  const Selection& selection) const {
-    const ChainPosition start = selection.strands[0].at, now = after[0].at, last = before[0].at;
-    const int32_t polyline = field_.PolylineOf(start);
-    if (!field_.IsClosed(polyline) || field_.PolylineOf(now) != polyline ||
-        field_.PolylineOf(last) != polyline) {
+    const ChainPosition now = after[0].at;
+    const int32_t polyline = field_.PolylineOf(now);
+    const auto place_on_it = [&](const std::vector<Strand>& strands) {
+      return std::find_if(strands.begin(), strands.end(), [&](const Strand& strand) {
+        return field_.PolylineOf(strand.at) == polyline;
+      });
+    };
+    const auto begun = place_on_it(selection.strands), previous = place_on_it(before);
+    if (!field_.IsClosed(polyline) || begun == selection.strands.end() ||
+        previous == before.end()) {
       return false;
     }
+    const ChainPosition start = begun->at, last = previous->at;
     const auto ahead = [&](ChainPosition at) {  // points from `last` on, in walking direction
       const double size = double(field_.Last(polyline) - field_.First(polyline) + 1);
       const double delta = (at.segment + at.fraction) - (last.segment + last.fraction);
