@@ -1,7 +1,8 @@
 """3D edges, straight and curved, for COLMAP models, and meshes that follow them.
 
-`reconstruct(reconstruction, image_path, options)` is the whole in one call; the modules hold
-the stages. Names are imported when first used, so that the command line starts at once.
+`reconstruct(reconstruction, image_path, options)` gives the edges of a pycolmap.Reconstruction and
+`mesh(reconstruction, edges)` a mesh that follows them; the modules hold the stages. Names are
+imported when first used, so that the command line starts at once.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from colmap_edges.edges import Edges3D
     from colmap_edges.errors import ColmapEdgesError
-    from colmap_edges.options import PipelineOptions
+    from colmap_edges.meshing import Mesh, mesh, write_mesh
+    from colmap_edges.options import PipelineOptions, preset
     from colmap_edges.pipeline import EdgeReconstruction, reconstruct
 
 __version__ = "0.1.0"
@@ -20,16 +22,24 @@ __all__ = [
     "ColmapEdgesError",
     "EdgeReconstruction",
     "Edges3D",
+    "Mesh",
     "PipelineOptions",
     "__version__",
+    "mesh",
+    "preset",
     "reconstruct",
+    "write_mesh",
 ]
 _MODULES = {
     "ColmapEdgesError": "errors",
     "EdgeReconstruction": "pipeline",
     "Edges3D": "edges",
+    "Mesh": "meshing",
     "PipelineOptions": "options",
+    "mesh": "meshing",
+    "preset": "options",
     "reconstruct": "pipeline",
+    "write_mesh": "meshing",
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import time
@@ -19,8 +20,9 @@ import click
 from colmap_edges import __version__
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PRESETS, PipelineOptions
 from colmap_edges.stages import Progress, no_progress
+from colmap_edges.workspace import find_images, find_model
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
@@ -31,14 +33,18 @@ VIEWERS = {
     "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",
     "edges.ply": "3D edges: MeshLab, Blender",
     "edges.obj": "3D edges as polylines: Blender, CloudCompare",
+    "edges.glb": "3D edges: glTF viewers, Blender, game engines",
+    "edges.dxf": "3D edges as 3D polylines: CAD programs",
     "edges.json": "what each edge is: its points in the model, length, views, residual",
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
     "mesh.obj": "mesh: MeshLab, Blender, CloudCompare",
     "mesh.glb": "mesh: Blender, any glTF viewer",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
+    "report.html": "all of it to look at: a web browser, no network needed",
     "report.json": "options, versions, counts, times and memory of every stage",
 }
+FULL = f"{__name__}.full_help"
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -46,16 +52,30 @@ class Command(click.Command):
     """A command that lists the flags of each option group under the group's name."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the flags, those of no group first."""
+        """Write the flags, those of no group first; --help_full writes all."""
         groups: dict[str, list[tuple[str, str]]] = {}
+        left_out = 0
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
-            if record:
+            if record and not (FULL in ctx.meta or getattr(param, "basic", True)):
+                left_out += 1
+            elif record:
                 group = param.opts[0].removeprefix("--").rpartition(".")[0]
                 groups.setdefault(group, []).append(record)
         for group in sorted(groups, key=lambda name: name != ""):
             with formatter.section(group or "Options"):
                 formatter.write_dl(groups[group], col_max=45)
+        if left_out:
+            with formatter.indentation():
+                formatter.write(f"\n--help_full shows {left_out} more options of single steps.\n")
+
+
+def show_full_help(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    """Write the help with every flag and exit."""
+    if value and not ctx.resilient_parsing:
+        ctx.meta[FULL] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
 
 
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
@@ -64,19 +84,31 @@ def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None)
         ctx.default_map = read_config(ctx, value)
 
 
-def path_flag(name: str, help: str, *, required: bool = True) -> click.Option:
+def path_flag(name: str, help: str) -> click.Option:
     """Make a flag that takes a path."""
+    return click.Option([f"--{name}"], type=click.Path(path_type=Path), help=help)
+
+
+def quality_flag() -> click.Option:
+    """Make the flag that chooses a preset."""
     return click.Option(
-        [f"--{name}"], type=click.Path(path_type=Path), required=required, help=help
+        ["--quality"],
+        type=click.Choice(tuple(PRESETS), case_sensitive=False),
+        metavar="|".join(PRESETS),
+        help="Preset: low is faster, high compares more views; other flags go before [medium]",
     )
 
 
 def run_flags(names: set[str]) -> list[click.Parameter]:
     """Make the flags of a command that runs stages."""
     return [
-        path_flag("image_path", "Folder of the images"),
-        path_flag("input_path", "Folder of the COLMAP model (bin or txt)"),
-        path_flag("output_path", "Folder to make; it appears when the run is complete"),
+        path_flag(
+            "workspace_path", "COLMAP workspace: has images and sparse/0; gives the paths below"
+        ),
+        path_flag("image_path", "Folder of the images [WORKSPACE/images]"),
+        path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
+        path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
+        *([quality_flag()] if "tracing" in names else []),
         click.Option(
             ["--config"],
             type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -87,6 +119,14 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
         click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
+        click.Option(
+            ["--help_full"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=show_full_help,
+            help="Show all options, also those of single steps, and exit",
+        ),
         *make_flags(names),
     ]
 
@@ -108,10 +148,25 @@ def run_command(name: str, values: dict[str, Any]) -> None:
 
     signal.signal(signal.SIGTERM, on_terminate)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
-    paths = Paths(**{key: values[key] for key in ("image_path", "input_path", "output_path")})
+    paths = Paths(**paths_from_flags(values))
     with progress_bars() as progress:
         report = run(name, paths, options, overwrite=values["overwrite"], progress=progress)
     click.echo(summary(report, paths.output_path, time.perf_counter() - started))
+
+
+def paths_from_flags(values: dict[str, Any]) -> dict[str, Path]:
+    """The paths of a run; those that are not given come from the workspace."""
+    workspace = values["workspace_path"]
+    finders: dict[str, Callable[[Path], Path]] = {
+        "image_path": find_images,
+        "input_path": find_model,
+        "output_path": lambda folder: folder / "edges",
+    }
+    missing = [name for name in finders if values[name] is None]
+    if missing and workspace is None:
+        flags = ", ".join(f"--{name}" for name in missing)
+        raise click.UsageError(f"Missing {flags}; or give --workspace_path")
+    return {name: values[name] or find(workspace) for name, find in finders.items()}
 
 
 def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
@@ -120,6 +175,8 @@ def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
     for stage in report["stages"]:
         counts = (f"{value:,} {key.replace('_', ' ')}" for key, value in scalars(stage["counts"]))
         lines.append(f"{stage['name']:>8}  {stage['wall_s']:6.1f} s  {', '.join(counts)}")
+    for finding in report["findings"]:
+        lines.append(f"Note: {finding['text']}. To change that: {finding['remedy']}.")
     lines.append(f"Done in {seconds:.1f} s. In {output}:")
     for name, what in VIEWERS.items():
         if (output / name).exists():
@@ -167,6 +224,9 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         yield
     except OptionError as error:
         raise click.UsageError(str(error)) from error
+    except BrokenPipeError as error:  # what reads the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise click.exceptions.Exit(1) from error
     except (ColmapEdgesError, OSError, MemoryError) as error:
         if verbose:
             traceback.print_exc()
@@ -223,16 +283,40 @@ def evaluate(verbose: bool, **values: Any) -> None:
 def version_text() -> str:
     """Versions of this program and of what it computes with."""
     parts = [f"colmap-edges {__version__}"]
-    for name in ("pycolmap", "opencv-contrib-python-headless", "numpy"):
+    names = {"pycolmap": "pycolmap", "OpenCV": "opencv-contrib-python-headless", "numpy": "numpy"}
+    for name, distribution in names.items():
         try:
-            parts.append(f"{name} {version(name)}")
+            parts.append(f"{name} {version(distribution)}")
         except PackageNotFoundError:
             continue
-    return ", ".join(parts)
+    return ", ".join([*parts, cgal_text()])
+
+
+def cgal_text() -> str:
+    """Version of the CGAL that the mesher was built with."""
+    try:
+        from colmap_edges import _mesher
+    except ImportError:
+        return "no CGAL, so no meshing"
+    return f"CGAL {_mesher.cgal_version}"
+
+
+def show_version(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    """Write the versions and exit."""
+    if value and not ctx.resilient_parsing:
+        click.echo(version_text())
+        ctx.exit()
 
 
 @click.group(context_settings={"token_normalize_func": normalize, "max_content_width": 100})
-@click.version_option(message=version_text(), version=__version__)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=show_version,
+    help="Show the versions of this program and of what it computes with, and exit",
+)
 def cli() -> None:
     """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
 

@@ -1,8 +1,9 @@
-"""3D edges as files: PLY with `edge` elements, OBJ polylines, JSON with what each edge is."""
+"""3D edges as files: PLY, OBJ, GLB and DXF for other programs, JSON with what each edge is."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,46 @@ def write_obj(edges: Edges3D, path: Path) -> None:
     with path.open("w", encoding="ascii") as file:
         file.write("# 3D edges by colmap-edges\n")
         file.writelines("v {!r} {!r} {!r}\n".format(*xyz) for xyz in edges.points.tolist())
-        bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
-        for first, last, closed in bounds:
-            indices = [*range(first + 1, last + 1), *([first + 1] if closed else [])]
-            file.write(f"l {' '.join(map(str, indices))}\n")
+        for indices in polyline_indices(edges):
+            file.write(f"l {' '.join(map(str, (indices + 1).tolist()))}\n")
+
+
+def polyline_indices(edges: Edges3D) -> Iterator[NDArray[np.int64]]:
+    """The edge points of each edge in turn; closed edges return to their first."""
+    bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
+    for first, last, closed in bounds:
+        yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
+
+
+def write_glb(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
+    """Write a binary glTF with lines, each edge in the mean colour of its points.
+
+    World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
+    as the format knows no empty scene.
+    """
+    from trimesh import Scene
+    from trimesh.path import Path3D
+    from trimesh.path.entities import Line
+
+    if edges.num_edges == 0:
+        return
+    lines = []
+    for indices in polyline_indices(edges):
+        mean = np.rint(colors[indices].mean(axis=0)).astype(np.uint8)
+        lines.append(Line(indices, color=np.append(mean, 255).astype(np.uint8)))
+    drawing = Path3D(entities=lines, vertices=edges.points, process=False)
+    path.write_bytes(Scene({"edges": drawing}).export(file_type="glb"))
+
+
+def write_dxf(edges: Edges3D, path: Path) -> None:
+    """Write a DXF (R12, which every CAD program reads) with one 3D polyline an edge."""
+    from ezdxf.addons.r12writer import r12writer
+
+    with path.open("w", encoding="ascii") as file, r12writer(file) as drawing:
+        for indices in polyline_indices(edges):
+            closed = len(indices) > 1 and indices[0] == indices[-1]
+            points = edges.points[indices[:-1] if closed else indices].tolist()
+            drawing.add_polyline(points, layer="EDGES", closed=bool(closed))
 
 
 def write_json(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 import sys
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar, get_type_hints
 
 import click
 
-from colmap_edges.options import Options, PipelineOptions
+from colmap_edges.options import Options, PipelineOptions, preset
 
 T = TypeVar("T", bound=Options)
 
@@ -46,17 +46,27 @@ def flag_type(kind: Any, choices: tuple[str, ...] | None) -> tuple[Any, str]:
     return names[kind]
 
 
+class Flag(click.Option):
+    """A flag that knows whether the short help shows it."""
+
+    def __init__(self, *args: Any, basic: bool = True, **kwargs: Any) -> None:
+        """Make a flag as click does."""
+        super().__init__(*args, **kwargs)
+        self.basic = basic
+
+
 def make_flag(entry: Field[Any], kind: Any, group: str = "") -> click.Option:
     """Make the flag of one option; `group` is the name before the dot."""
     metadata = entry.metadata
     flag = f"{group}.{entry.name}" if group else entry.name
     default: Any = entry.default
     value_type, metavar = flag_type(kind, metadata.get("choices"))
-    return click.Option(
+    return Flag(
         [f"--{flag}", parameter_name(flag)],
         type=value_type,
         metavar=metavar,
         help=f"{metadata['help']} [{int(default) if kind is bool else default}]",
+        basic=not group or metadata["basic"],
     )
 
 
@@ -90,23 +100,23 @@ def group_flags(group: type[Options]) -> list[click.Option]:
 
 
 def options_from_flags(values: dict[str, Any]) -> PipelineOptions:
-    """Make the options from the values of flags; those that are None keep their default.
+    """Make the options from the values of flags; those that are None are as in the preset.
 
     Raises:
         OptionError: when a value is out of its range.
     """
-    return build_options(PipelineOptions, "", values)
+    return changed_options(preset(values.get("quality") or "medium"), "", values)
 
 
-def build_options(group: type[T], prefix: str, values: dict[str, Any]) -> T:
-    """Make one group, and the groups within it, from the values of flags."""
+def changed_options(group: T, prefix: str, values: dict[str, Any]) -> T:
+    """One group, and the groups within it, with the values of flags."""
     chosen: dict[str, Any] = {}
-    for name, kind in get_type_hints(group).items():
+    for name, kind in get_type_hints(type(group)).items():
         if is_group(kind):
-            chosen[name] = build_options(kind, f"{group_name(kind)}.", values)
+            chosen[name] = changed_options(getattr(group, name), f"{group_name(kind)}.", values)
         elif values.get(parameter_name(prefix + name)) is not None:
             chosen[name] = values[parameter_name(prefix + name)]
-    return group(**chosen)
+    return replace(group, **chosen)  # type: ignore[type-var]
 
 
 def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
@@ -119,7 +129,7 @@ def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
         normalize(flag.removeprefix("--")): param
         for param in ctx.command.params
         for flag in param.opts
-        if flag.startswith("--") and flag not in ("--config", "--help")
+        if flag.startswith("--") and flag not in ("--config", "--help", "--help_full")
     }
     values = {}
     for key, value in flatten(load_toml(path)).items():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.edges import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.model import Model, View
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
@@ -58,7 +58,8 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
     """Read the image of a view, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
-        ColmapEdgesError: when it cannot be read or is not of its camera's size.
+        ImageError: when it cannot be read.
+        ColmapEdgesError: when it is not of its camera's size.
     """
     path = path_of_image(image_path, view.name)
     image = read_picture(path)
@@ -75,16 +76,16 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     """Read any image file, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
-        ColmapEdgesError: when it cannot be read.
+        ImageError: when it cannot be read.
     """
     try:
         data = np.fromfile(path, np.uint8)
         image = cv2.imdecode(data, COLOR) if len(data) else None
     except (OSError, MemoryError, cv2.error) as error:
         reason = " ".join(str(error).split())
-        raise ColmapEdgesError(f"cannot read image {path}: {reason}") from error
+        raise ImageError(f"cannot read image {path}: {reason}") from error
     if image is None:
-        raise ColmapEdgesError(f"cannot read image {path}: damaged, or no image format known here")
+        raise ImageError(f"cannot read image {path}: damaged, or no image format known here")
     return np.asarray(image, np.uint8)
 
 

@@ -60,6 +60,7 @@ def mesh(
     edges: Edges3D | None = None,
     method: str | None = None,
     options: MeshingOptions | None = None,
+    num_threads: int = 0,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -68,6 +69,7 @@ def mesh(
         edges: 3D edges of this model that the mesh should follow.
         method: overrides `options.method`.
         options: how to mesh; the defaults suit any model.
+        num_threads: threads to use, 0 for all cores; the result does not depend on it.
 
     Raises:
         ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
@@ -86,7 +88,8 @@ def mesh(
         cameras = np.concatenate([cameras, edges.track_views])
         indices = np.arange(num_points, num_points + edges.num_points, dtype=np.int32)
         polylines = Polylines(indices, edges.edge_offsets, edges.closed)
-    result = mesh_points(points, offsets, cameras, model.camera_centers, options, polylines)
+    centers = model.camera_centers
+    result = mesh_points(points, offsets, cameras, centers, options, polylines, num_threads)
     return finished(result, model, options)
 
 
@@ -154,6 +157,7 @@ def mesh_points(
     camera_centers: NDArray[np.float64],
     options: MeshingOptions,
     edges: Polylines | None = None,
+    num_threads: int = 0,
 ) -> Mesh:
     """Mesh points that cameras see.
 
@@ -169,6 +173,7 @@ def mesh_points(
         camera_centers: (C, 3) float64.
         options: how to mesh.
         edges: polylines through the points that the mesh should follow.
+        num_threads: threads to use, 0 for all cores; the result does not depend on it.
 
     Returns:
         The mesh; `point3D_ids` holds indices into `points`, -1 for vertices the mesher added.
@@ -195,13 +200,9 @@ def mesh_points(
         min_segment_factor=options.min_segment_factor,
         long_facet_factor=options.long_facet_factor,
         min_component_faces=options.min_component_faces,
-        num_threads=options.num_threads or os.cpu_count() or 1,
+        num_threads=num_threads or os.cpu_count() or 1,
     )
-    if not stats["cells"]:
-        raise ColmapEdgesError(
-            f"nothing to mesh: the {len(points)} points span no volume; "
-            "give a model with more 3D points"
-        )
+    check_volume(stats, len(points))
     return Mesh(
         vertices=vertices,
         faces=faces,
@@ -209,6 +210,15 @@ def mesh_points(
         colors=np.zeros((len(vertices), 3), np.uint8),
         stats=stats,
     )
+
+
+def check_volume(stats: Mapping[str, float], num_points: int) -> None:
+    """Raise when the points have no tetrahedron between them."""
+    if not stats["cells"]:
+        raise ColmapEdgesError(
+            f"nothing to mesh: the {num_points} points span no volume; "
+            "give a model with more 3D points"
+        )
 
 
 def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from colmap_edges.errors import OptionError
@@ -17,10 +17,15 @@ def option(
     gt: float | None = None,
     le: float | None = None,
     choices: tuple[str, ...] | None = None,
+    basic: bool = False,
 ) -> Any:
-    """Declare one option: its default, one line of help with the unit, and its range."""
+    """Declare one option: its default, one line of help with the unit, and its range.
+
+    Those that are `basic` stand in the short help of the command line.
+    """
     limits = {"ge": ge, "gt": gt, "le": le}
-    return field(default=default, metadata={"help": help, "limits": limits, "choices": choices})
+    metadata = {"help": help, "limits": limits, "choices": choices, "basic": basic}
+    return field(default=default, metadata=metadata)
 
 
 class Options:
@@ -53,7 +58,7 @@ def check_range(name: str, value: Any, metadata: Any) -> None:
 class DetectionOptions(Options):
     """Image -> pixel chains (EdgeDrawing)."""
 
-    min_chain_length_px: int = option(12, "Shortest chain kept, in pixels", ge=2)
+    min_chain_length_px: int = option(12, "Shortest chain kept, in pixels", ge=2, basic=True)
     sigma_px: float = option(
         1.0, "Gaussian blur before gradients of the sub-pixel step, in pixels", gt=0
     )
@@ -73,7 +78,7 @@ class EdgeGraphOptions(Options):
         0.1, "Share of polylines, longest first, that sets the regular-length threshold", gt=0, le=1
     )
     filter_regular_length: bool = option(
-        False, "Drop components without a polyline of the threshold's regular length"
+        False, "Drop components without a polyline of the threshold's regular length", basic=True
     )
     max_gap_px: float = option(4.0, "Largest gap across which chains are joined, in pixels", ge=0)
     max_join_angle_deg: float = option(
@@ -85,7 +90,7 @@ class EdgeGraphOptions(Options):
 class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
-    num_neighbors: int = option(10, "Number of views each view is compared with", ge=2)
+    num_neighbors: int = option(10, "Number of views each view is compared with", ge=2, basic=True)
     num_witnesses: int = option(
         40, "Largest number of views in which observations of an edge are looked for", ge=2
     )
@@ -93,7 +98,11 @@ class ViewSelectionOptions(Options):
         5.0, "Triangulation angle from which views are compared without loss, in degrees", gt=0
     )
     max_angle_deg: float = option(
-        60.0, "Largest triangulation angle between compared views, in degrees", gt=0, le=180
+        60.0,
+        "Largest triangulation angle between compared views, in degrees",
+        gt=0,
+        le=180,
+        basic=True,
     )
 
 
@@ -102,10 +111,13 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        16, "Largest distance between samples along a chain, in pixels", ge=1
+        16, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
-        1.5, "Largest distance between agreeing crossings along the epipolar line, in pixels", gt=0
+        1.5,
+        "Largest distance between agreeing crossings along the epipolar line, in pixels",
+        gt=0,
+        basic=True,
     )
     max_side_difference: float = option(
         -1.0,
@@ -161,12 +173,13 @@ class TracingOptions(Options):
         "chains",
         "How edges are traced: by depths along chains, or by the paper's correspondences",
         choices=("chains", "paper"),
+        basic=True,
     )
     max_cross_check_px: float = option(
         3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
     )
     min_agreeing_views: int = option(
-        2, "Other views that must find the same depth for a sample to be sure", ge=1
+        2, "Other views that must find the same depth for a sample to be sure", ge=1, basic=True
     )
     min_confirmed_ratio: float = option(
         0.5, "Share of sure samples that a run must have", ge=0, le=1
@@ -178,11 +191,11 @@ class TracingOptions(Options):
     max_bridge_px: int = option(30, "Longest stretch without depth inside a run, in pixels", ge=0)
     extension_px: int = option(16, "How far a run is followed beyond its ends, in pixels", ge=0)
     point_spacing_px: int = option(
-        4, "Distance of edge points along the driving chain, in pixels", ge=1
+        4, "Distance of edge points along the driving chain, in pixels", ge=1, basic=True
     )
     min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
     min_observations: int = option(
-        3, "Observations that an edge point must have (paper: k_v)", ge=2
+        3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
     )
     max_sigma_ratio: float = option(
         4.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
@@ -318,12 +331,13 @@ class MeshingOptions(Options):
         "How free cells are told from solid ones: minimum cut, votes of rays, or votes with a "
         "region that grows as a manifold (the paper's)",
         choices=("graphcut", "carve", "manifold"),
+        basic=True,
     )
     sigma_factor: float = option(
         1.0, "Softness of a point's depth (sigma), in lower quartiles of edge lengths", gt=0
     )
     quality_weight: float = option(
-        0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0
+        0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0, basic=True
     )
     edge_solid_weight: float = option(
         1.0,
@@ -345,13 +359,20 @@ class MeshingOptions(Options):
         ge=0,
     )
     long_facet_factor: float = option(
-        0.5, "Drop triangles with a longer side, in distances to the cameras; 0 keeps all", ge=0
+        0.5,
+        "Drop triangles with a longer side, in distances to the cameras; 0 keeps all",
+        ge=0,
+        basic=True,
     )
-    min_component_faces: int = option(1, "Drop connected components of fewer triangles", ge=1)
+    min_component_faces: int = option(
+        1, "Drop connected components of fewer triangles", ge=1, basic=True
+    )
     max_faces: int = option(
-        0, "Simplify the mesh to this many triangles by quadric errors; 0 keeps all", ge=0
+        0,
+        "Simplify the mesh to this many triangles by quadric errors; 0 keeps all",
+        ge=0,
+        basic=True,
     )
-    num_threads: int = option(0, "Threads; 0 takes all cores", ge=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -373,6 +394,7 @@ class PipelineOptions(Options):
     bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
     refine_poses: bool = option(
         False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
     )
@@ -386,3 +408,37 @@ class PipelineOptions(Options):
         super().__post_init__()
         if self.refine_poses and not self.use_edges:
             raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
+
+
+# What --quality sets; medium is the defaults.
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "low": {
+        "view_selection": {"num_neighbors": 6, "num_witnesses": 20},
+        "tracing": {"point_spacing_px": 6},
+    },
+    "medium": {},
+    "high": {
+        "view_selection": {"num_neighbors": 16, "num_witnesses": 60},
+        "chain_depth": {"sample_step_px": 8},
+        "tracing": {"point_spacing_px": 3},
+    },
+}
+
+
+def preset(quality: str) -> PipelineOptions:
+    """The options of a preset.
+
+    Args:
+        quality: low, medium or high; medium is `PipelineOptions()`.
+
+    Raises:
+        OptionError: when there is no such preset.
+    """
+    if quality not in PRESETS:
+        raise OptionError(f"quality is {quality!r}; choose one of: {', '.join(PRESETS)}")
+    defaults = PipelineOptions()
+    groups = {
+        name: replace(getattr(defaults, name), **values)
+        for name, values in PRESETS[quality].items()
+    }
+    return replace(defaults, **groups)

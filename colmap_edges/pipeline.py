@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
@@ -16,12 +17,14 @@ import cv2
 import numpy as np
 
 import colmap_edges
-from colmap_edges.detection import detect_chains
+from colmap_edges.detection import Chains, detect_chains
+from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
-from colmap_edges.edge_io import write_json, write_obj, write_ply
+from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
+from colmap_edges.meshing import Mesh, Polylines, finished, mesh_points, write_mesh
 from colmap_edges.model import (
     Model,
     extend_reconstruction,
@@ -34,10 +37,21 @@ from colmap_edges.model import (
 from colmap_edges.options import PipelineOptions
 from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
+from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.stages import Progress, Stages, no_progress, plain_counts
 
-# What a visitor of a detected image gets: its place among the views, its pixels, its graph.
-Visitor = Callable[[int, "np.ndarray[Any, Any]", EdgeGraph], None]
+# What a visitor of an image gets: its place among the views, its pixels, its chains, its graph.
+Visitor = Callable[[int, "np.ndarray[Any, Any]", Chains, EdgeGraph], None]
+
+
+logger = logging.getLogger(__name__)
+
+NO_CHAINS = Chains(
+    points=np.zeros((0, 2)),
+    normals=np.zeros((0, 2)),
+    sides=np.zeros((0, 2), np.uint8),
+    offsets=np.zeros(1, np.int64),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +78,17 @@ class EdgeReconstruction:
         point3D_ids: (N,) ids of the edge points in `reconstruction`.
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
             and SfM points are the input's unless `refine_poses` is set.
+        residuals_px: (T,) distance of each observation from the projection of its edge point.
         stages: records of the stages, as in report.json.
+        findings: where edges were lost and what to do about it; empty when all went well.
     """
 
     edges: Edges3D
     point3D_ids: np.ndarray[Any, np.dtype[np.int64]]
     reconstruction: Any
+    residuals_px: np.ndarray[Any, np.dtype[np.float64]]
     stages: list[dict[str, Any]]
+    findings: list[Finding]
 
 
 def run(
@@ -102,11 +120,15 @@ def run(
             check_model(model, str(paths.input_path))
             stage.counts = model_counts(model)
         if command == "mesh" and not options.use_edges:
-            mesh_stage(model, None, folder, options, stages)
+            mesh = mesh_stage(model, None, folder, options, stages)
+            contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            run_edges(command, model, paths.image_path, folder, options, stages)
+            contents = run_edges(command, model, paths.image_path, folder, options, stages)
         report = make_report(command, paths, options, stages)
+        if options.report and command != "detect":
+            report_stage(contents, folder, report, stages)
+            report["stages"] = stages.records()
         text = json.dumps(report, indent=2, default=str) + "\n"
         (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     return report
@@ -119,16 +141,18 @@ def run_edges(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-) -> None:
+) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
     if command == "detect":
         detect_stage(model, image_path, options, stages, graph_writer(model, folder))
-        return
-    graphs = detect_stage(model, image_path, options, stages)
+        return Contents(model=model)
+    taker = PictureTaker(model) if options.report else None
+    graphs = detect_stage(model, image_path, options, stages, taker.take if taker else None)
     model, edges = edge_stages(model, graphs, options, stages)
     extended = write_stage(model, edges, image_path, folder, options, stages)
-    if command == "mesh":
-        mesh_stage(extended, edges, folder, options, stages)
+    mesh = mesh_stage(extended, edges, folder, options, stages) if command == "mesh" else None
+    pictures = taker.pictures() if taker else ()
+    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
 
 def reconstruct(
@@ -137,12 +161,17 @@ def reconstruct(
     """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
 
     Args:
-        reconstruction: the sparse model; it is not changed.
-        image_path: folder of its images.
-        options: defaults when not given.
+        reconstruction: the sparse model, a pycolmap.Reconstruction; it is not changed. Its
+            cameras may be of any model, with distortion; images without poses are left out.
+        image_path: folder of its images, as they were when the model was made.
+        options: every stage's options, `preset("high")` for instance; defaults when not given.
+
+    Returns:
+        The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
 
     Raises:
-        ColmapEdgesError: on bad input.
+        ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
+            images are missing, of another size, or all but one damaged.
     """
     options = options or PipelineOptions()
     image_path = Path(image_path)
@@ -154,7 +183,12 @@ def reconstruct(
     model, edges = edge_stages(model, graphs, options, stages)
     extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
     return EdgeReconstruction(
-        edges=edges, point3D_ids=ids, reconstruction=extended, stages=stages.records()
+        edges=edges,
+        point3D_ids=ids,
+        reconstruction=extended,
+        residuals_px=observation_residuals(model, edges),
+        stages=stages.records(),
+        findings=diagnose(stages.records(), options),
     )
 
 
@@ -213,31 +247,68 @@ def detect_stage(
 ) -> list[EdgeGraph]:
     """Detect the 2D edge graph of every view, in the views' order.
 
-    As many images are in memory at once as there are threads.
+    As many images are in memory at once as there are threads. Damaged images are left out: they
+    get an empty graph and are counted.
+
+    Raises:
+        ColmapEdgesError: when fewer than two images can be read.
     """
     with stages.stage("detect", len(model.views)) as stage:
+        damaged: dict[int, ImageError] = {}
 
-        def detect(index: int) -> tuple[int, EdgeGraph]:
+        def detect(index: int) -> tuple[int, int, EdgeGraph]:
             view = model.views[index]
-            image = read_image(view, image_path)
-            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-            chains = detect_chains(gray, options.detection)
-            graph = build_edge_graph(chains, view, options.edge_graph)
-            if visit:
-                visit(index, image, graph)
+            try:
+                image = read_image(view, image_path)
+            except ImageError as error:
+                damaged[index] = error
+                chains, graph = NO_CHAINS, build_edge_graph(NO_CHAINS, view, options.edge_graph)
+            else:
+                gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+                chains = detect_chains(gray, options.detection)
+                graph = build_edge_graph(chains, view, options.edge_graph)
+                if visit:
+                    visit(index, image, chains, graph)
             stage.advance()
-            return len(chains.offsets) - 1, graph
+            return len(chains.offsets) - 1, len(chains.points), graph
 
         found = map_threads(detect, len(model.views), thread_count(options))
-        graphs = [graph for _, graph in found]
-        stage.counts = {
-            "images": len(graphs),
-            "chains": sum(count for count, _ in found),
-            "polylines": sum(graph.num_polylines for graph in graphs),
-            "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
-            "edge_pixels": sum(len(graph.points) for graph in graphs),
-        }
-    return graphs
+        report_damaged(damaged, len(model.views))
+        names = [model.views[index].name for index in sorted(damaged)]
+        stage.counts = detection_counts(found, names)
+    return [graph for *_, graph in found]
+
+
+def detection_counts(
+    found: Sequence[tuple[int, int, EdgeGraph]], damaged: list[str]
+) -> dict[str, Any]:
+    """Counts of detection.
+
+    Args:
+        found: chains, their pixels and the edge graph of each image.
+        damaged: names of the images that could not be read.
+    """
+    graphs = [graph for *_, graph in found]
+    return {
+        "images": len(graphs),
+        "images_damaged": len(damaged),
+        "images_without_edges": sum(len(graph.points) == 0 for graph in graphs) - len(damaged),
+        "chains": sum(count for count, *_ in found),
+        "chain_pixels": sum(pixels for _, pixels, _ in found),
+        "polylines": sum(graph.num_polylines for graph in graphs),
+        "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
+        "edge_pixels": sum(len(graph.points) for graph in graphs),
+        "damaged": damaged,
+    }
+
+
+def report_damaged(damaged: Mapping[int, ImageError], num_images: int) -> None:
+    """Log the images that could not be read; raise when only one or none could."""
+    errors = [damaged[index] for index in sorted(damaged)]
+    if errors and num_images - len(errors) < 2:
+        raise ColmapEdgesError(f"{errors[0]} ({len(errors)} of {num_images} images are so)")
+    for error in errors:
+        logger.warning("%s; it is left out", error)
 
 
 def map_threads(function: Callable[[int], Any], count: int, num_threads: int) -> list[Any]:
@@ -252,7 +323,7 @@ def map_threads(function: Callable[[int], Any], count: int, num_threads: int) ->
 def graph_writer(model: Model, folder: Path) -> Visitor:
     """Make the visitor that writes each view's edge graph as .npz and overlay PNG."""
 
-    def write(index: int, image: np.ndarray[Any, Any], graph: EdgeGraph) -> None:
+    def write(index: int, image: np.ndarray[Any, Any], _chains: Chains, graph: EdgeGraph) -> None:
         name = model.views[index].name
         arrays = path_of_image(folder / "edge_graphs", name + ".npz")
         picture = path_of_image(folder / "overlays", name + ".png")
@@ -314,10 +385,14 @@ def trace_stage(
     from colmap_edges.paper_tracing import trace_edges_paper
     from colmap_edges.tracing import trace_edges
 
-    edges: Edges3D
-    trace = trace_edges_paper if options.tracing.method == "paper" else trace_edges
-    with stages.stage(name) as stage:
-        edges, stats = trace(model, graphs, options, thread_count(options))
+    threads = thread_count(options)
+    paper = options.tracing.method == "paper"
+    with stages.stage(name, 1 if paper else 2 * len(graphs)) as stage:
+        edges, stats = (
+            trace_edges_paper(model, graphs, options, threads)
+            if paper
+            else trace_edges(model, graphs, options, threads, stage.advance)
+        )
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
         stage.counts["details"] = plain_counts(stats)
     return edges
@@ -342,6 +417,8 @@ def write_stage(
         residuals = observation_residuals(model, edges)
         write_ply(edges, colors, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
+        write_glb(edges, colors, folder / "edges.glb")
+        write_dxf(edges, folder / "edges.dxf")
         write_json(edges, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
@@ -358,10 +435,8 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-) -> None:
+) -> Mesh:
     """Mesh all points of a model, whose last are those of `edges` when there are edges."""
-    from colmap_edges.meshing import Polylines, finished, mesh_points, write_mesh
-
     with stages.stage("mesh") as stage:
         polylines = None
         if edges is not None:
@@ -373,13 +448,21 @@ def mesh_stage(
             model.track_offsets,
             model.track_views,
             model.camera_centers,
-            replace(options.meshing, num_threads=thread_count(options)),
+            options.meshing,
             polylines,
+            thread_count(options),
         )
         mesh = finished(mesh, model, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts["details"] = plain_counts(mesh.stats)
+    return mesh
+
+
+def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stages: Stages) -> None:
+    """Write report.html: what was made, in 3D, over the images and in figures."""
+    with stages.stage("report") as stage:
+        stage.counts = write_report(folder / "report.html", contents, record)
 
 
 def make_report(
@@ -392,6 +475,8 @@ def make_report(
         "paths": asdict(paths),
         "options": asdict(options),
         "stages": stages.records(),
+        "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
+        "funnel": [asdict(step) for step in funnel(stages.records(), options)],
     }
 
 

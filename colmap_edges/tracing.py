@@ -6,6 +6,7 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -73,7 +74,11 @@ class Scene:
 
 
 def trace_edges(
-    model: Model, graphs: list[EdgeGraph], options: PipelineOptions, num_threads: int
+    model: Model,
+    graphs: list[EdgeGraph],
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None] = lambda: None,
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
@@ -82,6 +87,7 @@ def trace_edges(
         graphs: the edge graph of each view.
         options: every step's parameters.
         num_threads: threads to use; the result does not depend on it.
+        advance: called twice a view, when its depths are known and when its edges are.
 
     Returns:
         The 3D edges and counts in, kept and dropped by reason.
@@ -106,7 +112,7 @@ def trace_edges(
             chain_depth,
             num_threads,
         )
-        for v in range(len(graphs))
+        for v in each_told(range(len(graphs)), advance)
     ]
     agreeing = [
         count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
@@ -121,7 +127,8 @@ def trace_edges(
         covered=[np.zeros(len(graph.points), bool) for graph in graphs],
     )
     traced = []
-    for view in np.argsort([-int(a.sum()) for a in agreeing], kind="stable"):
+    order = np.argsort([-int(a.sum()) for a in agreeing], kind="stable")
+    for view in each_told(order, advance):
         driver = int(view)
         curves, indices = curves_of_view(
             scene, driver, depths[driver], agreeing[driver], options.tracing
@@ -136,10 +143,38 @@ def trace_edges(
     stats["edges_closed"] = int(edges.closed.sum())
     stats["nodes"] = int(edges.end_nodes.max(initial=-1)) + 1
     stats["max_side_difference"] = chain_depth.max_side_difference
-    stats["samples"] = int(sum(len(d.samples) for d in depths))
-    stats["samples_with_depth"] = int(sum(d.found.sum() for d in depths))
-    stats["samples_confirmed"] = int(sum((a >= 1).sum() for a in agreeing))
-    return edges, stats
+    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+
+
+def each_told(items: Iterable[Any], advance: Callable[[], None]) -> Iterator[Any]:
+    """The items; `advance` is called when each is done with."""
+    for item in items:
+        yield item
+        advance()
+
+
+def count_samples(
+    scene: Scene,
+    depths: list[ChainDepths],
+    agreeing: list[NDArray[np.int32]],
+    options: TracingOptions,
+) -> dict[str, Any]:
+    """Count the samples on chains after each check, and the views that overlap with none."""
+    in_runs = 0
+    for graph, found, others in zip(scene.graphs, depths, agreeing, strict=True):
+        rows = np.flatnonzero(found.found & (others >= 1))
+        if len(rows):
+            linked = link_samples(graph, found, rows, options)
+            sizes, sure = sure_runs(linked, others[rows], options)
+            in_runs += int(sizes[sure].sum())
+    return {
+        "views": len(depths),
+        "views_without_neighbors": sum(len(n) == 0 for n in scene.neighbors),
+        "samples": sum(len(d.samples) for d in depths),
+        "samples_with_depth": int(sum(d.found.sum() for d in depths)),
+        "samples_confirmed": int(sum((a >= 1).sum() for a in agreeing)),
+        "samples_in_runs": in_runs,
+    }
 
 
 def curves_of_view(
@@ -221,10 +256,7 @@ def densify(
     empty = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
     if len(rows) == 0:
         return empty
-    runs = np.concatenate([[0], np.cumsum(~linked)])
-    sizes = np.bincount(runs)
-    sure = np.bincount(runs, weights=agreeing[rows] >= options.min_agreeing_views)
-    good = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    sizes, good = sure_runs(linked, agreeing[rows], options)
     spacing = options.point_spacing_px
     indices, inverse, ids = [], [], []
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -242,6 +274,26 @@ def densify(
     if not indices:
         return empty
     return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
+
+
+def sure_runs(
+    linked: BoolArray, agreeing: NDArray[np.int32], options: TracingOptions
+) -> tuple[IntArray, BoolArray]:
+    """Runs of linked samples that are long enough and confirmed by enough views.
+
+    Args:
+        linked: (n - 1,) whether a sample belongs with the one before.
+        agreeing: (n,) views that confirm each sample.
+        options: gives how many samples and views are enough.
+
+    Returns:
+        (R,) samples of each run, (R,) whether the run is kept.
+    """
+    runs = np.concatenate([[0], np.cumsum(~linked)])
+    sizes = np.bincount(runs)
+    sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
+    kept = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    return sizes, kept
 
 
 def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
@@ -332,6 +384,7 @@ def gather(
     ]
     stats = {
         "points_traced": len(every),
+        "points_observed_enough": int(enough.sum()),
         "points_dropped_few_observations": int((~enough).sum()),
         "points_dropped_uncertain": int((enough & ~sure).sum()),
         "points_dropped_chance": int(sure.sum()) - sum(len(part.points) for part in parts),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Python face of the mesher: converts arrays, releases the GIL, calls the core, converts back.
+#include <CGAL/version.h>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -72,6 +73,7 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
 
 NB_MODULE(_mesher, m) {
   m.doc() = "Delaunay meshing of sparse points with visibility";
+  m.attr("cgal_version") = CGAL_VERSION_STR;
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, nb::kw_only(), "method"_a,
         "sigma_factor"_a, "quality_weight"_a, "edge_solid_weight"_a, "vote_weights"_a,

@@ -288,7 +288,7 @@ def test_run_writes_refined_poses_and_leaves_the_input(scene, scene_paths, tmp_p
     before = hash_folder(off_folder)
     paths = Paths(image_path=scene_paths[0], input_path=off_folder, output_path=tmp_path / "out")
     report = run("reconstruct", paths, PipelineOptions(refine_poses=True, num_threads=1))
-    names = ["read", "detect", "trace", "refine poses", "trace again", "write"]
+    names = ["read", "detect", "trace", "refine poses", "trace again", "write", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     assert hash_folder(off_folder) == before
     truth = truth_of(model_from_reconstruction(scene.reconstruction))

@@ -1,13 +1,18 @@
+import json
 import os
+import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict, fields
 
 import pytest
 
 import colmap_edges
+from colmap_edges.options import PipelineOptions, preset
 
 
 def start(*args, **kwargs):
@@ -48,7 +53,8 @@ def test_help_imports_nothing_heavy():
 
 
 def test_version():
-    assert f"colmap-edges {colmap_edges.__version__}, pycolmap" in call("--version")
+    pattern = rf"colmap-edges {re.escape(colmap_edges.__version__)}, pycolmap \d.*, OpenCV \d.*, "
+    assert re.search(pattern + r"numpy \d.*, CGAL \d", call("--version"))
 
 
 def test_detect_says_where_files_are(flags, tmp_path):
@@ -137,6 +143,14 @@ def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
 
 
+def test_reader_that_leaves_is_no_error(flags, tmp_path):
+    call("detect", *flags)
+    with start("info", tmp_path / "out") as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
 def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
@@ -178,3 +192,51 @@ def test_interruption_leaves_nothing(flags, tmp_path, number, code):
     assert process.returncode == code
     assert "Traceback" not in errors
     assert not any(path.name.startswith((".out", "out")) for path in tmp_path.iterdir())
+
+
+def test_help_fits_on_two_screens_and_full_help_has_all():
+    wide = {**os.environ, "COLUMNS": "100"}
+    for command in ("mesh", "reconstruct", "detect"):
+        output, _ = start(command, "--help", env=wide).communicate(timeout=60)
+        assert len(output.splitlines()) <= 100
+        assert "--output_path" in output
+    full = call("mesh", "--help_full")
+    for entry in fields(PipelineOptions):
+        assert entry.name in full or entry.default_factory is not None
+    assert "--Refinement.noise_px" in full
+    assert "--Refinement.noise_px" not in output
+
+
+def test_help_comes_at_once():
+    call("--help")  # compiles what was not yet
+    started = time.perf_counter()
+    call("--help")
+    assert time.perf_counter() - started < 0.5
+
+
+@pytest.mark.parametrize("model", ["sparse/0", "sparse"])
+def test_workspace_gives_the_paths(scene_paths, tmp_path, model):
+    shutil.copytree(scene_paths[0], tmp_path / "images")
+    shutil.copytree(scene_paths[1], tmp_path / model)
+    call("detect", "--workspace_path", tmp_path)
+    assert len(list((tmp_path / "edges" / "overlays").iterdir())) == 10
+    call("detect", "--workspace_path", tmp_path, "--output_path", tmp_path / "elsewhere")
+    assert (tmp_path / "elsewhere" / "report.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("folder", "message"), [("images", "no model in"), ("x", "no folder images")]
+)
+def test_workspace_that_is_none(tmp_path, folder, message):
+    (tmp_path / folder).mkdir()
+    output = call("detect", "--workspace_path", tmp_path, code=1)
+    assert message in output
+    assert output.count("\n") == 1
+
+
+def test_flags_go_before_the_preset(flags, tmp_path):
+    call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_px", "9")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    expected = asdict(preset("low"))
+    expected["chain_depth"]["sample_step_px"] = 9
+    assert report["options"] == expected

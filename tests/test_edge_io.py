@@ -1,10 +1,20 @@
 import json
 
+import ezdxf
 import numpy as np
 import pymeshlab
 import pytest
+import trimesh
 
-from colmap_edges.edge_io import edge_lengths, edge_segments, write_json, write_obj, write_ply
+from colmap_edges.edge_io import (
+    edge_lengths,
+    edge_segments,
+    write_dxf,
+    write_glb,
+    write_json,
+    write_obj,
+    write_ply,
+)
 from colmap_edges.edges import Edges3D
 from colmap_edges.model import observation_residuals
 
@@ -50,6 +60,9 @@ def test_no_edges_at_all(tmp_path):
     assert edge_segments(none).shape == (0, 2)
     write_ply(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")
+    write_glb(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.glb")
+    write_dxf(none, tmp_path / "edges.dxf")
+    assert len(ezdxf.readfile(tmp_path / "edges.dxf").modelspace()) == 0
     assert b"element edge 0" in (tmp_path / "edges.ply").read_bytes()
 
 
@@ -70,6 +83,46 @@ def test_obj_names_every_polyline(square_and_line, tmp_path):
     assert [line for line in lines if line.startswith("l ")] == ["l 1 2 3 4 1", "l 5 6 7"]
     vertices = [list(map(float, line.split()[1:])) for line in lines if line.startswith("v ")]
     np.testing.assert_array_equal(vertices, square_and_line.points)
+
+
+def read_glb_lines(path):
+    """Positions (S, 2, 3) and colours (S, 2, 4) of a binary glTF with one mesh of lines."""
+    data = path.read_bytes()
+    assert data[:4] == b"glTF"
+    json_end = 20 + int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20:json_end])
+    (primitive,) = document["meshes"][0]["primitives"]
+    assert primitive["mode"] == 1  # pairs of vertices are lines
+    arrays = []
+    for name, kind, columns in (("POSITION", "<f4", 3), ("COLOR_0", "u1", 4)):
+        accessor = document["accessors"][primitive["attributes"][name]]
+        start = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        count = columns * accessor["count"]
+        array = np.frombuffer(data, kind, count, json_end + 8 + start)
+        arrays.append(array.reshape(-1, 2, columns))
+    return arrays
+
+
+def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
+    colors = np.full((7, 3), 9, np.uint8)
+    colors[:4] = [200, 100, 50]
+    write_glb(square_and_line, colors, tmp_path / "edges.glb")
+    lines, rgba = read_glb_lines(tmp_path / "edges.glb")
+    np.testing.assert_array_equal(lines, square_and_line.points[edge_segments(square_and_line)])
+    assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]
+    scene = trimesh.load_scene(tmp_path / "edges.glb")
+    np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [2, 3, 3]])
+
+
+def test_dxf_has_a_3d_polyline_an_edge(square_and_line, tmp_path):
+    write_dxf(square_and_line, tmp_path / "edges.dxf")
+    document = ezdxf.readfile(tmp_path / "edges.dxf")
+    square, line = document.modelspace().query("POLYLINE")
+    assert not document.audit().errors
+    assert square.is_3d_polyline and square.is_closed and not line.is_closed
+    for polyline, rows in ((square, slice(0, 4)), (line, slice(4, 7))):
+        found = np.array([tuple(point) for point in polyline.points()])
+        np.testing.assert_allclose(found, square_and_line.points[rows])
 
 
 def test_json_says_what_each_edge_is(scene_model, scene_edges, tmp_path):

@@ -25,7 +25,7 @@ def parse(*args):
     command = click.Command(
         "test",
         params=flags.group_flags(OuterOptions),
-        callback=lambda **values: flags.build_options(OuterOptions, "Outer.", values),
+        callback=lambda **values: flags.changed_options(OuterOptions(), "Outer.", values),
         context_settings={"token_normalize_func": flags.normalize},
     )
     return command.main(args, standalone_mode=False)

@@ -142,8 +142,8 @@ def test_order_of_points_and_rays_does_not_matter(seed):
 
 def test_number_of_threads_does_not_matter():
     scene = noisy_scene(np.random.default_rng(1), 2000)
-    one = meshing.mesh_points(*scene, replace(OPTIONS, num_threads=1))
-    many = meshing.mesh_points(*scene, replace(OPTIONS, num_threads=7))
+    one = meshing.mesh_points(*scene, OPTIONS, num_threads=1)
+    many = meshing.mesh_points(*scene, OPTIONS, num_threads=7)
     np.testing.assert_array_equal(one.faces, many.faces)
     np.testing.assert_array_equal(one.vertices, many.vertices)
 

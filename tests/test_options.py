@@ -10,6 +10,7 @@ from colmap_edges.options import (
     PipelineOptions,
     RefinementOptions,
     TracingOptions,
+    preset,
 )
 
 GROUPS = Options.__subclasses__()
@@ -79,3 +80,13 @@ def test_groups_are_frozen_and_made_afresh():
         first.refinement.noise_px = 1.0
     changed = PipelineOptions(refinement=RefinementOptions(noise_px=1.0))
     assert changed.refinement.noise_px == 1.0 != PipelineOptions().refinement.noise_px
+
+
+def test_presets():
+    assert preset("medium") == PipelineOptions()
+    low, high = preset("low"), preset("high")
+    for name in ("num_neighbors", "num_witnesses"):
+        values = [getattr(p.view_selection, name) for p in (low, PipelineOptions(), high)]
+        assert values == sorted(set(values))
+    with pytest.raises(OptionError, match="quality is 'best'; choose one of: low, medium, high"):
+        preset("best")

@@ -75,10 +75,9 @@ def damage(kind, images, sparse):
     first = sorted(images.iterdir())[0]
     if kind == "missing image":
         first.unlink()
-    elif kind == "unreadable image":
-        first.write_bytes(b"no picture")
-    elif kind == "empty image":
-        first.write_bytes(b"")
+    elif kind == "unreadable images":
+        for path in sorted(images.iterdir())[:-1]:
+            path.write_bytes(b"no picture")
     elif kind == "image of another size":
         cv2.imwrite(str(first), np.zeros((50, 70, 3), np.uint8))
     elif kind == "truncated model":
@@ -96,8 +95,7 @@ def damage(kind, images, sparse):
     ("kind", "message"),
     [
         ("missing image", "view_001.png of the model is not in"),
-        ("unreadable image", "cannot read image .*view_001.png"),
-        ("empty image", "cannot read image .*view_001.png"),
+        ("unreadable images", "cannot read image .*view_001.png.*9 of 10 images"),
         ("image of another size", "view_001.png is 70x50, its camera 480x360"),
         ("truncated model", "points3D.bin is damaged"),
         ("no model", "no readable COLMAP model"),
@@ -111,6 +109,19 @@ def test_bad_input_is_one_line_and_writes_nothing(scene_paths, tmp_path, kind, m
         detect(inputs, tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "sparse"]
+
+
+def test_damaged_images_are_left_out_and_named(scene_paths, tmp_path, caplog):
+    images, sparse = copy_scene(scene_paths, tmp_path)
+    (images / "view_003.png").write_bytes(b"no picture")
+    (images / "view_007.png").write_bytes(b"")
+    report = run("mesh", paths_of((images, sparse), tmp_path / "out"), PipelineOptions())
+    assert report["stages"][1]["counts"]["damaged"] == ["view_003.png", "view_007.png"]
+    assert "view_003.png, view_007.png" in report["findings"][0]["text"]
+    assert [record.levelname for record in caplog.records] == ["WARNING", "WARNING"]
+    records = json.loads((tmp_path / "out" / "edges.json").read_text())["edges"]
+    seen = {image_id for record in records for image_id in record["image_ids"]}
+    assert {1, 2, 4, 5} <= seen and not {3, 7} & seen
 
 
 @pytest.mark.parametrize("relation", [".", "below/out", ".."])
@@ -282,13 +293,23 @@ def meshed(scene_paths, tmp_path_factory):
 
 def test_mesh_writes_every_file(meshed, scene_model):
     output, report = meshed
-    expected = ["edges.json", "edges.obj", "edges.ply", "mesh.ply", "report.json", "sparse"]
-    assert sorted(path.name for path in output.iterdir()) == expected
-    names = ["read", "detect", "trace", "write", "mesh"]
+    edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
+    others = {"mesh.ply", "report.html", "report.json", "sparse"}
+    assert {path.name for path in output.iterdir()} == edges | others
+    names = ["read", "detect", "trace", "write", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     edge_points = report["stages"][3]["counts"]["edge_points"]
     written = load_model(output / "sparse")
     assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
+
+
+def test_tracing_advances_with_every_view(scene_paths, tmp_path):
+    steps = []
+    paths = paths_of(scene_paths, tmp_path / "out")
+    options = PipelineOptions(report=False)
+    run("reconstruct", paths, options, progress=lambda *step: steps.append(step))
+    traced = [step[1:] for step in steps if step[0] == "trace"]
+    assert traced == [(done, 20) for done in [*range(21), 20]]
 
 
 def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):
@@ -303,12 +324,13 @@ def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model)
 def test_mesh_is_the_same_on_any_number_of_threads(meshed, scene_paths, tmp_path, hash_folder):
     run("mesh", paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3))
     digests = [hash_folder(output) for output in (meshed[0], tmp_path / "out")]
-    assert all(digest.pop("report.json") for digest in digests)  # it holds times
+    for name in ("report.json", "report.html"):  # they hold times
+        assert all(digest.pop(name) for digest in digests)
     assert digests[0] == digests[1]
 
 
 def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
-    options = PipelineOptions(use_edges=False)
+    options = PipelineOptions(use_edges=False, report=False)
     report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
     assert [stage["name"] for stage in report["stages"]] == ["read", "mesh"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
@@ -321,6 +343,18 @@ def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_path
     assert result.reconstruction.num_points3D() == count + len(result.point3D_ids)
     written = load_model(meshed[0] / "sparse")
     np.testing.assert_allclose(written.points3D_xyz[count:], result.edges.points, rtol=1e-14)
+    assert np.median(result.residuals_px) < 0.5
+    assert [stage["name"] for stage in result.stages] == ["detect", "trace"]
+    mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
+    with_edge_points = colmap_edges.mesh(result.reconstruction)
+    assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0
+
+
+def test_every_public_name_can_be_imported():
+    for name in colmap_edges.__all__:
+        assert getattr(colmap_edges, name)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = colmap_edges.no_such_name
 
 
 def test_bilinear_by_hand():

@@ -1,0 +1,60 @@
+"""What a report shows, and arrays in the form that the page reads."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.edges import Edges3D
+from colmap_edges.meshing import Mesh
+from colmap_edges.model import Model
+
+if TYPE_CHECKING:
+    from colmap_edges.report.pictures import ImagePicture
+
+# What a figure is to plotly.js: traces and layout as JSON.
+Trace = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a run made.
+
+    Attributes:
+        model: the input model.
+        pictures: of the images, where edges were detected.
+        edges: the 3D edges, where they were traced.
+        mesh: the mesh, where one was made.
+    """
+
+    model: Model
+    pictures: Sequence[ImagePicture] = ()
+    edges: Edges3D | None = None
+    mesh: Mesh | None = None
+
+
+def typed(values: Any, dtype: str = "f4") -> dict[str, str]:
+    """A flat array as plotly.js reads it: its type and its bytes in base 64."""
+    data: NDArray[Any] = np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<"))
+    return {"dtype": dtype, "bdata": base64.b64encode(data.tobytes()).decode("ascii")}
+
+
+def xyz(points: NDArray[np.float64]) -> Trace:
+    """The coordinates (N, 3) of a trace."""
+    return {axis: typed(points[:, i]) for i, axis in enumerate("xyz")}
+
+
+def hex_colors(colors: NDArray[np.uint8]) -> list[str]:
+    """Colours (N, 3) RGB as #rrggbb."""
+    text = np.ascontiguousarray(colors, np.uint8).tobytes().hex()
+    return [f"#{text[i : i + 6]}" for i in range(0, len(text), 6)]
+
+
+def spread(count: int, most: int) -> NDArray[np.int64]:
+    """Up to `most` of the indices 0..count-1, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

@@ -1,0 +1,162 @@
+"""Small pictures of the images, with layers of detected and of reprojected edges."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.detection import Chains
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edge_io import edge_segments
+from colmap_edges.edges import Edges3D
+from colmap_edges.model import Model, View
+from colmap_edges.overlay import SHIFT, fixed_point
+from colmap_edges.report.contents import spread
+
+FloatArray = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+MAX_BYTES = 7_000_000  # of all pictures, before base 64
+MAX_PICTURES = 120
+BYTES_PER_PIXEL = 0.7  # of a picture with its layers, roughly
+MIN_SIDE_PX, MAX_SIDE_PX = 240, 960
+JPEG_QUALITY = 75
+# Lines on nothing: as small as the best compression to a tenth, in a third of its time.
+RUN_LENGTHS = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagePicture:
+    """The picture of one view.
+
+    Attributes:
+        view: index of the view.
+        photo: the image made small, JPEG.
+        detected: its 2D edge graph, transparent PNG of the same size.
+        dropped: detected edges that are not in the graph; None when all are.
+        shape: height and width, pixels.
+    """
+
+    view: int
+    photo: bytes
+    detected: bytes
+    dropped: bytes | None
+    shape: tuple[int, int]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the picture and its layers."""
+        return len(self.photo) + len(self.detected) + len(self.dropped or b"")
+
+
+class PictureTaker:
+    """Takes small pictures while images are in memory, of as many views as a page can hold."""
+
+    def __init__(self, model: Model) -> None:
+        """Choose views, evenly spread, and the size of their pictures."""
+        self.model = model
+        self.chosen = set(spread(len(model.views), MAX_PICTURES).tolist())
+        side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
+        self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
+        self.taken: dict[int, ImagePicture] = {}
+
+    def take(self, index: int, image: Picture, chains: Chains, graph: EdgeGraph) -> None:
+        """Take the picture of a view, its longer side at most `side_px`; from any thread."""
+        if index not in self.chosen:
+            return
+        height, width = image.shape[:2]
+        scale = min(self.side_px / max(width, height), 1.0)
+        size = max(round(width * scale), 1), max(round(height * scale), 1)
+        photo = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        dropped, shape = dropped_points(chains, graph), (size[1], size[0])
+        self.taken[index] = ImagePicture(
+            view=index,
+            photo=encoded(".jpg", photo, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
+            detected=layer(graph_lines(graph, scale), scale, shape, DETECTED_BGR),
+            dropped=layer([dropped], scale, shape, DROPPED_BGR) if len(dropped) else None,
+            shape=shape,
+        )
+
+    def pictures(self) -> list[ImagePicture]:
+        """The pictures in the order of the views, of as many as fit into `MAX_BYTES`."""
+        pictures = [self.taken[index] for index in sorted(self.taken)]
+        while sum(picture.num_bytes for picture in pictures) > MAX_BYTES and len(pictures) > 1:
+            pictures = pictures[::2]
+        return pictures
+
+
+def dropped_points(chains: Chains, graph: EdgeGraph) -> FloatArray:
+    """(K, 2, 2) points of chains that the graph has not, as lines without length."""
+    if len(chains.points) == len(graph.points):
+        return np.zeros((0, 2, 2))
+    kind = np.dtype([("x", np.float64), ("y", np.float64)])
+    found, kept = (np.ascontiguousarray(p).view(kind)[:, 0] for p in (chains.points, graph.points))
+    points = chains.points[~np.isin(found, kept)]
+    return np.repeat(points[:, None], 2, axis=1)
+
+
+def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None) -> bytes:
+    """The 3D edges that the view of a picture observes, transparent PNG of its size."""
+    view = model.views[picture.view]
+    lines: list[FloatArray] = []
+    if edges is not None:
+        lines = [observed_segments(view, picture.view, edges, edge_segments(edges))]
+    return layer(lines, picture.shape[1] / view.width, picture.shape, REPROJECTED_BGR)
+
+
+def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
+    """The polylines of a graph, image pixels, thinned to what is seen at `scale`."""
+    step = max(int(0.7 / scale), 1)
+    lines = []
+    for first, last, closed in zip(
+        graph.polyline_offsets[:-1], graph.polyline_offsets[1:], graph.closed, strict=True
+    ):
+        end = first if closed else last - 1
+        lines.append(graph.points[np.append(np.arange(first, last, step), end)])
+    return lines
+
+
+def observed_segments(
+    view: View, index: int, edges: Edges3D, segments: NDArray[np.int32]
+) -> FloatArray:
+    """(S, 2, 2) projections of the segments both of whose points the view observes."""
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    observed = np.zeros(edges.num_points, bool)
+    observed[owners[edges.track_views == index]] = True
+    chosen = segments[observed[segments].all(axis=1)]
+    pixels, _ = view.project(edges.points[chosen.ravel()])
+    return pixels.reshape(-1, 2, 2)
+
+
+def layer(
+    lines: list[FloatArray], scale: float, shape: tuple[int, ...], color: tuple[int, int, int]
+) -> bytes:
+    """Lines, image pixels, drawn in one colour on a transparent PNG of `shape`."""
+    mask = np.zeros(shape, np.uint8)
+    drawn: list[Any] = []
+    for part in lines:
+        fixed = fixed_point(part * scale)
+        drawn += list(fixed) if part.ndim == 3 else [fixed]
+    cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
+    mask &= 0xE0  # fewer shades compress better
+    bgra = np.empty((*shape, 4), np.uint8)
+    bgra[..., :3] = np.where(mask[..., None] > 0, np.array(color, np.uint8), 0)
+    bgra[..., 3] = mask
+    return encoded(".png", bgra, RUN_LENGTHS)
+
+
+def encoded(kind: str, image: Picture, options: list[int]) -> bytes:
+    """The bytes of an image file."""
+    _, data = cv2.imencode(kind, image, options)
+    return bytes(data.tobytes())
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    """A file within the page."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

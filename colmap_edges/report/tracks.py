@@ -1,0 +1,89 @@
+"""What the page shows of an edge that is clicked: its figures and its reprojections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.edge_graph import offsets_of
+from colmap_edges.edge_io import edge_lengths
+from colmap_edges.edges import Edges3D
+from colmap_edges.model import Model
+from colmap_edges.report.contents import Trace, typed
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MAX_REPROJECTIONS = 300_000
+FULL = 65535  # of 16 bits: the width or height of an image
+
+
+def edge_of_observation(edges: Edges3D) -> IntArray:
+    """(T,) edge of each observation."""
+    per_point = np.diff(edges.track_offsets)
+    edge_of_point = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    return np.repeat(edge_of_point, per_point)
+
+
+def views_per_edge(edges: Edges3D, num_views: int) -> IntArray:
+    """(E,) number of views that observe any point of each edge."""
+    pairs = np.unique(edge_of_observation(edges) * num_views + edges.track_views)
+    return np.bincount(pairs // max(num_views, 1), minlength=edges.num_edges)
+
+
+def residual_per_edge(edges: Edges3D, residuals: FloatArray) -> FloatArray:
+    """(E,) mean residual of each edge's observations, pixels."""
+    owners, finite = edge_of_observation(edges), np.isfinite(residuals)
+    sums = np.bincount(owners[finite], residuals[finite], edges.num_edges)
+    counts = np.bincount(owners[finite], minlength=edges.num_edges)
+    means: FloatArray = sums / np.maximum(counts, 1)
+    return means
+
+
+def edge_data(
+    model: Model, edges: Edges3D, residuals: FloatArray, pictured: Sequence[int]
+) -> Trace:
+    """The figures of every edge and its reprojections into the views that have pictures.
+
+    Args:
+        model: gives the views.
+        edges: the 3D edges.
+        residuals: (T,) distances of observations from projections, pixels.
+        pictured: views with a picture, in the order of the pictures.
+    """
+    pixels, chosen = reprojections(model, edges, pictured)
+    place = np.full(len(model.views), -1, np.int64)
+    place[list(pictured)] = np.arange(len(pictured))
+    owners = edge_of_observation(edges)[chosen]
+    return {
+        "length": typed(edge_lengths(edges)),
+        "views": typed(views_per_edge(edges, len(model.views)), "i4"),
+        "residual": typed(residual_per_edge(edges, residuals)),
+        "points": typed(np.diff(edges.edge_offsets), "i4"),
+        "track_offsets": typed(offsets_of(np.bincount(owners, minlength=edges.num_edges)), "i4"),
+        "track_pictures": typed(place[edges.track_views[chosen]], "u2"),
+        "track_pixels": typed(pixels, "u2"),
+    }
+
+
+def reprojections(
+    model: Model, edges: Edges3D, pictured: Sequence[int]
+) -> tuple[NDArray[np.uint16], IntArray]:
+    """Where pictured views see their edge points.
+
+    Returns:
+        (K, 2) pixels as parts of width and height, 65535 being all, and (K,) the observations
+        they belong to, thinned evenly to `MAX_REPROJECTIONS`.
+    """
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    pixels = np.full((len(owners), 2), np.nan)
+    for index in pictured:
+        view, rows = model.views[index], np.flatnonzero(edges.track_views == index)
+        projected, _ = view.project(edges.points[owners[rows]])
+        pixels[rows] = projected / (view.width, view.height)
+    seen = np.flatnonzero(((pixels >= 0) & (pixels <= 1)).all(axis=1))
+    step = max(int(np.ceil(len(seen) / MAX_REPROJECTIONS)), 1)
+    chosen = seen[::step]
+    return np.rint(pixels[chosen] * FULL).astype(np.uint16), chosen

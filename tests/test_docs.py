@@ -1,0 +1,86 @@
+"""The documents tell the truth: their examples run, their links lead somewhere."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+import colmap_edges
+from colmap_edges.flags import make_flags
+from colmap_edges.options import PipelineOptions
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLE = re.compile(r"<!-- tested -->\n```(bash|python)\n(.*?)```", re.DOTALL)
+EXAMPLES = [(page.name, *found) for page in PAGES for found in EXAMPLE.findall(page.read_text())]
+
+
+@pytest.fixture(scope="module")
+def workspace(scene_paths, tmp_path_factory):
+    """A workspace as COLMAP leaves it, and the environment in which commands are typed."""
+    folder = tmp_path_factory.mktemp("workspace")
+    shutil.copytree(scene_paths[0], folder / "images")
+    shutil.copytree(scene_paths[1], folder / "sparse" / "0")
+    command = folder / "bin" / "colmap-edges"
+    command.parent.mkdir()
+    lines = ["#!/bin/sh", f'exec "{sys.executable}" -c "{START}" "$@"', ""]
+    command.write_text("\n".join(lines))
+    command.chmod(0o755)
+    path = f"{command.parent}:{os.environ['PATH']}"
+    package = str(Path(colmap_edges.__file__).parents[1])
+    return folder, {**os.environ, "PATH": path, "PYTHONPATH": package}
+
+
+START = "from colmap_edges.cli import main; main()"
+
+
+def test_there_are_examples():
+    assert {name for name, *_ in EXAMPLES} == {"README.md", "recipes.md"}
+    assert len(EXAMPLES) >= 7
+
+
+@pytest.mark.parametrize(("page", "language", "text"), EXAMPLES)
+def test_examples_run(workspace, page, language, text):
+    folder, environment = workspace
+    if re.search(r"^colmap ", text, re.MULTILINE) and not shutil.which("colmap"):
+        pytest.skip("colmap is not installed")
+    if page == "README.md":
+        shutil.rmtree(folder / "edges", ignore_errors=True)
+    program = ["bash", "-e"] if language == "bash" else [sys.executable, "-"]
+    done = subprocess.run(
+        program, input=text, cwd=folder, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    if "mesh --workspace_path" in text:
+        assert (folder / "edges" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_options_page_is_as_the_code():
+    script = ROOT / "scripts" / "document_options.py"
+    spec = importlib.util.spec_from_file_location("document_options", script)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.TARGET.read_text() == module.options_page()
+
+
+def test_flags_in_the_documents_exist():
+    known = {flag.opts[0] for flag in make_flags({f.name for f in fields(PipelineOptions)})}
+    groups = {flag.partition(".")[0] for flag in known if "." in flag}
+    for page in PAGES:
+        # Those of colmap's own commands are not ours.
+        text = re.sub(r"^ *colmap (.*\\\n)*.*$", "", page.read_text(), flags=re.MULTILINE)
+        for flag in re.findall(r"--[A-Za-z]+\.[a-z0-9_]+", text):
+            if flag.partition(".")[0] in groups:
+                assert flag in known, f"{page.name}: {flag}"
