@@ -61,6 +61,23 @@ class Linearization:
     speeds: FloatArray
 
 
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """Refined curves and what observes them.
+
+    Attributes:
+        curves: the curves at their new depths.
+        positions: (N, K) positions on the chains of K views; NaN where not observed.
+        residuals: (N, K) signed distances across those chains in pixels.
+        sigmas: (N,) standard deviations of inverse depth; infinite where nothing observes.
+    """
+
+    curves: Curves
+    positions: FloatArray
+    residuals: FloatArray
+    sigmas: FloatArray
+
+
 def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
     """(N, 3) directions along curves of (N, 3) points by central differences."""
     first = np.repeat(offsets[:-1], np.diff(offsets))
@@ -180,18 +197,13 @@ def refine_curves(
     edge_views: list[_kernels.EdgeView],
     options: RefinementOptions,
     num_threads: int,
-) -> tuple[Curves, FloatArray, FloatArray]:
-    """Refine the depths of curves on their observations.
-
-    Returns:
-        The refined curves, the (N, K) positions of their observations, NaN where none, and (N,)
-        standard deviations of inverse depth for `options.noise_px` across each chain.
-    """
+) -> Refined:
+    """Refine the depths of curves on their observations."""
     for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = associate(
             driver, curves, edge_views, radius, options.max_tangent_angle_deg, num_threads
         )
-        positions = drop_lone(positions, curves.offsets, edge_views)
+        positions = drop_lone(positions, curves.offsets)
         for _ in range(2):
             linear = linearize(driver, curves, views, edge_views, positions)
             curves = replace_depths(curves, solve_depths(curves, linear, options))
@@ -203,11 +215,12 @@ def refine_curves(
         options.max_tangent_angle_deg,
         num_threads,
     )
-    positions = drop_lone(positions, curves.offsets, edge_views)
+    positions = drop_lone(positions, curves.offsets)
     linear = linearize(driver, curves, views, edge_views, positions)
     information = np.sum(np.nan_to_num(linear.slopes) ** 2, axis=1) / options.noise_px**2
     with np.errstate(divide="ignore"):
-        return curves, positions, 1 / np.sqrt(information)
+        sigmas = 1 / np.sqrt(information)
+    return Refined(curves=curves, positions=positions, residuals=linear.residuals, sigmas=sigmas)
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
@@ -221,15 +234,12 @@ def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
     )
 
 
-def drop_lone(
-    positions: FloatArray, offsets: IntArray, edge_views: list[_kernels.EdgeView]
-) -> FloatArray:
+def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     """Keep observations only where a neighbour along the curve is seen on the same chain.
 
     Both directions of a chain must go with the curve: neighbouring points are observed at
     neighbouring positions, in one order.
     """
-    del edge_views
     same = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     step = np.full(positions.shape, np.nan)
     if len(positions) > 1:

@@ -18,8 +18,8 @@ from colmap_edges.refinement import Curves, associate, drop_lone, replace_depths
 
 FloatArray = NDArray[np.float64]
 
-DISPLACEMENTS_PX = (-12.0, 12.0)  # beyond the edge itself, within its surroundings
-CLOSE_PX = 0.75
+DISPLACEMENT_PX = 12.0  # beyond the edge itself, within its surroundings
+CLOSE_PX = 0.75  # of a projection to the chain that observes it, to count as evidence
 PRIOR_TRIALS = 20  # with one hit: what is known of chance before it is measured
 MIN_LOG = -12.0  # one point alone is not trusted further
 
@@ -27,6 +27,7 @@ MIN_LOG = -12.0  # one point alone is not trusted further
 def chance_of_observations(
     driver: View,
     curves: Curves,
+    residuals: FloatArray,
     displacements: FloatArray,
     views: list[View],
     edge_views: list[_kernels.EdgeView],
@@ -38,6 +39,7 @@ def chance_of_observations(
     Args:
         driver: the view on whose chains the curves are.
         curves: the curves, N points.
+        residuals: (N, K) distances to the chains that observe them, in pixels; NaN where none.
         displacements: (N,) change of inverse depth that moves the point one pixel in the views.
         views: the K views.
         edge_views: their chains.
@@ -46,20 +48,15 @@ def chance_of_observations(
     """
     ids, count = curves.curve_ids, len(curves.offsets) - 1
     visible = count_in_image(lift(driver, curves.ideal, curves.inverse_depths), views)
-    hits = np.zeros(count)
-    observed = np.zeros(len(curves.ideal))
-    for distance in (0.0, *DISPLACEMENTS_PX):
-        moved = replace_depths(curves, curves.inverse_depths + distance * displacements)
-        positions = associate(
-            driver, moved, edge_views, CLOSE_PX, options.max_tangent_angle_deg, num_threads
-        )
-        positions = drop_lone(positions, curves.offsets, edge_views)
-        seen = np.isfinite(positions).sum(axis=1)
-        if distance == 0.0:
-            observed = seen
-        else:
-            hits += np.bincount(ids, weights=seen, minlength=count)
-    trials = len(DISPLACEMENTS_PX) * np.bincount(ids, weights=visible, minlength=count)
+    observed = np.sum(np.abs(residuals) <= CLOSE_PX, axis=1)
+    signs = np.where(ids % 2 == 0, 1, -1)
+    moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
+    positions = associate(
+        driver, moved, edge_views, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+    )
+    seen = np.isfinite(drop_lone(positions, curves.offsets)).sum(axis=1)
+    hits = np.bincount(ids, weights=seen, minlength=count)
+    trials = np.bincount(ids, weights=visible, minlength=count)
     rates = np.minimum((hits + 1) / (trials + PRIOR_TRIALS), 0.9)
     with np.errstate(divide="ignore"):
         logs = np.log10(binom.sf(observed - 1, np.maximum(visible, observed), rates[ids]))

@@ -320,28 +320,28 @@ def trace_view(
     driver = scene.model.views[view]
     views = [scene.model.views[w] for w in witnesses]
     edge_views = [scene.edge_views[w] for w in witnesses]
-    curves, positions, sigmas = refine_curves(
-        driver, curves, views, edge_views, options.refinement, num_threads
-    )
-    observed = np.isfinite(positions).sum(axis=1)
-    displacements = np.where(observed > 0, sigmas, 0) * np.sqrt(observed)
+    refined = refine_curves(driver, curves, views, edge_views, options.refinement, num_threads)
+    observed = np.isfinite(refined.positions).sum(axis=1)
+    shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(
         driver,
-        curves,
-        displacements / options.refinement.noise_px,
+        refined.curves,
+        refined.residuals,
+        shift / options.refinement.noise_px,
         views,
         edge_views,
         options.refinement,
         num_threads,
     )
+    inverse_depths = refined.curves.inverse_depths
     return Traced(
-        points=lift(driver, curves.ideal, curves.inverse_depths),
-        sigmas=sigmas / curves.inverse_depths**2,
-        uncertainties=sigmas / curves.inverse_depths * driver.focal_px,
+        points=lift(driver, refined.curves.ideal, inverse_depths),
+        sigmas=refined.sigmas / inverse_depths**2,
+        uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
         log_chances=log_chances,
-        offsets=curves.offsets,
+        offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses]),
-        positions=np.column_stack([indices.astype(np.float64), positions]),
+        positions=np.column_stack([indices.astype(np.float64), refined.positions]),
     )
 
 

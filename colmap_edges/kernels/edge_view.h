@@ -150,6 +150,12 @@ class EdgeView {
   struct Stretch {
     float ax, ay, bx, by;
     int32_t first, count;
+
+    // Whether the chord comes into the box around `center`, or may: judged by its own box.
+    bool Within(const Vec2& center, double radius) const {
+      return std::min(ax, bx) <= center[0] + radius && std::max(ax, bx) >= center[0] - radius &&
+             std::min(ay, by) <= center[1] + radius && std::max(ay, by) >= center[1] - radius;
+    }
   };
   const std::vector<Stretch>& stretches() const { return stretches_; }
 
@@ -364,6 +370,7 @@ void EdgeView::VisitNear(const Vec2& center, double radius, const Visit& visit) 
       const int64_t cell = r * columns_ + c;
       for (int64_t k = cell_offsets_[cell]; k < cell_offsets_[cell + 1]; ++k) {
         const Stretch& stretch = cell_stretches_[k];
+        if (!stretch.Within(center, radius + kStretchDistance)) continue;
         // The last point of a stretch is the first of the next, or the open end of its polyline.
         const int64_t end = stretch.first + stretch.count;
         const bool at_end = stretch.count > 0 && end < num_points() && Next(end) < 0;
