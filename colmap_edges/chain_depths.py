@@ -17,6 +17,7 @@ from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import ChainDepthOptions
+from colmap_edges.view_selection import DepthRange
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -93,7 +94,7 @@ def compute_chain_depths(
     neighbors: IntArray,
     edge_views: list[_kernels.EdgeView],
     graph: EdgeGraph,
-    inverse_depths: FloatArray,
+    depth_range: DepthRange,
     options: ChainDepthOptions,
     num_threads: int,
 ) -> ChainDepths:
@@ -104,7 +105,7 @@ def compute_chain_depths(
         neighbors: (K,) indices of the views compared with it.
         edge_views: all views in the kernels' form.
         graph: the source's edge graph.
-        inverse_depths: (2,) smallest and largest inverse depth.
+        depth_range: the inverse depths that the source sees.
         options: sampling, agreement and continuity; sides may differ without limit where it is -1.
         num_threads: threads to use; the result does not depend on it.
     """
@@ -115,9 +116,8 @@ def compute_chain_depths(
         [edge_views[n] for n in neighbors],
         samples,
         offsets,
+        depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
-        min_inverse_depth=float(inverse_depths[0]),
-        max_inverse_depth=float(inverse_depths[1]),
         max_disagreement_px=options.max_disagreement_px,
         max_side_difference=limit if limit >= 0 else 255.0,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
@@ -145,7 +145,7 @@ def learn_side_difference(
     neighbors: tuple[IntArray, ...],
     edge_views: list[_kernels.EdgeView],
     graphs: list[EdgeGraph],
-    inverse_depths: FloatArray,
+    ranges: tuple[DepthRange, ...],
     options: ChainDepthOptions,
     num_threads: int,
 ) -> float:
@@ -164,7 +164,7 @@ def learn_side_difference(
             neighbors[view],
             edge_views,
             graphs[view],
-            inverse_depths[view],
+            ranges[view],
             unlimited,
             num_threads,
         )

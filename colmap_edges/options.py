@@ -90,7 +90,7 @@ class EdgeGraphOptions(Options):
 class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
-    num_neighbors: int = option(10, "Number of views each view is compared with", ge=2, basic=True)
+    num_neighbors: int = option(8, "Number of views each view is compared with", ge=2, basic=True)
     num_witnesses: int = option(
         40, "Largest number of views in which observations of an edge are looked for", ge=2
     )
@@ -201,7 +201,7 @@ class TracingOptions(Options):
         4.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )
     max_false_edges: float = option(
-        1.0, "Number of 3D edges that chance may make in the whole scene", gt=0
+        0.1, "Number of 3D edges that chance may make in the whole scene", gt=0
     )
 
 

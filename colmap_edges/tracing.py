@@ -99,7 +99,7 @@ def trace_edges(
     chain_depth = options.chain_depth
     if chain_depth.max_side_difference < 0:
         learned = learn_side_difference(
-            near.neighbors, edge_views, graphs, near.inverse_depths, chain_depth, num_threads
+            near.neighbors, edge_views, graphs, near.ranges, chain_depth, num_threads
         )
         chain_depth = replace(chain_depth, max_side_difference=learned)
     depths = [
@@ -108,7 +108,7 @@ def trace_edges(
             near.neighbors[v],
             edge_views,
             graphs[v],
-            near.inverse_depths[v],
+            near.ranges[v],
             chain_depth,
             num_threads,
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from colmap_edges.model import Model
 from colmap_edges.options import ViewSelectionOptions
@@ -15,7 +16,42 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
+NEAR_POINTS = 16  # SfM points around a place that tell its depths
+NEAR_MARGIN = 0.25  # of all inverse depths of the view, added to theirs on both sides
 MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthRange:
+    """Which inverse depths, 1 / world units, a view sees: overall, and around its SfM points.
+
+    Attributes:
+        overall: smallest and largest inverse depth.
+        pixels: (n, 2) float64 ideal pixels of the SfM points it sees; none when they are too few.
+        inverse_depths: (n,) float64 of these points.
+    """
+
+    overall: tuple[float, float]
+    pixels: FloatArray
+    inverse_depths: FloatArray
+
+    def at(self, ideal: FloatArray) -> FloatArray:
+        """(N, 2) smallest and largest inverse depth at (N, 2) ideal pixels.
+
+        Those of the nearest SfM points with a margin, for what stands before or behind them.
+        """
+        low, high = self.overall
+        if len(self.pixels) <= NEAR_POINTS or len(ideal) == 0:
+            return np.tile([low, high], (len(ideal), 1))
+        _, near = cKDTree(self.pixels).query(ideal, NEAR_POINTS)
+        inverse = self.inverse_depths[near]
+        margin = NEAR_MARGIN * (high - low)
+        return np.column_stack(
+            [
+                np.maximum(inverse.min(axis=1) - margin, low),
+                np.minimum(inverse.max(axis=1) + margin, high),
+            ]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,12 +61,12 @@ class Neighborhood:
     Attributes:
         neighbors: per view its neighbours, indices into the model's views, best first.
         witnesses: per view all views that may observe its edges, ascending.
-        inverse_depths: (V, 2) float64 smallest and largest inverse depth, 1 / world units.
+        ranges: per view the inverse depths it sees and where.
     """
 
     neighbors: tuple[IntArray, ...]
     witnesses: tuple[IntArray, ...]
-    inverse_depths: FloatArray
+    ranges: tuple[DepthRange, ...]
 
 
 def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
@@ -42,13 +78,11 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     ranges = depth_ranges(model, observed)
     neighbors, witnesses = [], []
     for view in range(len(model.views)):
-        scores = neighbor_scores(model, observed, view, ranges[view], options)
+        scores = neighbor_scores(model, observed, view, ranges[view].overall, options)
         neighbors.append(pick_diverse(model, view, scores, options.num_neighbors))
         order = np.argsort(-scores, kind="stable")[: options.num_witnesses]
         witnesses.append(np.sort(order[scores[order] > 0]))
-    return Neighborhood(
-        neighbors=tuple(neighbors), witnesses=tuple(witnesses), inverse_depths=ranges
-    )
+    return Neighborhood(neighbors=tuple(neighbors), witnesses=tuple(witnesses), ranges=ranges)
 
 
 def observation_matrix(model: Model) -> csr_array:
@@ -61,20 +95,26 @@ def observation_matrix(model: Model) -> csr_array:
     return matrix
 
 
-def depth_ranges(model: Model, observed: csr_array) -> FloatArray:
-    """(V, 2) inverse depths: of the points seen, with a margin, else of where the cameras look."""
-    ranges = np.zeros((len(model.views), 2))
+def depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
+    """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
+    ranges = []
     for index, view in enumerate(model.views):
         seen = observed.indices[observed.indptr[index] : observed.indptr[index + 1]]
-        depths = view.cam_from_world(model.points3D_xyz[seen])[:, 2]
-        depths = depths[depths > 0]
-        if len(depths) >= MIN_POINTS:
-            low, high = np.percentile(1 / depths, [0.5, 99.5])
-            margin = RANGE_MARGIN * (high - low) + 0.02 * low
-            ranges[index] = max(low - margin, 0.1 * low), high + margin
-        else:
-            ranges[index] = pose_range(model, index)
-    return ranges
+        ideal, depths = view.project_ideal(model.points3D_xyz[seen])
+        ideal, inverse = ideal[depths > 0], 1 / depths[depths > 0]
+        if len(inverse) < MIN_POINTS:
+            none = np.zeros(0)
+            ranges.append(
+                DepthRange(
+                    overall=pose_range(model, index), pixels=none.reshape(0, 2), inverse_depths=none
+                )
+            )
+            continue
+        low, high = np.percentile(inverse, [0.5, 99.5])
+        margin = RANGE_MARGIN * (high - low) + 0.02 * low
+        overall = float(max(low - margin, 0.1 * low)), float(high + margin)
+        ranges.append(DepthRange(overall=overall, pixels=ideal, inverse_depths=inverse))
+    return tuple(ranges)
 
 
 def pose_range(model: Model, index: int) -> tuple[float, float]:
@@ -103,7 +143,7 @@ def neighbor_scores(
     model: Model,
     observed: csr_array,
     view: int,
-    inverse_depths: FloatArray,
+    inverse_depths: tuple[float, float],
     options: ViewSelectionOptions,
 ) -> FloatArray:
     """(V,) score of every other view as a neighbour: shared points weighted by their angle."""
@@ -137,7 +177,7 @@ def angle_weights(
 
 
 def pose_scores(
-    model: Model, view: int, inverse_depths: FloatArray, options: ViewSelectionOptions
+    model: Model, view: int, inverse_depths: tuple[float, float], options: ViewSelectionOptions
 ) -> FloatArray:
     """(V,) score of every other view by the poses: how much of this view's frustum it sees."""
     own = model.views[view]

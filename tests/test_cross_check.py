@@ -10,7 +10,9 @@ from colmap_edges.chain_depths import ChainDepths, compute_chain_depths, make_ed
 from colmap_edges.cross_check import count_agreeing_views, depths_at, lift, world_points
 from colmap_edges.edge_graph import offsets_of
 from colmap_edges.options import ChainDepthOptions
+from colmap_edges.view_selection import DepthRange
 
+RANGE = DepthRange(overall=(0.05, 1.0), pixels=np.zeros((0, 2)), inverse_depths=np.zeros(0))
 VIEW = known.looking((1.0, -4.0, 2.0), roll=0.3)
 
 
@@ -105,7 +107,7 @@ def traced():
     edge_views = [make_edge_view(g, v) for g, v in zip(graphs, views, strict=True)]
     depths = [
         compute_chain_depths(
-            v, np.delete(np.arange(5), v), edge_views, graphs[v], np.array([0.05, 1.0]),
+            v, np.delete(np.arange(5), v), edge_views, graphs[v], RANGE,
             ChainDepthOptions(), 1,
         )
         for v in range(5)

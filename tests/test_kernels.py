@@ -250,8 +250,9 @@ def test_crossings_are_those_of_all_segments(seed):
         if rng.random() < 0.3:  # short pieces, most of which cross nothing or one chain
             high = low + 0.1 * (high - low)
         depth, _, _, _, _, positions = _kernels.chain_depths(
-            source, [view, view], np.array([index]), np.array([0, 1]), steps=1.0,
-            min_inverse_depth=low, max_inverse_depth=high, max_disagreement_px=0.1,
+            source, [view, view], np.array([index]), np.array([0, 1]), np.array([[low, high]]),
+            steps=1.0,
+            max_disagreement_px=0.1,
             max_side_difference=255.0,
             min_angle_sin=0.0, visibility_rate=1.0, detection_rate=0.6, none_score=-1e9,
             break_penalty=0.0, max_clusters=6, num_threads=1,
@@ -308,7 +309,7 @@ def test_bad_focal_lengths_and_samples_are_refused():
         )
     with pytest.raises(ValueError, match="not a point"):
         _kernels.chain_depths(
-            view, [view], np.array([1]), np.array([0, 1]), 1.0, 0.1, 1.0, 1.5, 255.0, 0.1,
+            view, [view], np.array([1]), np.array([0, 1]), np.ones((1, 2)), 1.0, 1.5, 255.0, 0.1,
             0.5, 0.6, 4.0, 4.0, 6, 1,
         )  # fmt: skip
 

@@ -80,7 +80,7 @@ def test_ring_without_points_chooses_by_poses():
         assert max(angle_deg(RING[view].center, RING[n].center) for n in neighbors) < 62
         next_ones = {n for n in (view - 1, view + 1) if 0 <= n < 12}
         assert next_ones <= set(neighbors.tolist())
-        low, high = near.inverse_depths[view]
+        low, high = near.ranges[view].overall
         depths = RING[view].cam_from_world(ball(500, radius=1.5))[:, 2]
         assert (low < 1 / depths).all()
         assert (1 / depths < high).all()
@@ -107,7 +107,7 @@ def test_views_with_few_points_are_compared_by_their_poses():
     observed[5:, 3] = False
     near = select_views(known.model_of(RING, points, observed), ViewSelectionOptions())
     assert {2, 4} <= set(near.neighbors[3].tolist())
-    low, high = near.inverse_depths[3]
+    low, high = near.ranges[3].overall
     depths = RING[3].cam_from_world(points)[:, 2]
     assert low < (1 / depths).min()
     assert (1 / depths).max() < high
@@ -117,7 +117,7 @@ def test_depth_ranges_hold_the_depths_seen_and_little_else():
     points, observed = ball(400), np.random.default_rng(1).random((400, 12)) < 0.5
     model = known.model_of(RING, points, observed)
     ranges = depth_ranges(model, observation_matrix(model))
-    for view, (low, high) in enumerate(ranges):
+    for view, (low, high) in enumerate(r.overall for r in ranges):
         inverse = 1 / RING[view].cam_from_world(points[observed[:, view]])[:, 2]
         assert 0 < low < inverse.min()
         assert inverse.max() < high
@@ -127,7 +127,7 @@ def test_depth_ranges_hold_the_depths_seen_and_little_else():
 def test_depth_range_forgets_a_stray_point():
     points = np.concatenate([ball(400), RING[0].center + 0.01 * (-RING[0].center)[None]])
     model = known.model_of(RING[:2], points)
-    _, high = depth_ranges(model, observation_matrix(model))[0]
+    _, high = depth_ranges(model, observation_matrix(model))[0].overall
     inverse = 1 / RING[0].cam_from_world(points[:400])[:, 2]
     assert inverse.max() < high < 2 * inverse.max()
 
@@ -161,10 +161,27 @@ def test_choice_does_not_depend_on_the_unit(scale, with_points):
     second = select_views(known.model_of(views, scaled), ViewSelectionOptions())
     for a, b in zip(first.neighbors, second.neighbors, strict=True):
         assert a.tolist() == b.tolist()
-    np.testing.assert_allclose(second.inverse_depths * scale, first.inverse_depths, rtol=1e-9)
+    for a, b in zip(first.ranges, second.ranges, strict=True):
+        np.testing.assert_allclose(np.array(b.overall) * scale, a.overall, rtol=1e-9)
 
 
 def test_one_view_has_no_neighbors():
     near = select_views(known.model_of(RING[:1]), ViewSelectionOptions())
     assert [n.tolist() for n in near.neighbors] == [[]]
-    assert near.inverse_depths[0, 0] < near.inverse_depths[0, 1]
+    assert near.ranges[0].overall[0] < near.ranges[0].overall[1]
+
+
+def test_depths_around_a_place_are_those_of_the_points_there():
+    """A near wall to the left and a far one to the right: each place has its own, and a margin."""
+    rng = np.random.default_rng(0)
+    left = np.column_stack([rng.uniform(-1, -0.2, 200), np.full(200, 0.0), rng.uniform(0, 1, 200)])
+    right = np.column_stack([rng.uniform(0.4, 2, 200), np.full(200, 5.0), rng.uniform(0, 2, 200)])
+    view = known.looking((0, -5, 0.5))
+    model = known.model_of([view], np.concatenate([left, right]))
+    (found,) = depth_ranges(model, observation_matrix(model))
+    near, far = found.at(view.project_ideal(np.array([[-0.6, 0, 0.5], [1.2, 5, 1.0]]))[0])
+    overall = found.overall
+    assert near[0] > overall[0] + 0.2 * (overall[1] - overall[0])
+    assert near[0] < 1 / 5 < near[1]
+    assert far[0] < 1 / 10 < far[1] < near[1]
+    assert found.at(np.zeros((0, 2))).shape == (0, 2)

@@ -87,8 +87,8 @@ void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals,
 }
 
 nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const EdgeView*>& neighbors,
-                            Offsets samples, Offsets sample_offsets, double steps,
-                            double min_inverse_depth, double max_inverse_depth,
+                            Offsets samples, Offsets sample_offsets,
+                            InArray<double, nb::shape<-1, 2>> inverse_depths, double steps,
                             double max_disagreement_px, double max_side_difference,
                             double min_angle_sin, double visibility_rate, double detection_rate,
                             double none_score, double break_penalty, int max_clusters,
@@ -99,14 +99,20 @@ nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const Edge
       throw std::invalid_argument("a sample is not a point of the source");
     }
   }
+  if (inverse_depths.shape(0) != samples.size()) {
+    throw std::invalid_argument("inverse_depths and samples differ in length");
+  }
   const std::vector<int64_t> starts = ToVector(samples), offsets = ToVector(sample_offsets);
+  std::vector<DepthRange> ranges(starts.size());
+  for (size_t i = 0; i < ranges.size(); ++i)
+    ranges[i] = {inverse_depths(i, 0), inverse_depths(i, 1)};
   ChainDepths result;
   {
     nb::gil_scoped_release release;
     result = ComputeChainDepths(
-        source, neighbors, starts, offsets, steps,
-        {min_inverse_depth, max_inverse_depth, max_disagreement_px, max_side_difference,
-         min_angle_sin, visibility_rate, detection_rate, none_score, break_penalty, max_clusters},
+        source, neighbors, starts, offsets, ranges, steps,
+        {max_disagreement_px, max_side_difference, min_angle_sin, visibility_rate, detection_rate,
+         none_score, break_penalty, max_clusters},
         num_threads);
   }
   const size_t count = starts.size(), total = result.positions.size();
@@ -168,9 +174,9 @@ NB_MODULE(_kernels, m) {
       .def("__init__", &colmap_edges::MakeEdgeView, "points"_a, "normals"_a, "sides"_a, "offsets"_a,
            "closed"_a, "rotation"_a, "translation"_a, "focal"_a);
   m.def("chain_depths", &colmap_edges::ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
-        "sample_offsets"_a, "steps"_a, "min_inverse_depth"_a, "max_inverse_depth"_a,
-        "max_disagreement_px"_a, "max_side_difference"_a, "min_angle_sin"_a, "visibility_rate"_a,
-        "detection_rate"_a, "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
+        "sample_offsets"_a, "inverse_depths"_a, "steps"_a, "max_disagreement_px"_a,
+        "max_side_difference"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
+        "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
   m.def("associate", &colmap_edges::AssociateArrays, "view"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,

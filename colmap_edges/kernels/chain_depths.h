@@ -17,7 +17,6 @@
 namespace colmap_edges {
 
 struct ChainDepthParameters {
-  double min_inverse_depth, max_inverse_depth;
   double max_disagreement_px;  // between two hypotheses, along their epipolar lines
   double max_side_difference;  // gray levels between the more alike sides of an edge in two views
   double min_angle_sin;        // between edge and epipolar line
@@ -48,6 +47,11 @@ struct Cluster {
   std::vector<Support> support;  // ascending neighbours, each once
 };
 
+// The inverse depths that a sample may have.
+struct DepthRange {
+  double low, high;
+};
+
 // The picked cluster of each sample; score 0 and no support where none is.
 struct ChainDepths {
   std::vector<double> inverse_depths, sigmas, scores;
@@ -75,8 +79,9 @@ class Sampler {
           const std::vector<EpipolarIndex>& indexes, const ChainDepthParameters& p)
       : source_(source), pairs_(pairs), indexes_(indexes), p_(p), agree_(pairs.size()) {}
 
-  // Clusters of each of the samples at some points of the source, best first.
-  std::vector<std::vector<Cluster>> Clusters(const int64_t* begin, const int64_t* end);
+  // Clusters of each of `count` samples at some points of the source, best first.
+  std::vector<std::vector<Cluster>> Clusters(const int64_t* points, const DepthRange* ranges,
+                                             size_t count);
 
  private:
   // The hypotheses of one sample and what the crossings with each neighbour say of chance.
@@ -90,7 +95,7 @@ class Sampler {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
     return std::min(dark, bright) <= p_.max_side_difference;
   }
-  void Collect(int64_t i, int32_t neighbor, Found* found);
+  void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found);
   void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
   void ScoreAll(const Found& found);
   Cluster MakeCluster(const std::vector<Hypothesis>& hypotheses, int64_t u);
@@ -106,9 +111,8 @@ class Sampler {
   std::vector<EpipolarIndex::Crossed> crossed_;
 };
 
-inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* begin,
-                                                           const int64_t* end) {
-  const size_t count = end - begin;
+inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* points,
+                                                           const DepthRange* ranges, size_t count) {
   if (found_.size() < count) found_.resize(count);
   for (size_t s = 0; s < count; ++s) {
     found_[s].hypotheses.clear();
@@ -116,7 +120,7 @@ inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* begin,
   }
   // Neighbour by neighbour: what samples side by side look at is side by side in memory, too.
   for (size_t n = 0; n < pairs_.size(); ++n) {
-    for (size_t s = 0; s < count; ++s) Collect(begin[s], int32_t(n), &found_[s]);
+    for (size_t s = 0; s < count; ++s) Collect(points[s], ranges[s], int32_t(n), &found_[s]);
   }
   std::vector<std::vector<Cluster>> clusters(count);
   for (size_t s = 0; s < count; ++s) {
@@ -132,7 +136,7 @@ inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* begin,
   return clusters;
 }
 
-inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
+inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found) {
   const Pair& pair = pairs_[neighbor];
   const EdgeView& view = *pair.view;
   const double f = view.focal();
@@ -152,7 +156,7 @@ inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
   const double speed = Norm(gradient);
   if (!(speed > 0)) return;
   const Vec2 u = {gradient[0] / speed, gradient[1] / speed};
-  const double low = p_.min_inverse_depth, high = p_.max_inverse_depth;
+  const auto [low, high] = range;
   const size_t before = hypotheses.size();
   int64_t count = 0;
   double nearest = high, farthest = low;
@@ -179,8 +183,10 @@ inline void Sampler::Collect(int64_t i, int32_t neighbor, Found* found) {
   if (hypotheses.size() == before) return;
   Seen& seen = found->seen[neighbor];
   seen.visible = true;
-  // Half of the crossings have the wrong polarity.
-  seen.density = 0.5 * double(count) / std::max(farthest - nearest, 0.05 * (high - low));
+  // What n crossings span is (n - 1) / (n + 1) of where they may be: the part of the range that
+  // the neighbour sees. Half of them have the wrong polarity.
+  const double span = (farthest - nearest) * double(count + 1) / std::max(double(count - 1), 0.1);
+  seen.density = 0.5 * double(count) / std::clamp(span, 0.05 * (high - low), high - low);
 }
 
 // What agrees with hypothesis u: of each neighbour the nearest hypothesis within reach, in agree_.
@@ -332,11 +338,13 @@ inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
 }  // namespace chain_depths_internal
 
 // samples: point indices into `source`, those of one polyline contiguous and ascending.
-// sample_offsets: CSR of the samples by polyline. steps: points between two samples.
+// sample_offsets: CSR of the samples by polyline. ranges: of the samples. steps: points between two
+// samples.
 inline ChainDepths ComputeChainDepths(const EdgeView& source,
                                       const std::vector<const EdgeView*>& neighbors,
                                       const std::vector<int64_t>& samples,
-                                      const std::vector<int64_t>& sample_offsets, double steps,
+                                      const std::vector<int64_t>& sample_offsets,
+                                      const std::vector<DepthRange>& ranges, double steps,
                                       const ChainDepthParameters& parameters, int num_threads) {
   using namespace chain_depths_internal;
   std::vector<Pair> pairs;
@@ -351,7 +359,8 @@ inline ChainDepths ComputeChainDepths(const EdgeView& source,
                                 Sampler(source, pairs, indexes, parameters));
   ParallelFor(num_chains, num_threads, [&](int64_t chain, int worker) {
     std::vector<std::vector<Cluster>> states = samplers[worker].Clusters(
-        samples.data() + sample_offsets[chain], samples.data() + sample_offsets[chain + 1]);
+        samples.data() + sample_offsets[chain], ranges.data() + sample_offsets[chain],
+        sample_offsets[chain + 1] - sample_offsets[chain]);
     const std::vector<int> path = Decode(states, pairs, steps, parameters);
     for (size_t t = 0; t < path.size(); ++t) {
       if (path[t] >= 0) picked[sample_offsets[chain] + t] = std::move(states[t][path[t]]);
