@@ -188,7 +188,7 @@ class TracingOptions(Options):
     max_disparity_gradient: float = option(
         1.0, "Largest change of disparity along a chain, in pixels a pixel", gt=0
     )
-    max_bridge_px: int = option(30, "Longest stretch without depth inside a run, in pixels", ge=0)
+    max_bridge_px: int = option(200, "Longest stretch without depth inside a run, in pixels", ge=0)
     extension_px: int = option(16, "How far a run is followed beyond its ends, in pixels", ge=0)
     point_spacing_px: int = option(
         4, "Distance of edge points along the driving chain, in pixels", ge=1, basic=True
@@ -198,7 +198,7 @@ class TracingOptions(Options):
         3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
     )
     max_sigma_ratio: float = option(
-        4.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
+        8.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )
     max_false_edges: float = option(
         0.1, "Number of 3D edges that chance may make in the whole scene", gt=0
