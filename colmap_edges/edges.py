@@ -21,6 +21,8 @@ class Edges3D:
         track_points2D: (T, 2) float64 observed edge points, image pixels, COLMAP's origin.
         sigmas: (N,) float64 standard deviation of a point, world units; NaN where unknown.
         end_nodes: (E, 2) int32; edges with the same node id at an end meet there; -1 is none.
+        outlines: curves that are no edges, since they move over a body from view to view as its
+            outline and its reflections do, but near its surface: only the mesh uses them.
     """
 
     points: NDArray[np.float64]
@@ -31,6 +33,7 @@ class Edges3D:
     track_points2D: NDArray[np.float64]
     sigmas: NDArray[np.float64]
     end_nodes: NDArray[np.int32]
+    outlines: Edges3D | None = None
 
     @property
     def num_edges(self) -> int:

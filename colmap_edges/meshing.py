@@ -79,18 +79,41 @@ def mesh(
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
-    points, offsets, cameras = model.points3D_xyz, model.track_offsets, model.track_views
-    polylines = None
-    if edges is not None:
-        num_points = len(points)
-        points = np.concatenate([points, edges.points])
-        offsets = np.concatenate([offsets, offsets[-1] + edges.track_offsets[1:]])
-        cameras = np.concatenate([cameras, edges.track_views])
-        indices = np.arange(num_points, num_points + edges.num_points, dtype=np.int32)
-        polylines = Polylines(indices, edges.edge_offsets, edges.closed)
-    centers = model.camera_centers
-    result = mesh_points(points, offsets, cameras, centers, options, polylines, num_threads)
-    return finished(result, model, options)
+    curves = [] if edges is None else with_outlines(edges)
+    return finished(mesh_with_curves(model, curves, options, num_threads), model, options)
+
+
+def with_outlines(edges: Edges3D) -> list[Edges3D]:
+    """The curves that a mesh follows: edges, then outlines where there are any."""
+    return [edges] if edges.outlines is None else [edges, edges.outlines]
+
+
+def mesh_with_curves(
+    model: Model, curves: list[Edges3D], options: MeshingOptions, num_threads: int
+) -> Mesh:
+    """Mesh the points of a model, then of curves; vertices hold indices in that order."""
+    points, cameras = [model.points3D_xyz], [model.track_views]
+    offsets, lines = [model.track_offsets], [np.zeros(1, np.int64)]
+    for each in curves:
+        points.append(each.points)
+        cameras.append(each.track_views)
+        offsets.append(offsets[-1][-1] + each.track_offsets[1:])
+        lines.append(lines[-1][-1] + each.edge_offsets[1:])
+    first, count = len(model.points3D_xyz), sum(len(part) for part in points)
+    polylines = Polylines(
+        np.arange(first, count, dtype=np.int32),
+        np.concatenate(lines),
+        np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
+    )
+    return mesh_points(
+        np.concatenate(points),
+        np.concatenate(offsets),
+        np.concatenate(cameras),
+        model.camera_centers,
+        options,
+        polylines if curves else None,
+        num_threads,
+    )
 
 
 def as_model(source: Any) -> Model:

@@ -24,7 +24,7 @@ from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, wr
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
-from colmap_edges.meshing import Mesh, Polylines, finished, mesh_points, write_mesh
+from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
     Model,
     extend_reconstruction,
@@ -120,7 +120,7 @@ def run(
             check_model(model, str(paths.input_path))
             stage.counts = model_counts(model)
         if command == "mesh" and not options.use_edges:
-            mesh = mesh_stage(model, None, folder, options, stages)
+            mesh = mesh_stage(model, None, model, folder, options, stages)
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
@@ -150,7 +150,9 @@ def run_edges(
     graphs = detect_stage(model, image_path, options, stages, taker.take if taker else None)
     model, edges = edge_stages(model, graphs, options, stages)
     extended = write_stage(model, edges, image_path, folder, options, stages)
-    mesh = mesh_stage(extended, edges, folder, options, stages) if command == "mesh" else None
+    mesh = None
+    if command == "mesh":
+        mesh = mesh_stage(model, edges, extended, folder, options, stages)
     pictures = taker.pictures() if taker else ()
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
@@ -432,27 +434,16 @@ def write_stage(
 def mesh_stage(
     model: Model,
     edges: Edges3D | None,
+    extended: Model,
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
 ) -> Mesh:
-    """Mesh all points of a model, whose last are those of `edges` when there are edges."""
+    """Mesh a model's points and edges; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
-        polylines = None
-        if edges is not None:
-            first = len(model.point3D_ids) - edges.num_points
-            indices = np.arange(first, len(model.point3D_ids), dtype=np.int32)
-            polylines = Polylines(indices, edges.edge_offsets, edges.closed)
-        mesh = mesh_points(
-            model.points3D_xyz,
-            model.track_offsets,
-            model.track_views,
-            model.camera_centers,
-            options.meshing,
-            polylines,
-            thread_count(options),
-        )
-        mesh = finished(mesh, model, options.meshing)
+        curves = [] if edges is None else with_outlines(edges)
+        mesh = mesh_with_curves(model, curves, options.meshing, thread_count(options))
+        mesh = finished(mesh, extended, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts["details"] = plain_counts(mesh.stats)

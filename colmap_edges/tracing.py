@@ -35,6 +35,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
+MIN_RESIDUAL_PX = 0.3  # no real edge scatters less, however clean the scene
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -49,16 +50,26 @@ class Traced:
         views: (K + 1,) view of each column of `positions`, the driver first.
         positions: (N, K + 1) positions on the views' chains; NaN where not observed.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
+        residuals: (N,) root mean square distance to the chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
     """
 
     points: FloatArray
     sigmas: FloatArray
     uncertainties: FloatArray
+    residuals: FloatArray
     log_chances: FloatArray
     offsets: IntArray
     views: IntArray
     positions: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a piece of a curve may have at most: residual in pixels, log10 of its chance."""
+
+    residual_px: float
+    log_chance: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +148,10 @@ def trace_edges(
             continue
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
-    pieces, stats = gather(scene, traced, options.tracing)
+    pieces, outlines, stats = gather(scene, traced, options.tracing)
     edges = link_edges(pieces, options.linking)
+    if outlines.num_edges:
+        edges = replace(edges, outlines=link_edges(outlines, options.linking))
     stats["pieces"] = pieces.num_edges
     stats["edges_closed"] = int(edges.closed.sum())
     stats["nodes"] = int(edges.end_nodes.max(initial=-1)) + 1
@@ -338,6 +351,7 @@ def trace_view(
         points=lift(driver, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
+        residuals=np.sqrt(np.nansum(refined.residuals**2, axis=1) / np.maximum(observed, 1)),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses]),
@@ -367,35 +381,51 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
 
 def gather(
     scene: Scene, traced: list[Traced], options: TracingOptions
-) -> tuple[Edges3D, dict[str, Any]]:
-    """Filter points by their number of observations and make the 3D edges of what is left."""
+) -> tuple[Edges3D, Edges3D, dict[str, Any]]:
+    """Filter points and pieces; the edges of what is left, outlines for themselves, and counts."""
     counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
     every = np.concatenate([np.zeros(0, int), *counts])
-    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
     enough = every >= options.min_observations
-    limit = options.max_sigma_ratio * float(np.median(uncertain[enough])) if enough.any() else 0.0
-    sure = enough & (uncertain <= limit)
+    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
+    sure = enough & (uncertain <= options.max_sigma_ratio * median_of(uncertain[enough]))
+    scatter = np.concatenate([np.zeros(0), *(t.residuals for t in traced)])
     tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
-    max_log = np.log10(options.max_false_edges / max(tests, 1))
-    starts = np.cumsum([0, *(len(c) for c in counts)])
-    parts = [
-        keep_points(t, sure[a:b], max_log, options)
-        for t, a, b in zip(traced, starts[:-1], starts[1:], strict=True)
-    ]
+    limits = Limits(
+        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
+        log_chance=np.log10(options.max_false_edges / max(tests, 1)),
+    )
+    fixed, moving, start = [], [], 0
+    for each, count in zip(traced, counts, strict=True):
+        kept, scatters = sort_pieces(each, sure[start : start + len(count)], limits, options)
+        fixed.append(kept)
+        moving.append(scatters)
+        start += len(count)
+    edges, outlines = make_edges(scene, fixed), make_edges(scene, moving)
     stats = {
         "points_traced": len(every),
         "points_observed_enough": int(enough.sum()),
         "points_dropped_few_observations": int((~enough).sum()),
         "points_dropped_uncertain": int((enough & ~sure).sum()),
-        "points_dropped_chance": int(sure.sum()) - sum(len(part.points) for part in parts),
+        "points_dropped_chance": int(sure.sum()) - edges.num_points - outlines.num_points,
+        "points_of_outlines": outlines.num_points,
     }
-    return make_edges(scene, parts), stats
+    return edges, outlines, stats
 
 
-def keep_points(
-    traced: Traced, keep: BoolArray, max_log_chance: float, options: TracingOptions
-) -> Traced:
-    """Split curves where points are dropped; pieces that chance may have made go with them."""
+def median_of(values: FloatArray) -> float:
+    """The median; 0 of nothing."""
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def sort_pieces(
+    traced: Traced, keep: BoolArray, limits: Limits, options: TracingOptions
+) -> tuple[Traced, Traced]:
+    """Split curves where points are dropped; short pieces and those that chance makes go with them.
+
+    Returns:
+        The pieces that are edges, and those that scatter around any fixed curve: what moves over a
+        body from view to view, as its outline and reflections do.
+    """
     ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
     broken = np.ones(len(ids), bool)
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
@@ -404,13 +434,23 @@ def keep_points(
     # Points nearer to each other than that are not independent evidence.
     share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
-    good = (sizes >= options.min_curve_points) & (logs <= max_log_chance)
-    keep = keep & good[pieces]
+    squares = np.bincount(pieces, weights=traced.residuals**2, minlength=len(sizes))
+    good = (sizes >= options.min_curve_points) & (logs <= limits.log_chance)
+    fixed = squares <= sizes * limits.residual_px**2
+    return (
+        chosen(traced, pieces, keep & (good & fixed)[pieces]),
+        chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
+    )
+
+
+def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
+    """The points where `keep` is true, as curves of their (N,) pieces."""
     lengths = np.unique(pieces[keep], return_counts=True)[1]
     return Traced(
         points=traced.points[keep],
         sigmas=traced.sigmas[keep],
         uncertainties=traced.uncertainties[keep],
+        residuals=traced.residuals[keep],
         log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
         views=traced.views,
