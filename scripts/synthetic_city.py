@@ -44,7 +44,7 @@ FLIGHT_HEIGHT, FLIGHT_STEP, TILT = 2.4, 0.6, np.radians(25)  # in sides of a blo
 REACH = 2.2  # radius around where a camera looks within which it may see, in sides of a block
 MARGIN = 3  # blocks around the cameras
 MIN_CHAIN = 10  # points
-TRACK_RATIO = 0.2  # share of the views that see an SfM point in which it was matched
+TRACK_RATIO = 0.5  # share of the views that see an SfM point in which it was matched
 CURVE_NOISE_PX, POINT_NOISE_PX = 0.15, 0.05  # of a curve in a view as a whole, and of each point
 
 
@@ -85,15 +85,16 @@ def make_city(num_views: int, points_per_view: int, seed: int = 0) -> City:
                 drawn, fronts = face_curves(face, faces)
                 curves += drawn
                 normals += fronts
+    dark = rng.integers(10, 120, len(curves))
+    sides = np.column_stack([dark, dark + rng.integers(30, 120, len(curves))])
     poses, targets = flight(num_views, side, rng)
     low, high = targets.min(axis=0) - 0.5, targets.max(axis=0) + 0.5
     seen = [w for w in walls if (w[0, :2] > low).all() and (w[0, :2] < high).all()]
     points, point_normals = points_on(seen, num_views * points_per_view, rng)
-    dark = rng.integers(10, 120, len(curves))
     return City(
         curves=np.array(curves),
         normals=np.array(normals),
-        sides=np.column_stack([dark, dark + rng.integers(30, 120, len(curves))]).astype(np.uint8),
+        sides=sides.astype(np.uint8),
         points=points,
         point_normals=point_normals,
         poses=poses,
@@ -197,7 +198,7 @@ def write_city(city: City, folder: Path, seed: int = 0) -> None:
     for index, pose in enumerate(city.poses):
         image = pycolmap.Image(f"view_{index:05d}.png", [], 1, index + 1)
         empty.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     empty.write_binary(str(folder))
     owners, images, pixels = observations(city, camera, seed)
     counts = np.bincount(owners, minlength=len(city.points))
@@ -283,14 +284,10 @@ def curve_at(curves: FloatArray, t: FloatArray | float) -> FloatArray:
     return np.asarray(np.einsum("wc,cwk->ck", weights, curves))
 
 
-def reconstruct_city(
-    num_views: int, points_per_view: int, folder: Path, options: PipelineOptions
-) -> Stages:
-    """Run the stages on a city in `folder`; what is there already is not made again."""
+def reconstruct_city(num_views: int, folder: Path, options: PipelineOptions) -> Stages:
+    """Run the stages on the city whose model is in `folder`."""
     stages = Stages()
-    city = make_city(num_views, points_per_view)
-    if not (folder / "input").is_dir():
-        write_city(city, folder / "input")
+    city = make_city(num_views, points_per_view=0)  # those of the model are in its files
     with stages.stage("read") as stage:
         model = load_model(folder / "input")
         stage.counts = model_counts(model)
@@ -337,6 +334,7 @@ def main() -> None:
     parser.add_argument("--num_views", type=int, required=True)
     parser.add_argument("--points_per_view", type=int, default=500)
     parser.add_argument("--folder", type=Path, help="keeps the model and the results")
+    parser.add_argument("--only_write", action="store_true", help="make the model, no more")
     parser.add_argument("--report", type=Path, help="JSON file to write; else printed")
     arguments, flags = parser.parse_known_args()
     try:
@@ -345,7 +343,13 @@ def main() -> None:
         sys.exit(f"error: {error.format_message()}")
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.folder or Path(temporary)
-        stages = reconstruct_city(arguments.num_views, arguments.points_per_view, folder, options)
+        if not (folder / "input").is_dir():
+            city = make_city(arguments.num_views, arguments.points_per_view)
+            write_city(city, folder / "input")
+            del city
+        if arguments.only_write:
+            return
+        stages = reconstruct_city(arguments.num_views, folder, options)
     text = json.dumps({"stages": stages.records()}, indent=2, default=str) + "\n"
     if arguments.report:
         arguments.report.write_text(text, encoding="utf-8")
