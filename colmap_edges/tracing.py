@@ -359,10 +359,9 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
         reach = options.point_spacing_px
         low = np.maximum(at - reach, graph.polyline_offsets[polyline])
         high = np.minimum(at + reach + 1, graph.polyline_offsets[polyline + 1])
-        change = np.zeros(len(graph.points) + 1, np.int64)
-        np.add.at(change, low, 1)
-        np.add.at(change, high, -1)
-        scene.covered[view] |= np.cumsum(change[:-1]) > 0
+        lengths = high - low
+        first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
+        scene.covered[view][first + np.arange(len(first))] = True
 
 
 def gather(

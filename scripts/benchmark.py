@@ -62,7 +62,7 @@ class Variant:
 @click.option("--data_path", type=Path, help="Folder of scenes, each with images and a model.")
 @click.option("--scene", "names", multiple=True, help="Scene of data_path [all]; can be repeated.")
 @click.option("--synthetic", type=int, multiple=True, help="Images of a made-up city; repeatable.")
-@click.option("--points_per_view", default=550, show_default=True, help="SfM points of a city.")
+@click.option("--points_per_view", default=650, show_default=True, help="SfM points of a city.")
 @click.option("--command", default="mesh", type=click.Choice(("reconstruct", "mesh")))
 @click.option("--runs", default=3, show_default=True, help="Runs of which medians are taken.")
 @click.option("--flags", default="", help="Flags for all variants, as one string.")

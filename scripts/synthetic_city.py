@@ -332,7 +332,7 @@ def parse_options(flags: list[str]) -> PipelineOptions:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--num_views", type=int, required=True)
-    parser.add_argument("--points_per_view", type=int, default=500)
+    parser.add_argument("--points_per_view", type=int, default=650)
     parser.add_argument("--folder", type=Path, help="keeps the model and the results")
     parser.add_argument("--only_write", action="store_true", help="make the model, no more")
     parser.add_argument("--report", type=Path, help="JSON file to write; else printed")
