@@ -169,7 +169,7 @@ def neighbor_scores(
     to_own = points - model.camera_centers[view]
     to_other = points[columns] - model.camera_centers[shared.indices]
     weights = angle_weights(to_own[columns], to_other, options)
-    scores: FloatArray = np.bincount(shared.indices, weights, len(model.views))
+    scores = np.asarray(np.bincount(shared.indices, weights, len(model.views)), np.float64)
     scores[view] = 0
     return scores
 
