@@ -8,6 +8,7 @@ intrinsics stay. All images of a frame move together, as COLMAP's rigs demand.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -122,7 +123,7 @@ class Noise:
     prior: FloatArray
 
 
-def edge_normals(model: Model, edges: Edges3D, graphs: list[EdgeGraph]) -> FloatArray:
+def edge_normals(model: Model, edges: Edges3D, graphs: Sequence[EdgeGraph]) -> FloatArray:
     """(T, 2) unit normals, in ideal pixels, of the chains that observe the edge points."""
     normals = np.zeros((len(edges.track_views), 2))
     for index, rows in enumerate(rows_by_view(edges.track_views, len(model.views))):

@@ -28,10 +28,11 @@ from scipy.spatial import cKDTree
 from colmap_edges.cli import RECONSTRUCT_FLAGS
 from colmap_edges.colmap_files import NewPoints, append_points
 from colmap_edges.detection import Chains
-from colmap_edges.edge_graph import EdgeGraph, build_edge_graph, offsets_of
+from colmap_edges.edge_graph import build_edge_graph, offsets_of
 from colmap_edges.edge_io import write_json, write_ply
 from colmap_edges.edges import Edges3D
 from colmap_edges.flags import make_flags, normalize, options_from_flags
+from colmap_edges.graph_store import GraphStore
 from colmap_edges.model import Model, View, load_model, observation_residuals, write_model
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline import map_threads, model_counts, thread_count, trace_stage
@@ -292,8 +293,8 @@ def reconstruct_city(num_views: int, folder: Path, options: PipelineOptions) -> 
         model = load_model(folder / "input")
         stage.counts = model_counts(model)
     with stages.stage("make edge graphs") as stage:
-        graphs = make_graphs(city, model, options)
-        stage.counts = {"edge_pixels": sum(len(graph.points) for graph in graphs)}
+        graphs, num_pixels = make_graphs(city, model, options)
+        stage.counts = {"edge_pixels": num_pixels}
     del city
     edges = trace_stage(model, graphs, options, stages)
     with stages.stage("write") as stage:
@@ -301,14 +302,17 @@ def reconstruct_city(num_views: int, folder: Path, options: PipelineOptions) -> 
     return stages
 
 
-def make_graphs(city: City, model: Model, options: PipelineOptions) -> list[EdgeGraph]:
-    """The edge graph of each view of the city."""
+def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[GraphStore, int]:
+    """The edge graph of each view of the city, and the number of their pixels."""
+    store = GraphStore(len(model.views), options.max_graph_memory_gb * 1e9 / 2)
 
-    def graph(index: int) -> EdgeGraph:
+    def make(index: int) -> int:
         view = model.views[index]
-        return build_edge_graph(see_city(city, view), view, options.edge_graph)
+        graph = build_edge_graph(see_city(city, view), view, options.edge_graph)
+        store.add(index, graph)
+        return len(graph.points)
 
-    return map_threads(graph, len(model.views), thread_count(options))
+    return store, sum(map_threads(make, len(model.views), thread_count(options)))
 
 
 def write_results(model: Model, edges: Edges3D, folder: Path) -> None:
