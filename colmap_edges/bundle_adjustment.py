@@ -8,6 +8,7 @@ intrinsics stay. All images of a frame move together, as COLMAP's rigs demand.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +24,7 @@ from colmap_edges.chain_depths import make_edge_view
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import Model, frames_of_views, moved_model
+from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.refinement import curve_tangents
 
@@ -122,11 +123,12 @@ class Noise:
     prior: FloatArray
 
 
-def edge_normals(model: Model, edges: Edges3D, graphs: list[EdgeGraph]) -> FloatArray:
+def edge_normals(model: Model, edges: Edges3D, graphs: Sequence[EdgeGraph]) -> FloatArray:
     """(T, 2) unit normals, in ideal pixels, of the chains that observe the edge points."""
     normals = np.zeros((len(edges.track_views), 2))
-    for index in np.unique(edges.track_views):
-        rows = np.flatnonzero(edges.track_views == index)
+    for index, rows in enumerate(rows_by_view(edges.track_views, len(model.views))):
+        if len(rows) == 0:
+            continue
         ideal = model.views[index].ideal_from_image(edges.track_points2D[rows])
         graph = graphs[index]
         nearest = cKDTree(graph.ideal).query(ideal)[1].astype(np.float64)

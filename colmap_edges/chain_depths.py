@@ -8,6 +8,7 @@ paper's three-view selection).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,7 +93,7 @@ def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
 def compute_chain_depths(
     source: int,
     neighbors: IntArray,
-    edge_views: list[_kernels.EdgeView],
+    edge_views: Sequence[_kernels.EdgeView],
     graph: EdgeGraph,
     depth_range: DepthRange,
     options: ChainDepthOptions,
@@ -143,8 +144,8 @@ def compute_chain_depths(
 
 def learn_side_difference(
     neighbors: tuple[IntArray, ...],
-    edge_views: list[_kernels.EdgeView],
-    graphs: list[EdgeGraph],
+    edge_views: Sequence[_kernels.EdgeView],
+    graphs: Sequence[EdgeGraph],
     ranges: tuple[DepthRange, ...],
     options: ChainDepthOptions,
     num_threads: int,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.edge_field import ChainPositions, EdgeField
 from colmap_edges.matching import project_tracks
-from colmap_edges.model import Model
+from colmap_edges.model import Model, rows_by_view
 from colmap_edges.options import CorrespondenceOptions
 
 FloatArray = NDArray[np.float64]
@@ -80,8 +80,9 @@ def pepcs_from_sfm_points(
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
     """(T,) size of a pixel at the depth of each tracked point in world units; inf behind a view."""
     sizes = np.full(len(point_ids), np.inf)
-    for index, view in enumerate(model.views):
-        rows = np.flatnonzero(model.track_views == index)
+    for view, rows in zip(
+        model.views, rows_by_view(model.track_views, len(model.views)), strict=True
+    ):
         depths = view.cam_from_world(model.points3D_xyz[point_ids[rows]])[:, 2]
         sizes[rows] = np.where(depths > 0, depths / view.focal_px, np.inf)
     return sizes
@@ -121,9 +122,9 @@ def depth_ranges(model: Model) -> FloatArray:
     """
     point_ids = np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
     ranges = np.tile([0.0, np.inf], (len(model.views), 1))
-    for index, view in enumerate(model.views):
-        points = model.points3D_xyz[point_ids[model.track_views == index]]
-        depths = view.cam_from_world(points)[:, 2]
+    for index, rows in enumerate(rows_by_view(model.track_views, len(model.views))):
+        points = model.points3D_xyz[point_ids[rows]]
+        depths = model.views[index].cam_from_world(points)[:, 2]
         depths = depths[depths > 0]
         if len(depths):
             near, far = np.percentile(depths, DEPTH_PERCENTILES)

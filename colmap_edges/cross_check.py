@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +17,8 @@ IntArray = NDArray[np.int64]
 
 def count_agreeing_views(
     views: tuple[View, ...],
-    graphs: list[EdgeGraph],
-    depths: list[ChainDepths],
+    graphs: Sequence[EdgeGraph],
+    depths: Sequence[ChainDepths],
     source: int,
     max_disagreement_px: float,
 ) -> NDArray[np.int32]:

@@ -241,6 +241,12 @@ def tracks_by_point(
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
 
 
+def rows_by_view(track_views: NDArray[np.int32], num_views: int) -> list[IntArray]:
+    """Of each view the rows, ascending, of the (T,) views of observations that are its own."""
+    order = np.argsort(track_views, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
+
+
 def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     """Distances (T,) in pixels of each observation from the projection of its edge point.
 
@@ -248,9 +254,10 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     """
     residuals = np.full(len(edges.track_views), np.nan)
     owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    for index in np.unique(edges.track_views):
-        rows = np.flatnonzero(edges.track_views == index)
-        projected, _ = model.views[index].project(edges.points[owners[rows]])
+    for view, rows in zip(
+        model.views, rows_by_view(edges.track_views, len(model.views)), strict=True
+    ):
+        projected, _ = view.project(edges.points[owners[rows]])
         residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
     return residuals
 

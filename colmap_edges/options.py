@@ -404,6 +404,9 @@ class PipelineOptions(Options):
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
     num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
+    max_graph_memory_gb: float = option(
+        4.0, "Memory for 2D edge graphs, in gigabytes; those beyond it wait on disk (TMPDIR)", gt=0
+    )
     random_seed: int = option(0, "Seed of every random choice", ge=0)
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
@@ -23,6 +23,7 @@ from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.graph_store import GraphStore
 from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
@@ -246,19 +247,21 @@ def detect_stage(
     options: PipelineOptions,
     stages: Stages,
     visit: Visitor | None = None,
-) -> list[EdgeGraph]:
+) -> Sequence[EdgeGraph]:
     """Detect the 2D edge graph of every view, in the views' order.
 
     As many images are in memory at once as there are threads. Damaged images are left out: they
-    get an empty graph and are counted.
+    get an empty graph and are counted. Graphs beyond the memory meant for them wait on disk.
 
     Raises:
         ColmapEdgesError: when fewer than two images can be read.
     """
     with stages.stage("detect", len(model.views)) as stage:
         damaged: dict[int, ImageError] = {}
+        # Tracing holds the same graphs in the kernels' form too, which takes as much again.
+        store = GraphStore(len(model.views), options.max_graph_memory_gb * 1e9 / 2)
 
-        def detect(index: int) -> tuple[int, int, EdgeGraph]:
+        def detect(index: int) -> ImageCounts:
             view = model.views[index]
             try:
                 image = read_image(view, image_path)
@@ -272,34 +275,45 @@ def detect_stage(
                 if visit:
                     visit(index, image, chains, graph)
             stage.advance()
-            return len(chains.offsets) - 1, len(chains.points), graph
+            store.add(index, graph)
+            return ImageCounts(
+                chains=len(chains.offsets) - 1,
+                chain_pixels=len(chains.points),
+                polylines=graph.num_polylines,
+                closed_polylines=int(graph.closed.sum()),
+                edge_pixels=len(graph.points),
+            )
 
         found = map_threads(detect, len(model.views), thread_count(options))
         report_damaged(damaged, len(model.views))
         names = [model.views[index].name for index in sorted(damaged)]
         stage.counts = detection_counts(found, names)
-    return [graph for *_, graph in found]
+    return store
 
 
-def detection_counts(
-    found: Sequence[tuple[int, int, EdgeGraph]], damaged: list[str]
-) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class ImageCounts:
+    """How much was detected in one image."""
+
+    chains: int
+    chain_pixels: int
+    polylines: int
+    closed_polylines: int
+    edge_pixels: int
+
+
+def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[str, Any]:
     """Counts of detection.
 
     Args:
-        found: chains, their pixels and the edge graph of each image.
+        found: what was detected in each image.
         damaged: names of the images that could not be read.
     """
-    graphs = [graph for *_, graph in found]
     return {
-        "images": len(graphs),
+        "images": len(found),
         "images_damaged": len(damaged),
-        "images_without_edges": sum(len(graph.points) == 0 for graph in graphs) - len(damaged),
-        "chains": sum(count for count, *_ in found),
-        "chain_pixels": sum(pixels for _, pixels, _ in found),
-        "polylines": sum(graph.num_polylines for graph in graphs),
-        "closed_polylines": int(sum(graph.closed.sum() for graph in graphs)),
-        "edge_pixels": sum(len(graph.points) for graph in graphs),
+        "images_without_edges": sum(image.edge_pixels == 0 for image in found) - len(damaged),
+        **{entry.name: sum(getattr(i, entry.name) for i in found) for entry in fields(ImageCounts)},
         "damaged": damaged,
     }
 
@@ -343,7 +357,7 @@ def graph_writer(model: Model, folder: Path) -> Visitor:
 
 
 def edge_stages(
-    model: Model, graphs: list[EdgeGraph], options: PipelineOptions, stages: Stages
+    model: Model, graphs: Sequence[EdgeGraph], options: PipelineOptions, stages: Stages
 ) -> tuple[Model, Edges3D]:
     """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
 
@@ -362,7 +376,7 @@ def edge_stages(
 def refine_stage(
     model: Model,
     edges: Edges3D,
-    graphs: list[EdgeGraph],
+    graphs: Sequence[EdgeGraph],
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
@@ -378,7 +392,7 @@ def refine_stage(
 
 def trace_stage(
     model: Model,
-    graphs: list[EdgeGraph],
+    graphs: Sequence[EdgeGraph],
     options: PipelineOptions,
     stages: Stages,
     name: str = "trace",

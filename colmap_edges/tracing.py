@@ -6,7 +6,7 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from colmap_edges.chain_depths import (
 from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.edge_graph import EdgeGraph, offsets_of
 from colmap_edges.edges import Edges3D
+from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.linking import link_edges
 from colmap_edges.model import Model
@@ -77,8 +78,8 @@ class Scene:
     """What tracing looks at: the model with its edge graphs in both forms, and who sees what."""
 
     model: Model
-    graphs: list[EdgeGraph]
-    edge_views: list[_kernels.EdgeView]
+    graphs: Sequence[EdgeGraph]
+    edge_views: Sequence[_kernels.EdgeView]
     neighbors: tuple[IntArray, ...]
     witnesses: tuple[IntArray, ...]
     covered: list[BoolArray] = field(default_factory=list)
@@ -86,7 +87,7 @@ class Scene:
 
 def trace_edges(
     model: Model,
-    graphs: list[EdgeGraph],
+    graphs: Sequence[EdgeGraph],
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None] = lambda: None,
@@ -104,9 +105,8 @@ def trace_edges(
         The 3D edges and counts in, kept and dropped by reason.
     """
     near = select_views(model, options.view_selection)
-    edge_views = [
-        make_edge_view(graph, view) for graph, view in zip(graphs, model.views, strict=True)
-    ]
+    num_kept = graphs.num_kept if isinstance(graphs, GraphStore) else len(graphs)
+    edge_views = Recent(lambda v: make_edge_view(graphs[v], model.views[v]), len(graphs), num_kept)
     chain_depth = options.chain_depth
     if chain_depth.max_side_difference < 0:
         learned = learn_side_difference(
@@ -129,6 +129,7 @@ def trace_edges(
         count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
         for v in range(len(graphs))
     ]
+    depths = [without_supports(found) for found in depths]
     scene = Scene(
         model=model,
         graphs=graphs,
@@ -157,6 +158,13 @@ def trace_edges(
     stats["nodes"] = int(edges.end_nodes.max(initial=-1)) + 1
     stats["max_side_difference"] = chain_depth.max_side_difference
     return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+
+
+def without_supports(depths: ChainDepths) -> ChainDepths:
+    """The depths without the places that agree, most of their memory; how many remains known."""
+    return replace(
+        depths, support_views=np.zeros(0, np.int32), support_positions=np.zeros(0, np.float64)
+    )
 
 
 def each_told(items: Iterable[Any], advance: Callable[[], None]) -> Iterator[Any]:
@@ -347,6 +355,7 @@ def trace_view(
         num_threads,
     )
     inverse_depths = refined.curves.inverse_depths
+    seeing = np.isfinite(refined.positions).any(axis=0)
     return Traced(
         points=lift(driver, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
@@ -354,8 +363,8 @@ def trace_view(
         residuals=np.sqrt(np.nansum(refined.residuals**2, axis=1) / np.maximum(observed, 1)),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
-        views=np.concatenate([[view], witnesses]),
-        positions=np.column_stack([indices.astype(np.float64), refined.positions]),
+        views=np.concatenate([[view], witnesses[seeing]]),
+        positions=np.column_stack([indices.astype(np.float64), refined.positions[:, seeing]]),
     )
 
 
@@ -373,10 +382,9 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
         reach = options.point_spacing_px
         low = np.maximum(at - reach, graph.polyline_offsets[polyline])
         high = np.minimum(at + reach + 1, graph.polyline_offsets[polyline + 1])
-        change = np.zeros(len(graph.points) + 1, np.int64)
-        np.add.at(change, low, 1)
-        np.add.at(change, high, -1)
-        scene.covered[view] |= np.cumsum(change[:-1]) > 0
+        lengths = high - low
+        first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
+        scene.covered[view][first + np.arange(len(first))] = True
 
 
 def gather(

@@ -75,13 +75,15 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     Views with few points are compared by their poses alone.
     """
     observed = observation_matrix(model)
+    observers = observed.T.tocsr()
     ranges = depth_ranges(model, observed)
     neighbors, witnesses = [], []
     for view in range(len(model.views)):
-        scores = neighbor_scores(model, observed, view, ranges[view].overall, options)
+        scores = neighbor_scores(model, observed, observers, view, ranges[view].overall, options)
         neighbors.append(pick_diverse(model, view, scores, options.num_neighbors))
-        order = np.argsort(-scores, kind="stable")[: options.num_witnesses]
-        witnesses.append(np.sort(order[scores[order] > 0]))
+        seeing = np.flatnonzero(scores > 0)
+        order = np.argsort(-scores[seeing], kind="stable")[: options.num_witnesses]
+        witnesses.append(np.sort(seeing[order]))
     return Neighborhood(neighbors=tuple(neighbors), witnesses=tuple(witnesses), ranges=ranges)
 
 
@@ -98,16 +100,16 @@ def observation_matrix(model: Model) -> csr_array:
 def depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
     """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
     ranges = []
+    focus = None
     for index, view in enumerate(model.views):
         seen = observed.indices[observed.indptr[index] : observed.indptr[index + 1]]
         ideal, depths = view.project_ideal(model.points3D_xyz[seen])
         ideal, inverse = ideal[depths > 0], 1 / depths[depths > 0]
         if len(inverse) < MIN_POINTS:
-            none = np.zeros(0)
+            focus = find_focus(model) if focus is None else focus
+            overall, none = pose_range(model, index, focus), np.zeros(0)
             ranges.append(
-                DepthRange(
-                    overall=pose_range(model, index), pixels=none.reshape(0, 2), inverse_depths=none
-                )
+                DepthRange(overall=overall, pixels=none.reshape(0, 2), inverse_depths=none)
             )
             continue
         low, high = np.percentile(inverse, [0.5, 99.5])
@@ -117,47 +119,57 @@ def depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
     return tuple(ranges)
 
 
-def pose_range(model: Model, index: int) -> tuple[float, float]:
+def find_focus(model: Model) -> FloatArray:
+    """(3,) the point nearest to all optical axes; NaN where they hardly tell it."""
+    axes = np.array([view.rotation[2] for view in model.views])
+    projectors = np.eye(3)[None] - axes[:, :, None] * axes[:, None, :]
+    normal = projectors.sum(axis=0)
+    if np.linalg.cond(normal) >= 1e3:
+        return np.full(3, np.nan)
+    towards = np.einsum("vij,vj->i", projectors, model.camera_centers)
+    return np.asarray(np.linalg.solve(normal, towards), np.float64)
+
+
+def pose_range(model: Model, index: int, focus: FloatArray) -> tuple[float, float]:
     """Inverse depths a view may see, judged by the poses of all.
 
     Around the point nearest to all optical axes when the view looks at it, from a third to three
     times its depth; else from the distance to the nearest other camera to infinity.
     """
     view = model.views[index]
-    axes = np.array([other.rotation[2] for other in model.views])
-    projectors = np.eye(3)[None] - axes[:, :, None] * axes[:, None, :]
-    normal = projectors.sum(axis=0)
     baselines = np.linalg.norm(model.camera_centers - view.center, axis=1)
     baselines = baselines[baselines > 0]
     if len(baselines) == 0:
         return 0.0, 1.0
-    if np.linalg.cond(normal) < 1e3:
-        focus = np.linalg.solve(normal, np.einsum("vij,vj->i", projectors, model.camera_centers))
-        depth = float(view.cam_from_world(focus[None])[0, 2])
-        if depth > baselines.min():
-            return 1 / (3 * depth), 3 / depth
+    depth = float(view.cam_from_world(focus[None])[0, 2])
+    if depth > baselines.min():
+        return 1 / (3 * depth), 3 / depth
     return 0.0, 1 / float(baselines.min())
 
 
 def neighbor_scores(
     model: Model,
     observed: csr_array,
+    observers: csr_array,
     view: int,
     inverse_depths: tuple[float, float],
     options: ViewSelectionOptions,
 ) -> FloatArray:
-    """(V,) score of every other view as a neighbour: shared points weighted by their angle."""
+    """(V,) score of every other view as a neighbour: shared points weighted by their angle.
+
+    `observers` is `observed` transposed: it leads from the view's points to those that share them,
+    so that nothing is done for the other views.
+    """
     seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
     if len(seen) < MIN_POINTS:
         return pose_scores(model, view, inverse_depths, options)
     points = model.points3D_xyz[seen]
-    shared = observed[:, seen].tocoo()
-    rows, columns = shared.coords
+    shared = observers[seen]
+    columns = np.repeat(np.arange(len(seen)), np.diff(shared.indptr))
     to_own = points - model.camera_centers[view]
-    to_other = points[columns] - model.camera_centers[rows]
+    to_other = points[columns] - model.camera_centers[shared.indices]
     weights = angle_weights(to_own[columns], to_other, options)
-    scores = np.zeros(len(model.views))
-    np.add.at(scores, rows, weights)
+    scores = np.asarray(np.bincount(shared.indices, weights, len(model.views)), np.float64)
     scores[view] = 0
     return scores
 
@@ -186,14 +198,16 @@ def pose_scores(
     depth = 1 / np.mean(inverse_depths)
     local = depth * np.column_stack([ideal, np.ones(len(ideal))])
     points = (local - own.translation) @ own.rotation
+    rays = np.tile(points - own.center, (len(model.views), 1))
+    other_rays = points[None] - model.camera_centers[:, None]
+    weights = angle_weights(rays, other_rays.reshape(-1, 3), options).reshape(-1, len(points))
+    weights[view] = 0
     scores = np.zeros(len(model.views))
-    for index, other in enumerate(model.views):
-        if index == view:
-            continue
+    for index in np.flatnonzero(weights.any(axis=1)):  # few of many
+        other = model.views[index]
         pixels, depths = other.project(points)
         inside = (depths > 0) & (pixels > 0).all(1) & (pixels < (other.width, other.height)).all(1)
-        weights = angle_weights(points - own.center, points - other.center, options)
-        scores[index] = float(np.sum(weights * inside))
+        scores[index] = float(np.sum(weights[index] * inside))
     return scores
 
 
@@ -203,14 +217,15 @@ def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> Int
     A view whose baseline points where one already chosen does counts less: edges along one
     baseline need another.
     """
-    scores = scores.copy()
-    baselines = model.camera_centers - model.camera_centers[view]
+    candidates = np.flatnonzero(scores > 0)
+    scores = scores[candidates]
+    baselines = model.camera_centers[candidates] - model.camera_centers[view]
     norms = np.linalg.norm(baselines, axis=1, keepdims=True)
     directions = baselines / np.where(norms > 0, norms, 1)
     chosen: list[int] = []
     while len(chosen) < count and scores.max(initial=0) > 0:
         best = int(np.argmax(scores))
-        chosen.append(best)
+        chosen.append(int(candidates[best]))
         scores[best] = 0
         parallel = np.abs(directions @ directions[best])
         scores *= 1 - 0.3 * parallel**8

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.model import rows_by_view
 from colmap_edges.options import SamplingOptions, VisibilityOptions
 
 FloatArray = NDArray[np.float64]
@@ -46,9 +47,10 @@ def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
     """The tracks of all edge points as one list."""
     points = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
     ideal = np.empty((len(points), 2))
-    for index, view in enumerate(field.views):
-        rows = edges.track_views == index
-        if rows.any():
+    for view, rows in zip(
+        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
+    ):
+        if len(rows):
             ideal[rows] = view.ideal_from_image(edges.track_points2D[rows])
     return Observations(
         points=points, views=edges.track_views, pixels=edges.track_points2D, ideal=ideal
@@ -414,8 +416,10 @@ def subdivisions(
     ends = after[starts]
     sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
     track_points = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    for index, view in enumerate(field.views):
-        rows = track_points[edges.track_views == index]
+    for view, of_view in zip(
+        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
+    ):
+        rows = track_points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
         np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
     lengths = np.linalg.norm(edges.points[ends] - edges.points[starts], axis=1)

@@ -14,6 +14,7 @@ from colmap_edges.model import (
     load_model,
     model_from_reconstruction,
     observation_residuals,
+    rows_by_view,
     write_model,
 )
 
@@ -297,3 +298,13 @@ def test_debians_colmap_adjusts_the_model(scene_model, scene_edges, tmp_path):
     adjusted = pycolmap.Reconstruction(str(tmp_path / "adjusted"))
     assert len(adjusted.points3D) == len(scene_model.point3D_ids) + scene_edges.num_points
     assert adjusted.compute_mean_reprojection_error() < 1.0
+
+
+def test_rows_by_view_are_those_of_each_view():
+    views = np.random.default_rng(0).integers(0, 7, 50).astype(np.int32)
+    views[views == 3] = 4
+    found = rows_by_view(views, 9)
+    assert len(found) == 9
+    for view, rows in enumerate(found):
+        assert rows.tolist() == np.flatnonzero(views == view).tolist()
+    assert [len(rows) for rows in rows_by_view(np.zeros(0, np.int32), 2)] == [0, 0]
