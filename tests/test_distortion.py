@@ -11,6 +11,7 @@ from scenes import resample
 from scipy.spatial import cKDTree
 
 import colmap_edges
+from colmap_edges.meshing import with_outlines
 from colmap_edges.model import model_from_reconstruction
 
 DEMO = Path(__file__).parent / "data" / "demo"
@@ -86,10 +87,10 @@ def nearest_px(result, other, views):
     Each edge point is compared in the views that observe it with what is near to it and about as
     far away: a line of sight is long, and other edges cross it.
     """
-    edges = other.edges
     lines = np.concatenate(
         [
             resample(edges.points[a:b], 0.005)
+            for edges in with_outlines(other.edges)  # near the limit a curve may be either
             for a, b in zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], strict=True)
         ]
     )
