@@ -45,6 +45,7 @@ VIEWERS = {
     "report.json": "options, versions, counts, times and memory of every stage",
 }
 FULL = f"{__name__}.full_help"
+STOPPED: list[int] = []  # signals that asked the run to stop
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -146,7 +147,8 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     options = options_from_flags(values)
     from colmap_edges.pipeline import Paths, run  # heavy imports, after parsing
 
-    signal.signal(signal.SIGTERM, on_terminate)  # after pycolmap, which sets its own handler
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
     paths = Paths(**paths_from_flags(values))
     with progress_bars() as progress:
@@ -342,9 +344,10 @@ cli.add_command(info)
 cli.add_command(evaluate)
 
 
-def on_terminate(_signal: int, _frame: Any) -> NoReturn:
+def on_signal(number: int, _frame: Any) -> NoReturn:
     """Leave as on an error, so that what was begun is cleaned up."""
-    raise SystemExit(143)
+    STOPPED.append(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -358,4 +361,10 @@ def main(argv: list[str] | None = None) -> NoReturn:
     except (click.Abort, KeyboardInterrupt):
         click.echo("Interrupted; nothing was written.", err=True)
         sys.exit(130)
+    except Exception:
+        if not STOPPED:
+            raise
+        # Some libraries take the signal, raised inside them, for an error of their own.
+        click.echo("Interrupted; nothing was written.", err=True)
+        sys.exit(128 + STOPPED[0])
     sys.exit(code if isinstance(code, int) else 0)
