@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import clouds, curves, depth, edges, peers, pictures
+from colmap_edges.evaluation import clouds, curves, depth, edges, peers, pictures, visible_curves
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.statistics import summarize
 from colmap_edges.model import Model, load_model
@@ -173,15 +173,17 @@ def evaluate_edges(
     if reference_path is not None:
         true = curves.load_curves(reference_path)
         if surface_path is not None:
-            mesh = load_mesh(surface_path)
-            caster = RayCaster(mesh.vertices, mesh.faces)
-            errors = curves.compare_visible_curves(
-                found, true, model.views, caster, thresholds_px=thresholds_px
+            surface = load_mesh(surface_path)
+            record["curves"] = asdict(
+                visible_curves.compare_visible_curves(
+                    found, true, model.views, surface, thresholds_px=thresholds_px
+                )
             )
         else:
             thresholds = thresholds or default_thresholds(true, unit_size)
-            errors = curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
-        record["curves"] = asdict(errors)
+            record["curves"] = asdict(
+                curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
+            )
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
         judged = {"edge_points": points}

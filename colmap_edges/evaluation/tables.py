@@ -65,6 +65,8 @@ def edge_tables(record: dict[str, Any]) -> str:
     parts = []
     if "curves" in record:
         parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
+        if "recall_by_views" in record["curves"]:
+            parts.append(_visible_curve_table(record["curves"]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
     return "\n\n".join(
@@ -76,6 +78,19 @@ def _distance_table(errors: dict[str, Any]) -> str:
     names = ("accuracy", "completeness", "spacing", "unit")
     header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
     return markdown(header, [[errors[name] for name in names]])
+
+
+def _visible_curve_table(errors: dict[str, Any]) -> str:
+    limits = [f"within {score['threshold']:g} px" for score in errors["scores"]]
+    rows: list[list[Any]] = []
+    for part in errors["recall_by_views"]:
+        low, high = part["min_views"], part["max_views"]
+        views = str(low) if low == high else f"{low} to {high}"
+        rows.append([f"true curves that {views} views see", part["length"], *part["recall"]])
+    if errors["on_surface"]:
+        length = errors["result_samples"] * errors["spacing"]
+        rows.append(["3D edges, of the true surface", length, *errors["on_surface"]])
+    return markdown(("share", "length", *limits), rows)
 
 
 def _depth_table(errors: dict[str, Any]) -> str:

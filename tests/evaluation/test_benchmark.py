@@ -9,7 +9,17 @@ import trimesh
 
 from colmap_edges import evaluation
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import benchmark, clouds, curves, depth, dtu, held_out, results, tables
+from colmap_edges.evaluation import (
+    benchmark,
+    clouds,
+    curves,
+    depth,
+    dtu,
+    held_out,
+    results,
+    scene,
+    tables,
+)
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
 from colmap_edges.triangulation import triangulate
@@ -269,6 +279,30 @@ def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
     assert again.returncode == 1
     assert again.stderr.startswith("Error: ")
     assert again.stderr.count("\n") == 1
+
+
+@needs_mesher
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path, suffix):
+    from colmap_edges.evaluation.raycasting import load_mesh
+
+    (tmp_path / "run").mkdir()
+    load_mesh(run_path / "mesh.ply").export(tmp_path / "run" / f"mesh{suffix}")
+    reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
+    found = evaluation.run(tmp_path / "run", sparse, reference)["mesh"]
+    expected = scene.evaluate_mesh(run_path / "mesh.ply", sparse, reference)
+    assert found["faces"] == expected["faces"]
+    assert found["accuracy"]["mae"] == pytest.approx(expected["accuracy"]["mae"], rel=0.05)
+    assert found["completeness"]["mae"] == pytest.approx(expected["completeness"]["mae"], rel=1e-4)
+
+
+@needs_mesher
+def test_an_evaluation_that_fails_leaves_nothing(sparse, run_path, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mesh.ply").write_bytes((run_path / "mesh.ply").read_bytes())
+    with pytest.raises(ColmapEdgesError, match="does not exist"):
+        evaluation.run(tmp_path / "run", sparse, tmp_path / "none.ply")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["mesh.ply"]
 
 
 def test_a_folder_without_mesh_is_refused(tmp_path, sparse):
