@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, tables
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
@@ -192,20 +191,7 @@ def mesh_peer(path: Path, model: Model, run_path: Path) -> Model:
     found = peers.load(path, model)
     run_path.mkdir(parents=True, exist_ok=True)
     write_mesh(mesh(model, edges=found), run_path / "mesh.ply")
-    return points_of_edges(found, model)
-
-
-def points_of_edges(found: Edges3D, model: Model) -> Model:
-    """Edge points as the points of a model with the same views."""
-    return replace(
-        model,
-        points3D_xyz=found.points,
-        point3D_ids=np.arange(found.num_points, dtype=np.int64),
-        points3D_rgb=np.zeros((found.num_points, 3), dtype=np.uint8),
-        track_offsets=found.track_offsets,
-        track_views=found.track_views,
-        track_points2D=found.track_points2D,
-    )
+    return edges.points_of_edges(found, model)
 
 
 def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | None) -> Record:

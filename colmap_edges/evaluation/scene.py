@@ -145,7 +145,7 @@ def evaluate_edges(
 
     Args:
         edges_path: Edge graph as PLY with `vertex` and `edge` elements, or a peer's lines.
-        sparse_path: COLMAP model with the edge points.
+        sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
         surface_path: True surface: then visibility in at least three views is asked of the true
@@ -162,14 +162,17 @@ def evaluate_edges(
     """
     model = load_model(sparse_path)
     found = peers.read_curves(edges_path)
-    points = model
-    if input_path is not None:
-        points = edges.edge_points(model, load_model(input_path))
     record: Record = {
         "edges": str(edges_path),
         "lengths": asdict(edges.segment_lengths(found)),
-        "reprojection": asdict(edges.reprojection_errors(points)),
     }
+    if edges_path.suffix in (".ply", ".npz"):
+        points = model
+        if input_path is not None:
+            points = edges.edge_points(model, load_model(input_path))
+        record["reprojection"] = asdict(edges.reprojection_errors(points))
+    else:  # a peer's: sampled where its lines project to, so their reprojection says nothing
+        points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
         true = curves.load_curves(reference_path)
         if surface_path is not None:

@@ -69,9 +69,9 @@ def edge_tables(record: dict[str, Any]) -> str:
             parts.append(_visible_curve_table(record["curves"]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
-    return "\n\n".join(
-        [*parts, _reprojection_table(record["reprojection"]), _length_table(record["lengths"])]
-    )
+    if "reprojection" in record:
+        parts.append(_reprojection_table(record["reprojection"]))
+    return "\n\n".join([*parts, _length_table(record["lengths"])])
 
 
 def _distance_table(errors: dict[str, Any]) -> str:
