@@ -176,11 +176,8 @@ def evaluate_edges(
     if reference_path is not None:
         true = curves.load_curves(reference_path)
         if surface_path is not None:
-            surface = load_mesh(surface_path)
-            record["curves"] = asdict(
-                visible_curves.compare_visible_curves(
-                    found, true, model.views, surface, thresholds_px=thresholds_px
-                )
+            record["curves"] = _against_visible_curves(
+                found, true, model, input_path, surface_path, thresholds_px
             )
         else:
             thresholds = thresholds or default_thresholds(true, unit_size)
@@ -189,13 +186,43 @@ def evaluate_edges(
             )
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
-        judged = {"edge_points": points}
-        if input_path is not None:
-            judged["sfm_points"] = load_model(input_path)
-        record["depth"] = {
-            name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
-            for name, kind in judged.items()
-        }
+        record["depth"] = _points_against_depth(points, input_path, references)
+    return record
+
+
+def _points_against_depth(
+    points: Model, input_path: Path | None, references: Sequence[depth.ReferenceDepth]
+) -> Record:
+    """Errors of edge points and, measured the same way, of SfM points."""
+    judged = {"edge_points": points}
+    if input_path is not None:
+        judged["sfm_points"] = load_model(input_path)
+    return {
+        name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
+        for name, kind in judged.items()
+    }
+
+
+def _against_visible_curves(
+    found: curves.Curves,
+    true: curves.Curves,
+    model: Model,
+    input_path: Path | None,
+    surface_path: Path,
+    thresholds_px: Sequence[float],
+) -> Record:
+    """Errors in pixels, and beside them how far the SfM points are off the same surface."""
+    surface = load_mesh(surface_path)
+    record: Record = asdict(
+        visible_curves.compare_visible_curves(
+            found, true, model.views, surface, thresholds_px=thresholds_px
+        )
+    )
+    if input_path is not None:
+        points = load_model(input_path).points3D_xyz
+        record["sfm_points_on_surface"] = visible_curves.on_surface(
+            points, model.views, surface, thresholds_px
+        )
     return record
 
 

@@ -86,10 +86,12 @@ def _visible_curve_table(errors: dict[str, Any]) -> str:
     for part in errors["recall_by_views"]:
         low, high = part["min_views"], part["max_views"]
         views = str(low) if low == high else f"{low} to {high}"
-        rows.append([f"true curves that {views} views see", part["length"], *part["recall"]])
+        rows.append([f"found, of true curves {views} views see", part["length"], *part["recall"]])
     if errors["on_surface"]:
         length = errors["result_samples"] * errors["spacing"]
-        rows.append(["3D edges, of the true surface", length, *errors["on_surface"]])
+        rows.append(["3D edges on the true surface", length, *errors["on_surface"]])
+    if errors.get("sfm_points_on_surface"):
+        rows.append(["SfM points on the true surface", "", *errors["sfm_points_on_surface"]])
     return markdown(("share", "length", *limits), rows)
 
 
