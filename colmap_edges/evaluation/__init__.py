@@ -33,7 +33,7 @@ def run(
         reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
             points (and the run's edges) is judged by the other half.
         curves_path: True 3D curves.
-        image_path: Images, for `held_out_views`.
+        image_path: Images, for `held_out_views` and to draw edges on, coloured by depth error.
         held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
         overwrite: Replace an earlier evaluation.
 
@@ -56,6 +56,8 @@ def run(
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     with new_folder(output) as folder:
         record = judge(run_path, input_path, reference_path, curves_path, folder)
+        if image_path and reference_path and reference_path.is_dir():
+            draw_edges(run_path, input_path, reference_path, image_path, folder)
         if held_out_views and image_path is not None:
             errors = held_out.left_out_view_errors(
                 input_path, image_path, held_out_views, pictures_path=folder
@@ -92,6 +94,20 @@ def judge(
             reference_depth_path=reference_path if _is_folder(reference_path) else None,
         )
     return record
+
+
+def draw_edges(
+    run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
+) -> None:
+    """Write the run's edge points over the images that have a reference depth; see `pictures`."""
+    from colmap_edges.evaluation import depth, edges, pictures
+    from colmap_edges.model import load_model
+
+    if (run_path / "sparse").is_dir():
+        model = load_model(run_path / "sparse")
+        points = edges.edge_points(model, load_model(input_path))
+        references = depth.load_reference_depths(reference_path, model)
+        pictures.write_edge_overlays(folder, points, references, image_path)
 
 
 def find_mesh(run_path: Path) -> Path:

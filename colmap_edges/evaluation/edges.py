@@ -98,14 +98,23 @@ def depth_window_errors(
     errors = []
     for reference in references:
         seen = model.track_views == index.get(reference.view.name, -1)
-        pixels, depth = reference.view.project(points[seen])
-        pixels = pixels * reference.scale
-        inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
-        cells = np.floor(pixels[inside]).astype(np.int64)
-        smallest = _smallest_error(reference.depth, cells, depth[inside], window)
-        errors.append(smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0])
+        errors.append(view_window_errors(points[seen], reference, window, relative=relative))
     pooled = np.concatenate(errors) if errors else np.empty(0)
     return pooled[np.isfinite(pooled)]
+
+
+def view_window_errors(
+    points: FloatArray, reference: ReferenceDepth, window: int = 5, *, relative: bool = True
+) -> FloatArray:
+    """`depth_window_errors` of `points` (N, 3) in one view: (N,), infinite without a reference."""
+    pixels, depth = reference.view.project(points)
+    pixels = pixels * reference.scale
+    inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
+    cells = np.floor(pixels[inside]).astype(np.int64)
+    smallest = _smallest_error(reference.depth, cells, depth[inside], window)
+    errors = np.full(len(points), np.inf)
+    errors[inside] = smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0]
+    return errors
 
 
 def _smallest_error(
