@@ -58,7 +58,7 @@ def write_edge_overlays(
 ) -> None:
     """Write the faint image of each reference's view with the points of `points` it observes.
 
-    Colours are relative depth errors from 0 to 1 %; white: the reference is silent there.
+    Colours are relative depth errors from 0 to 1 %; magenta: the reference is silent there.
     """
     names = [view.name for view in points.views]
     observed = observed_points(points)
@@ -86,7 +86,7 @@ def file_name(prefix: str, view_name: str) -> str:
 def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest: float) -> Picture:
     """Draw `pixels` (N, 2, COLMAP's coordinates), coloured by `values` (N,) from 0 to `largest`.
 
-    Infinite values are white. The larger the image, the larger the dots.
+    Infinite values are magenta. The larger the image, the larger the dots.
     """
     canvas = image.copy()
     if not len(pixels):
@@ -94,7 +94,7 @@ def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest:
     known = np.isfinite(values)
     level = (np.clip(np.where(known, values, 0) / largest, 0, 1) * 255).astype(np.uint8)
     colours = cv2.applyColorMap(level.reshape(-1, 1), cv2.COLORMAP_TURBO).reshape(-1, 3)
-    colours[~known] = 255
+    colours[~known] = _MISSING
     radius = max(1, round(max(image.shape) / 1000))
     for (x, y), colour in zip(np.floor(pixels).astype(int), colours, strict=True):
         cv2.circle(canvas, (int(x), int(y)), radius, colour.tolist(), -1)
