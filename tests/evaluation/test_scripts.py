@@ -9,9 +9,11 @@ from pathlib import Path
 import miniature
 import numpy as np
 import pytest
+import trimesh
 from test_benchmark import needs_mesher
 
-from colmap_edges.evaluation import dtu
+from colmap_edges.evaluation import depth, dtu
+from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
 from colmap_edges.triangulation import triangulate
 
@@ -82,6 +84,36 @@ def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout,
     assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
     assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
     assert list((tmp_path / "out").rglob("depth_*.png"))
+
+
+def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
+    write_line3dpp(sparse, tmp_path / "lines.txt")
+    top = miniature.HEIGHT
+    # The peer has one of the square's two sides.
+    ends = np.array([(-12, 12, top), (12, 12, top), (-12, -12, top), (12, -12, top)])
+    np.savez(tmp_path / "curves.npz", points=ends, edges=np.array([(0, 1), (2, 3)]))
+    corners = [(x * h, y * h, z) for h, z in ((60, 0.0), (12, top))
+               for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]  # fmt: skip
+    surface = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)], process=False)
+    surface.export(tmp_path / "surface.ply")
+    view = load_model(sparse).views[0]
+    truth = depth.render_depth(RayCaster(surface.vertices, surface.faces), view)
+    (tmp_path / "depths").mkdir()
+    np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
+    command = ("evaluate_edges.py", "--edges_path", tmp_path / "lines.txt", "--sparse_path", sparse)
+    command += ("--input_path", sparse, "--reference_path", tmp_path / "curves.npz")
+    command += ("--surface_path", tmp_path / "surface.ply")
+    command += ("--reference_depth_path", tmp_path / "depths", "--output_path", tmp_path / "e.json")
+    assert "SfM points on the true surface" in run(*command).stdout
+    record = json.loads((tmp_path / "e.json").read_text())
+    assert "reprojection" not in record
+    (row, _) = record["curves"]["scores"]
+    assert row["precision"] == 1
+    assert row["recall"] == pytest.approx(0.5, abs=0.02)
+    assert record["curves"]["on_surface"] == [1, 1]
+    assert 0.5 < record["curves"]["sfm_points_on_surface"][0] <= 1
+    assert record["depth"]["edge_points"]["relative"]["p90"] < 1e-3  # a pixel of a slanted surface
+    assert record["depth"]["sfm_points"]["relative"]["count"] > 100
 
 
 def test_bad_input_is_one_line(tmp_path):
