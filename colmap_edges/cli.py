@@ -261,7 +261,9 @@ def info(path: Path, verbose: bool) -> None:
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="True 3D curves (.npz or .ply)",
 )
-@click.option("--image_path", type=FOLDER, help="Folder of the images, for --held_out_views")
+@click.option(
+    "--image_path", type=FOLDER, help="Images, for --held_out_views and pictures of edges"
+)
 @click.option(
     "--held_out_views",
     type=click.IntRange(min=0),

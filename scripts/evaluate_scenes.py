@@ -26,12 +26,14 @@ from colmap_edges.evaluation import benchmark
     help="A scene; REFERENCE is a folder of depth maps, a mesh or a point cloud.",
 )
 @click.option("--unit", default="world unit", show_default=True, help="Unit of the lengths.")
+@click.option("--view_names", multiple=True, help="Views that see a reference mesh, or 'all'.")
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scene} in it varies.")
 @click.option("--output_path", type=Path, required=True, help="Folder for meshes and tables.")
 def main(
     scenes: tuple[tuple[str, Path, Path, Path], ...],
     unit: str,
+    view_names: tuple[str, ...],
     methods: tuple[str, ...],
     peers: tuple[str, ...],
     output_path: Path,
@@ -43,7 +45,7 @@ def main(
                 name=name,
                 image_path=image_path,
                 sparse_path=sparse_path,
-                load_reference=benchmark.file_reference(reference_path),
+                load_reference=benchmark.file_reference(reference_path, view_names),
                 peers={k: Path(v.format(scene=name)) for k, v in found.items()},
                 unit=unit,
             )

@@ -3,7 +3,8 @@
 
 Needs an environment of its own: pip install pylimap==2.0.0 (brings OpenCV and pycolmap). Segments
 are OpenCV's LSD, the longest of each image; each line is paired with every line of the views that
-share most SfM points; everything else is LIMAP's default.
+share most SfM points; everything else is LIMAP's default. Distorted images are undistorted first,
+as LIMAP asks for.
 """
 
 from __future__ import annotations
@@ -43,6 +44,15 @@ def neighbors(reconstruction: pycolmap.Reconstruction, count: int) -> dict[int, 
     }
 
 
+def undistorted(image_path: Path, input_path: Path, folder: Path) -> tuple[Path, Path]:
+    """Images and model without distortion: the given ones, or new ones in `folder`."""
+    cameras = pycolmap.Reconstruction(input_path).cameras.values()
+    if all(camera.is_undistorted() for camera in cameras):
+        return image_path, input_path
+    pycolmap.undistort_images(folder, input_path, image_path)
+    return folder / "images", folder / "sparse"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--image_path", type=Path, required=True)
@@ -52,12 +62,15 @@ def main() -> None:
     parser.add_argument("--num_neighbors", type=int, default=6)
     arguments = parser.parse_args()
 
-    reconstruction = pycolmap.Reconstruction(arguments.input_path)
     arguments.output_path.mkdir(parents=True, exist_ok=True)
+    image_path, input_path = undistorted(
+        arguments.image_path, arguments.input_path, arguments.output_path / "undistorted"
+    )
+    reconstruction = pycolmap.Reconstruction(input_path)
     database_path = arguments.output_path / "structures.db"
     limap.scene.create_structure_db(database_path)
     lines = {
-        i: detect(arguments.image_path / image.name, arguments.max_segments)
+        i: detect(image_path / image.name, arguments.max_segments)
         for i, image in reconstruction.images.items()
     }
     with limap.scene.StructureDatabase.open(database_path) as database:

@@ -28,12 +28,12 @@ def run(
     """Judge the output of `colmap-edges mesh` and write RUN/evaluation/ with figures and pictures.
 
     Args:
-        run_path: Output folder: mesh.ply is judged, and edges.ply with sparse/ where there are.
+        run_path: Output folder: its mesh is judged, and edges.ply with sparse/ where there are.
         input_path: COLMAP model the run started from.
         reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
             points (and the run's edges) is judged by the other half.
         curves_path: True 3D curves.
-        image_path: Images, for `held_out_views`.
+        image_path: Images, for `held_out_views` and to draw edges on, coloured by depth error.
         held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
         overwrite: Replace an earlier evaluation.
 
@@ -45,17 +45,43 @@ def run(
     """
     from dataclasses import asdict
 
-    from colmap_edges.evaluation import held_out, scene, tables
+    from colmap_edges.evaluation import held_out, tables
+    from colmap_edges.output import new_folder
 
     output = run_path / "evaluation"
-    check_run(run_path, output, overwrite)
+    find_mesh(run_path)
+    if output.exists() and not overwrite:
+        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
-    output.mkdir(exist_ok=True)
+    with new_folder(output) as folder:
+        record = judge(run_path, input_path, reference_path, curves_path, folder)
+        if image_path and reference_path and reference_path.is_dir():
+            draw_edges(run_path, input_path, reference_path, image_path, folder)
+        if held_out_views and image_path is not None:
+            errors = held_out.left_out_view_errors(
+                input_path, image_path, held_out_views, pictures_path=folder
+            )
+            record["held_out_views"] = [asdict(error) for error in errors]
+        (folder / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
+        (folder / "evaluation.md").write_text(tables.run_tables(record) + "\n")
+    return record
+
+
+def judge(
+    run_path: Path,
+    input_path: Path,
+    reference_path: Path | None,
+    curves_path: Path | None,
+    pictures_path: Path,
+) -> dict[str, Any]:
+    """Figures of the mesh and edges of `run_path`; see `run`."""
+    from colmap_edges.evaluation import scene
+
     record: dict[str, Any] = {}
     if reference_path is not None:
         record["mesh"] = scene.evaluate_mesh(
-            run_path / "mesh.ply", input_path, reference_path, pictures_path=output
+            find_mesh(run_path), input_path, reference_path, pictures_path=pictures_path
         )
     else:
         record["held_out_points"] = held_out_points(run_path, input_path)
@@ -67,22 +93,38 @@ def run(
             reference_path=curves_path,
             reference_depth_path=reference_path if _is_folder(reference_path) else None,
         )
-    if held_out_views and image_path is not None:
-        errors = held_out.left_out_view_errors(
-            input_path, image_path, held_out_views, pictures_path=output
-        )
-        record["held_out_views"] = [asdict(error) for error in errors]
-    (output / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
-    (output / "evaluation.md").write_text(tables.run_tables(record) + "\n")
     return record
 
 
-def check_run(run_path: Path, output: Path, overwrite: bool) -> None:
-    """Raise `ColmapEdgesError` when there is nothing to judge or `output` would be replaced."""
-    if not (run_path / "mesh.ply").is_file():
-        raise ColmapEdgesError(f"{run_path} holds no mesh.ply; give an output of colmap-edges mesh")
-    if output.exists() and not overwrite:
-        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
+def draw_edges(
+    run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
+) -> None:
+    """Write the run's edge points over the images that have a reference depth; see `pictures`."""
+    from colmap_edges.evaluation import depth, edges, pictures
+    from colmap_edges.model import load_model
+
+    if (run_path / "sparse").is_dir():
+        model = load_model(run_path / "sparse")
+        points = edges.edge_points(model, load_model(input_path))
+        references = depth.load_reference_depths(reference_path, model)
+        pictures.write_edge_overlays(folder, points, references, image_path)
+
+
+def find_mesh(run_path: Path) -> Path:
+    """The mesh of an output folder, in whatever format it was written.
+
+    Raises:
+        ColmapEdgesError: There is none.
+    """
+    from colmap_edges.meshing import MESH_FORMATS
+
+    for suffix in MESH_FORMATS:
+        if (path := run_path / f"mesh{suffix}").is_file():
+            return path
+    names = ", ".join(f"mesh{suffix}" for suffix in MESH_FORMATS)
+    raise ColmapEdgesError(
+        f"{run_path} holds no mesh ({names}); give an output of colmap-edges mesh"
+    )
 
 
 def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:

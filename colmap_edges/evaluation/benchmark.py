@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, tables
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
+from colmap_edges.evaluation.scene import select_views
 from colmap_edges.evaluation.statistics import summarize
 from colmap_edges.model import FloatArray, Model, load_model
 from colmap_edges.triangulation import PosedImage, triangulate
@@ -191,20 +191,7 @@ def mesh_peer(path: Path, model: Model, run_path: Path) -> Model:
     found = peers.load(path, model)
     run_path.mkdir(parents=True, exist_ok=True)
     write_mesh(mesh(model, edges=found), run_path / "mesh.ply")
-    return points_of_edges(found, model)
-
-
-def points_of_edges(found: Edges3D, model: Model) -> Model:
-    """Edge points as the points of a model with the same views."""
-    return replace(
-        model,
-        points3D_xyz=found.points,
-        point3D_ids=np.arange(found.num_points, dtype=np.int64),
-        points3D_rgb=np.zeros((found.num_points, 3), dtype=np.uint8),
-        track_offsets=found.track_offsets,
-        track_views=found.track_views,
-        track_points2D=found.track_points2D,
-    )
+    return edges.points_of_edges(found, model)
 
 
 def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | None) -> Record:
@@ -238,8 +225,15 @@ def point_errors(points: Model, reference: Reference) -> Record:
     return asdict(summarize(errors)) | {"of": of, "count": len(xyz)}
 
 
-def file_reference(path: Path | None) -> Callable[[Model], Reference]:
-    """Reader of a folder of depth maps, a mesh or a cloud (seen by the central view), or none."""
+def file_reference(
+    path: Path | None, view_names: Sequence[str] = ()
+) -> Callable[[Model], Reference]:
+    """Reader of a folder of depth maps, a mesh, a cloud (seen by the central view), or nothing.
+
+    Args:
+        path: File or folder of the reference, or none.
+        view_names: Views that see a mesh, or `all`; default: the central one.
+    """
 
     def read(model: Model) -> Reference:
         if path is None:
@@ -247,13 +241,13 @@ def file_reference(path: Path | None) -> Callable[[Model], Reference]:
         if path.is_dir():
             return Reference(depths=depth.load_reference_depths(path, model))
         geometry = load_geometry(path)
-        view = depth.central_view(model)
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
         if len(getattr(geometry, "faces", ())):
             caster = RayCaster(vertices, geometry.faces)
-            depths = depth.render_references(caster, [view])
+            depths = depth.render_references(caster, select_views(model, view_names))
             return Reference(depths=depths, surface=geometry)
-        return Reference(depths=[depth.cloud_depth(vertices, view)], points=vertices)
+        central = depth.cloud_depth(vertices, depth.central_view(model))
+        return Reference(depths=[central], points=vertices)
 
     return read
 

@@ -1,4 +1,4 @@
-"""3D edges as sampled curves: reading, sampling by length, visibility, precision and recall."""
+"""3D edges as sampled curves: reading, sampling by length, precision and recall."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
-from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, make_score, scores
+from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, scores
 from colmap_edges.evaluation.ply import read_ply
-from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import FloatArray, IntArray, View
+from colmap_edges.model import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,87 +168,3 @@ def compare_curves(
 
 def _scaled(curves: Curves, unit: float) -> Curves:
     return Curves(points=curves.points / unit, segments=curves.segments)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Visibility:
-    """Where samples of curves are seen.
-
-    Attributes:
-        count: (N,) number of views that see each.
-        pixel_size: (N,) length of one pixel at its depth in the nearest view that sees it (or,
-            seen by none, in the nearest view): depth / focal length, in world units.
-    """
-
-    count: IntArray
-    pixel_size: FloatArray
-
-
-def visibility(points: FloatArray, views: Sequence[View], caster: RayCaster | None) -> Visibility:
-    """Which views see `points` (N, 3): in the image, ahead, and nothing of the surface before.
-
-    A point counts as hidden when the surface is hit nearer than it by more than three pixels'
-    length at its depth, which leaves room for the surface's own triangles.
-    """
-    count = np.zeros(len(points), dtype=np.int64)
-    nearest_seen = np.full(len(points), np.inf)
-    nearest = np.full(len(points), np.inf)
-    for view in views:
-        pixels, depth = view.project(points)
-        size = np.where(depth > 0, depth / view.focal_px, np.inf)
-        with np.errstate(invalid="ignore"):
-            seen = (depth > 0) & (pixels >= 0).all(axis=1)
-            seen &= (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
-        nearest = np.minimum(nearest, size)
-        inside = np.flatnonzero(seen)
-        if caster is not None and len(inside):
-            along = caster.cast(view.center, points[inside] - view.center)
-            hidden = along * depth[inside] < depth[inside] - 3 * size[inside]
-            seen[inside[hidden]] = False
-        count += seen
-        nearest_seen = np.where(seen, np.minimum(nearest_seen, size), nearest_seen)
-    size = np.where(np.isfinite(nearest_seen), nearest_seen, nearest)
-    return Visibility(count=count, pixel_size=size)
-
-
-def compare_visible_curves(
-    result: Curves,
-    reference: Curves,
-    views: Sequence[View],
-    caster: RayCaster | None,
-    *,
-    thresholds_px: Sequence[float] = (1.0, 2.0),
-    min_views: int = 3,
-) -> CurveErrors:
-    """Precision against all true curves, recall against those at least `min_views` views see.
-
-    Thresholds are pixels at the scene's depth: each true sample's own distance is its
-    `Visibility.pixel_size` times the threshold, and a sample of the result takes that of the
-    nearest true sample. Both are sampled every fifth of the median of the smallest threshold.
-    `Score.threshold` is in pixels; accuracy and completeness are in world units.
-    """
-    if not len(reference.points):
-        raise ColmapEdgesError("the reference holds no curve")
-    coarse = visibility(reference.points, views, None).pixel_size
-    spacing = float(np.median(coarse)) * min(thresholds_px) / 5
-    found, true = sample(result, spacing), sample(reference, spacing)
-    seen = visibility(true, views, caster)
-    visible = seen.count >= min_views
-    to_reference, nearest = cKDTree(true).query(found, workers=2) if len(found) else ([], [])
-    to_reference = np.asarray(to_reference, dtype=np.float64)
-    limit = seen.pixel_size[np.asarray(nearest, dtype=np.int64)]
-    to_result = cloud_to_cloud(true[visible], found)
-    rows = []
-    for threshold in thresholds_px:
-        precision = float(np.mean(to_reference < threshold * limit)) if len(found) else 0.0
-        hit = to_result < threshold * seen.pixel_size[visible]
-        rows.append(make_score(threshold, precision, float(np.mean(hit)) if len(hit) else 0.0))
-    return CurveErrors(
-        accuracy=float(to_reference.mean()) if len(found) else float("nan"),
-        completeness=float(to_result.mean()) if len(to_result) else float("nan"),
-        scores=rows,
-        result_samples=len(found),
-        reference_samples=int(visible.sum()),
-        spacing=spacing,
-        unit=1.0,
-    )

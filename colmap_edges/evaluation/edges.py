@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.edges import Edges3D
 from colmap_edges.evaluation.curves import Curves
 from colmap_edges.evaluation.depth import ReferenceDepth
 from colmap_edges.evaluation.observations import observed_points, select_points
@@ -97,14 +98,23 @@ def depth_window_errors(
     errors = []
     for reference in references:
         seen = model.track_views == index.get(reference.view.name, -1)
-        pixels, depth = reference.view.project(points[seen])
-        pixels = pixels * reference.scale
-        inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
-        cells = np.floor(pixels[inside]).astype(np.int64)
-        smallest = _smallest_error(reference.depth, cells, depth[inside], window)
-        errors.append(smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0])
+        errors.append(view_window_errors(points[seen], reference, window, relative=relative))
     pooled = np.concatenate(errors) if errors else np.empty(0)
     return pooled[np.isfinite(pooled)]
+
+
+def view_window_errors(
+    points: FloatArray, reference: ReferenceDepth, window: int = 5, *, relative: bool = True
+) -> FloatArray:
+    """`depth_window_errors` of `points` (N, 3) in one view: (N,), infinite without a reference."""
+    pixels, depth = reference.view.project(points)
+    pixels = pixels * reference.scale
+    inside = (depth > 0) & np.isfinite(pixels).all(axis=1)
+    cells = np.floor(pixels[inside]).astype(np.int64)
+    smallest = _smallest_error(reference.depth, cells, depth[inside], window)
+    errors = np.full(len(points), np.inf)
+    errors[inside] = smallest[:, 0] / smallest[:, 1] if relative else smallest[:, 0]
+    return errors
 
 
 def _smallest_error(
@@ -181,3 +191,16 @@ def segment_lengths(curves: Curves) -> SegmentLengths:
 def edge_points(model: Model, input_model: Model) -> Model:
     """The points of `model` whose ids `input_model` does not hold."""
     return select_points(model, ~np.isin(model.point3D_ids, input_model.point3D_ids))
+
+
+def points_of_edges(found: Edges3D, model: Model) -> Model:
+    """Edge points as the points of a model with the same views."""
+    return replace(
+        model,
+        points3D_xyz=found.points,
+        point3D_ids=np.arange(found.num_points, dtype=np.int64),
+        points3D_rgb=np.zeros((found.num_points, 3), dtype=np.uint8),
+        track_offsets=found.track_offsets,
+        track_views=found.track_views,
+        track_points2D=found.track_points2D,
+    )

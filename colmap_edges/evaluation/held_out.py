@@ -165,9 +165,7 @@ def left_out_view_errors(
         pixels = unhidden_pixels(found.points, view, caster)
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:
-            faint = cv2.cvtColor(gray // 2 + 110, cv2.COLOR_GRAY2BGR)
-            picture = pictures.draw_points(
-                np.asarray(faint, np.uint8), pixels, _distances(pixels, chains), 3.0
-            )
+            distances = _distances(pixels, chains)
+            picture = pictures.draw_points(pictures.faint(image), pixels, distances, 3.0)
             pictures.write_png(pictures_path / pictures.file_name("held_out", view.name), picture)
     return errors

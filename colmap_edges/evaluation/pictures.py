@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.depth import DepthErrors
-from colmap_edges.model import FloatArray
+from colmap_edges.evaluation.depth import DepthErrors, ReferenceDepth
+from colmap_edges.evaluation.edges import view_window_errors
+from colmap_edges.evaluation.observations import observed_points
+from colmap_edges.images import read_image
+from colmap_edges.model import FloatArray, Model
 
 Picture = NDArray[np.uint8]
 _UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
@@ -50,20 +53,51 @@ def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str =
         write_png(folder / file_name(prefix, result.name), error_map(result, largest, title))
 
 
+def write_edge_overlays(
+    folder: Path, points: Model, references: Sequence[ReferenceDepth], image_path: Path
+) -> None:
+    """Write the faint image of each reference's view with the points of `points` it observes.
+
+    Colours are relative depth errors from 0 to 1 %; magenta: the reference is silent there.
+    """
+    names = [view.name for view in points.views]
+    observed = observed_points(points)
+    folder.mkdir(parents=True, exist_ok=True)
+    for reference in references:
+        seen = observed[points.track_views == names.index(reference.view.name)]
+        xyz = points.points3D_xyz[seen]
+        errors = view_window_errors(xyz, reference)
+        picture = faint(read_image(reference.view, image_path))
+        picture = draw_points(picture, reference.view.project(xyz)[0], errors, 0.01)
+        write_png(folder / file_name("edges", reference.view.name), picture)
+
+
+def faint(image: Picture) -> Picture:
+    """The image (H, W, 3) in light grey, for coloured points to stand out."""
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.asarray(cv2.cvtColor(gray // 2 + 110, cv2.COLOR_GRAY2BGR), np.uint8)
+
+
 def file_name(prefix: str, view_name: str) -> str:
     """Name of the picture of a view."""
     return f"{prefix}_{Path(view_name).with_suffix('').as_posix().replace('/', '_')}.png"
 
 
 def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest: float) -> Picture:
-    """Draw `pixels` (N, 2, COLMAP's coordinates), coloured by `values` (N,) from 0 to `largest`."""
+    """Draw `pixels` (N, 2, COLMAP's coordinates), coloured by `values` (N,) from 0 to `largest`.
+
+    Infinite values are magenta. The larger the image, the larger the dots.
+    """
     canvas = image.copy()
     if not len(pixels):
         return canvas
-    level = (np.clip(values / largest, 0, 1) * 255).astype(np.uint8).reshape(-1, 1)
-    colours = cv2.applyColorMap(level, cv2.COLORMAP_TURBO).reshape(-1, 3)
+    known = np.isfinite(values)
+    level = (np.clip(np.where(known, values, 0) / largest, 0, 1) * 255).astype(np.uint8)
+    colours = cv2.applyColorMap(level.reshape(-1, 1), cv2.COLORMAP_TURBO).reshape(-1, 3)
+    colours[~known] = _MISSING
+    radius = max(1, round(max(image.shape) / 1000))
     for (x, y), colour in zip(np.floor(pixels).astype(int), colours, strict=True):
-        cv2.circle(canvas, (int(x), int(y)), 1, colour.tolist(), -1)
+        cv2.circle(canvas, (int(x), int(y)), radius, colour.tolist(), -1)
     return canvas
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import clouds, curves, depth, edges, peers, pictures
+from colmap_edges.evaluation import clouds, curves, depth, edges, peers, pictures, visible_curves
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.statistics import summarize
 from colmap_edges.model import Model, load_model
@@ -145,7 +145,7 @@ def evaluate_edges(
 
     Args:
         edges_path: Edge graph as PLY with `vertex` and `edge` elements, or a peer's lines.
-        sparse_path: COLMAP model with the edge points.
+        sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
         surface_path: True surface: then visibility in at least three views is asked of the true
@@ -162,35 +162,67 @@ def evaluate_edges(
     """
     model = load_model(sparse_path)
     found = peers.read_curves(edges_path)
-    points = model
-    if input_path is not None:
-        points = edges.edge_points(model, load_model(input_path))
     record: Record = {
         "edges": str(edges_path),
         "lengths": asdict(edges.segment_lengths(found)),
-        "reprojection": asdict(edges.reprojection_errors(points)),
     }
+    if edges_path.suffix in (".ply", ".npz"):
+        points = model
+        if input_path is not None:
+            points = edges.edge_points(model, load_model(input_path))
+        record["reprojection"] = asdict(edges.reprojection_errors(points))
+    else:  # a peer's: sampled where its lines project to, so their reprojection says nothing
+        points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
         true = curves.load_curves(reference_path)
         if surface_path is not None:
-            mesh = load_mesh(surface_path)
-            caster = RayCaster(mesh.vertices, mesh.faces)
-            errors = curves.compare_visible_curves(
-                found, true, model.views, caster, thresholds_px=thresholds_px
+            record["curves"] = _against_visible_curves(
+                found, true, model, input_path, surface_path, thresholds_px
             )
         else:
             thresholds = thresholds or default_thresholds(true, unit_size)
-            errors = curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
-        record["curves"] = asdict(errors)
+            record["curves"] = asdict(
+                curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
+            )
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
-        judged = {"edge_points": points}
-        if input_path is not None:
-            judged["sfm_points"] = load_model(input_path)
-        record["depth"] = {
-            name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
-            for name, kind in judged.items()
-        }
+        record["depth"] = _points_against_depth(points, input_path, references)
+    return record
+
+
+def _points_against_depth(
+    points: Model, input_path: Path | None, references: Sequence[depth.ReferenceDepth]
+) -> Record:
+    """Errors of edge points and, measured the same way, of SfM points."""
+    judged = {"edge_points": points}
+    if input_path is not None:
+        judged["sfm_points"] = load_model(input_path)
+    return {
+        name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
+        for name, kind in judged.items()
+    }
+
+
+def _against_visible_curves(
+    found: curves.Curves,
+    true: curves.Curves,
+    model: Model,
+    input_path: Path | None,
+    surface_path: Path,
+    thresholds_px: Sequence[float],
+) -> Record:
+    """Errors in pixels, and beside them how far the SfM points are off the same surface."""
+    surface = load_mesh(surface_path)
+    record: Record = asdict(
+        visible_curves.compare_visible_curves(
+            found, true, model.views, surface, thresholds_px=thresholds_px
+        )
+    )
+    if input_path is not None:
+        points = load_model(input_path).points3D_xyz
+        record["sfm_points_on_surface"] = visible_curves.on_surface(
+            points, model.views, surface, thresholds_px
+        )
     return record
 
 

@@ -65,17 +65,34 @@ def edge_tables(record: dict[str, Any]) -> str:
     parts = []
     if "curves" in record:
         parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
+        if "recall_by_views" in record["curves"]:
+            parts.append(_visible_curve_table(record["curves"]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
-    return "\n\n".join(
-        [*parts, _reprojection_table(record["reprojection"]), _length_table(record["lengths"])]
-    )
+    if "reprojection" in record:
+        parts.append(_reprojection_table(record["reprojection"]))
+    return "\n\n".join([*parts, _length_table(record["lengths"])])
 
 
 def _distance_table(errors: dict[str, Any]) -> str:
     names = ("accuracy", "completeness", "spacing", "unit")
     header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
     return markdown(header, [[errors[name] for name in names]])
+
+
+def _visible_curve_table(errors: dict[str, Any]) -> str:
+    limits = [f"within {score['threshold']:g} px" for score in errors["scores"]]
+    rows: list[list[Any]] = []
+    for part in errors["recall_by_views"]:
+        low, high = part["min_views"], part["max_views"]
+        views = str(low) if low == high else f"{low} to {high}"
+        rows.append([f"found, of true curves {views} views see", part["length"], *part["recall"]])
+    if errors["on_surface"]:
+        length = errors["result_samples"] * errors["spacing"]
+        rows.append(["3D edges on the true surface", length, *errors["on_surface"]])
+    if errors.get("sfm_points_on_surface"):
+        rows.append(["SfM points on the true surface", "", *errors["sfm_points_on_surface"]])
+    return markdown(("share", "length", *limits), rows)
 
 
 def _depth_table(errors: dict[str, Any]) -> str:

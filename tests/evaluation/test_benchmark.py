@@ -9,7 +9,17 @@ import trimesh
 
 from colmap_edges import evaluation
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import benchmark, clouds, curves, depth, dtu, held_out, results, tables
+from colmap_edges.evaluation import (
+    benchmark,
+    clouds,
+    curves,
+    depth,
+    dtu,
+    held_out,
+    results,
+    scene,
+    tables,
+)
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
 from colmap_edges.triangulation import triangulate
@@ -269,6 +279,61 @@ def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
     assert again.returncode == 1
     assert again.stderr.startswith("Error: ")
     assert again.stderr.count("\n") == 1
+
+
+@needs_mesher
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path, suffix):
+    from colmap_edges.evaluation.raycasting import load_mesh
+
+    (tmp_path / "run").mkdir()
+    load_mesh(run_path / "mesh.ply").export(tmp_path / "run" / f"mesh{suffix}")
+    reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
+    found = evaluation.run(tmp_path / "run", sparse, reference)["mesh"]
+    expected = scene.evaluate_mesh(run_path / "mesh.ply", sparse, reference)
+    assert found["faces"] == expected["faces"]
+    assert found["accuracy"]["mae"] == pytest.approx(expected["accuracy"]["mae"], rel=0.05)
+    assert found["completeness"]["mae"] == pytest.approx(expected["completeness"]["mae"], rel=1e-4)
+
+
+@needs_mesher
+def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, tmp_path):
+    import shutil
+
+    import cv2
+
+    shutil.copytree(run_path, tmp_path / "run", ignore=shutil.ignore_patterns("evaluation"))
+    (tmp_path / "depths").mkdir()
+    corners = [(x * h, y * h, z) for h, z in ((60, 0.0), (12, miniature.HEIGHT))
+               for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]  # fmt: skip
+    faces = [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)]
+    view = load_model(sparse).views[4]
+    truth = depth.render_depth(RayCaster(np.array(corners), np.array(faces)), view)
+    np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
+    images = root / "Rectified" / "scan6"
+    record = evaluation.run(tmp_path / "run", sparse, tmp_path / "depths", image_path=images)
+    assert record["edges"]["depth"]["edge_points"]["relative"]["median"] < 0.002
+    picture = cv2.imread(str(tmp_path / "run" / "evaluation" / "edges_rect_005_max.png"))
+    plain = cv2.imread(str(images / view.name))
+    assert picture.shape == plain.shape
+    coloured = np.ptp(picture.astype(int), axis=2) > 60
+    assert 30 < coloured.sum() < picture[..., 0].size / 4
+    (tmp_path / "depths" / "a.npz").unlink()
+    truth[truth > 0] *= 1.02  # now all edges are 2 % off: the colours' far end, red
+    np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
+    evaluation.run(tmp_path / "run", sparse, tmp_path / "depths", image_path=images, overwrite=True)
+    wrong = cv2.imread(str(tmp_path / "run" / "evaluation" / "edges_rect_005_max.png"))
+    blue, _, red = wrong[coloured].reshape(-1, 3).mean(axis=0)
+    assert red > 100 > 50 > blue
+
+
+@needs_mesher
+def test_an_evaluation_that_fails_leaves_nothing(sparse, run_path, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mesh.ply").write_bytes((run_path / "mesh.ply").read_bytes())
+    with pytest.raises(ColmapEdgesError, match="does not exist"):
+        evaluation.run(tmp_path / "run", sparse, tmp_path / "none.ply")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["mesh.ply"]
 
 
 def test_a_folder_without_mesh_is_refused(tmp_path, sparse):

@@ -1,0 +1,126 @@
+"""The scripts that make tables, from images on, on the miniature."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import miniature
+import numpy as np
+import pytest
+import trimesh
+from test_benchmark import needs_mesher
+
+from colmap_edges.evaluation import depth, dtu
+from colmap_edges.evaluation.raycasting import RayCaster
+from colmap_edges.model import load_model
+from colmap_edges.triangulation import triangulate
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = needs_mesher
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return miniature.write(tmp_path_factory.mktemp("data"), cameras=7)
+
+
+@pytest.fixture(scope="module")
+def sparse(root, tmp_path_factory):
+    folder, images = dtu.posed_images(root, 6)
+    path = tmp_path_factory.mktemp("sparse")
+    triangulate(images, folder, path)
+    return path
+
+
+def run(script, *arguments, code=0):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def write_line3dpp(sparse, path):
+    """One side of the raised square as Line3D++ writes it."""
+    ends = np.array([(-12, 12, miniature.HEIGHT), (12, 12, miniature.HEIGHT)])
+    words = [1, *ends.ravel(), 3]
+    for view in load_model(sparse).views[:3]:
+        words += [view.image_id, 0, *view.project(ends)[0].ravel()]
+    path.write_text(" ".join(map(str, words)) + "\n")
+
+
+def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path):
+    write_line3dpp(sparse, tmp_path / "lines_6.txt")
+    command = ("evaluate_dtu.py", "--input_path", root, "--output_path", tmp_path / "out")
+    command += ("--scans", 6, "--scans", 23, "--methods", "SfM", "--methods", "edges")
+    command += ("--peers", f"Line3D++={tmp_path}/lines_{{scan}}.txt")
+    done = run(*command)
+    assert "- DTU-023, SfM: " in done.stdout
+    results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    methods = results["DTU-006"]["methods"]
+    assert list(methods) == ["SfM", "edges", "Line3D++"]
+    for record in methods.values():
+        assert record["mesh"]["median"] < 0.1
+        assert record["dtu"]["overall"] < 2
+    assert methods["Line3D++"]["points"]["mae"] < 0.3  # between samples 0.5 mm apart
+    assert methods["Line3D++"]["points"]["count"] > 10
+    again = run(*command)
+    assert again.stdout.count("done before") == 3
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == results
+
+
+@pytest.mark.parametrize(("layout", "script"), [("neus", "dtu"), ("strecha", "strecha")])
+def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout, script):
+    images = root / "Rectified" / "scan6"
+    paths = ("--image_path", images, "--input_path", sparse, "--output_path", tmp_path / "scan6")
+    run("export_layout.py", "--layout", layout, *paths)
+    reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
+    name = "--input_path" if layout == "neus" else "--image_path"
+    command = (f"evaluate_{script}.py", name, tmp_path / "scan6", "--methods", "SfM")
+    run(*command, "--reference_path", reference, "--output_path", tmp_path / "out")
+    (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
+    assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
+    assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
+    assert list((tmp_path / "out").rglob("depth_*.png"))
+
+
+def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
+    write_line3dpp(sparse, tmp_path / "lines.txt")
+    top = miniature.HEIGHT
+    # The peer has one of the square's two sides.
+    ends = np.array([(-12, 12, top), (12, 12, top), (-12, -12, top), (12, -12, top)])
+    np.savez(tmp_path / "curves.npz", points=ends, edges=np.array([(0, 1), (2, 3)]))
+    corners = [(x * h, y * h, z) for h, z in ((60, 0.0), (12, top))
+               for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]  # fmt: skip
+    surface = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)], process=False)
+    surface.export(tmp_path / "surface.ply")
+    view = load_model(sparse).views[0]
+    truth = depth.render_depth(RayCaster(surface.vertices, surface.faces), view)
+    (tmp_path / "depths").mkdir()
+    np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
+    command = ("evaluate_edges.py", "--edges_path", tmp_path / "lines.txt", "--sparse_path", sparse)
+    command += ("--input_path", sparse, "--reference_path", tmp_path / "curves.npz")
+    command += ("--surface_path", tmp_path / "surface.ply")
+    command += ("--reference_depth_path", tmp_path / "depths", "--output_path", tmp_path / "e.json")
+    assert "SfM points on the true surface" in run(*command).stdout
+    record = json.loads((tmp_path / "e.json").read_text())
+    assert "reprojection" not in record
+    (row, _) = record["curves"]["scores"]
+    assert row["precision"] == 1
+    assert row["recall"] == pytest.approx(0.5, abs=0.02)
+    assert record["curves"]["on_surface"] == [1, 1]
+    assert 0.5 < record["curves"]["sfm_points_on_surface"][0] <= 1
+    assert record["depth"]["edge_points"]["relative"]["p90"] < 1e-3  # a pixel of a slanted surface
+    assert record["depth"]["sfm_points"]["relative"]["count"] > 100
+
+
+def test_bad_input_is_one_line(tmp_path):
+    for command in (
+        ("evaluate_dtu.py", "--input_path", tmp_path, "--output_path", tmp_path / "out"),
+        ("evaluate_strecha.py", "--image_path", tmp_path, "--output_path", tmp_path / "out"),
+    ):
+        done = run(*command, code=1)
+        assert done.stderr.startswith("error: ")
+        assert done.stderr.count("\n") == 1
