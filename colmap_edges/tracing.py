@@ -138,6 +138,21 @@ def trace_edges(
         witnesses=near.witnesses,
         covered=[np.zeros(len(graph.points), bool) for graph in graphs],
     )
+    traced = trace_views(scene, depths, agreeing, options, num_threads, advance)
+    edges, stats = gather(scene, traced, options)
+    stats["max_side_difference"] = chain_depth.max_side_difference
+    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+
+
+def trace_views(
+    scene: Scene,
+    depths: list[ChainDepths],
+    agreeing: list[NDArray[np.int32]],
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None],
+) -> list[Traced]:
+    """Curves of every view on what those before it left, the view with the most samples first."""
     traced = []
     order = np.argsort([-int(a.sum()) for a in agreeing], kind="stable")
     for view in each_told(order, advance):
@@ -149,15 +164,7 @@ def trace_edges(
             continue
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
-    pieces, outlines, stats = gather(scene, traced, options.tracing)
-    edges = link_edges(pieces, options.linking)
-    if outlines.num_edges:
-        edges = replace(edges, outlines=link_edges(outlines, options.linking))
-    stats["pieces"] = pieces.num_edges
-    stats["edges_closed"] = int(edges.closed.sum())
-    stats["nodes"] = int(edges.end_nodes.max(initial=-1)) + 1
-    stats["max_side_difference"] = chain_depth.max_side_difference
-    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+    return traced
 
 
 def without_supports(depths: ChainDepths) -> ChainDepths:
@@ -388,9 +395,35 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
 
 
 def gather(
-    scene: Scene, traced: list[Traced], options: TracingOptions
-) -> tuple[Edges3D, Edges3D, dict[str, Any]]:
-    """Filter points and pieces; the edges of what is left, outlines for themselves, and counts."""
+    scene: Scene, traced: list[Traced], options: PipelineOptions
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Filter points and pieces, link what is left to edges and outlines, and count."""
+    limits, sure, stats = find_limits(traced, options.tracing)
+    fixed, moving, start = [], [], 0
+    for each in traced:
+        end = start + len(each.points)
+        kept, scatters = sort_pieces(each, sure[start:end], limits, options.tracing)
+        fixed.append(kept)
+        moving.append(scatters)
+        start = end
+    pieces, outlines = make_edges(scene, fixed), make_edges(scene, moving)
+    edges = link_edges(pieces, options.linking)
+    if outlines.num_edges:
+        edges = replace(edges, outlines=link_edges(outlines, options.linking))
+    stats |= {
+        "points_dropped_chance": int(sure.sum()) - pieces.num_points - outlines.num_points,
+        "points_of_outlines": outlines.num_points,
+        "pieces": pieces.num_edges,
+        "edges_closed": int(edges.closed.sum()),
+        "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
+    }
+    return edges, stats
+
+
+def find_limits(
+    traced: list[Traced], options: TracingOptions
+) -> tuple[Limits, BoolArray, dict[str, Any]]:
+    """What pieces may have, by the scene's own medians; which points are good; and counts."""
     counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
     every = np.concatenate([np.zeros(0, int), *counts])
     enough = every >= options.min_observations
@@ -402,22 +435,13 @@ def gather(
         residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
         log_chance=np.log10(options.max_false_edges / max(tests, 1)),
     )
-    fixed, moving, start = [], [], 0
-    for each, count in zip(traced, counts, strict=True):
-        kept, scatters = sort_pieces(each, sure[start : start + len(count)], limits, options)
-        fixed.append(kept)
-        moving.append(scatters)
-        start += len(count)
-    edges, outlines = make_edges(scene, fixed), make_edges(scene, moving)
     stats = {
         "points_traced": len(every),
         "points_observed_enough": int(enough.sum()),
         "points_dropped_few_observations": int((~enough).sum()),
         "points_dropped_uncertain": int((enough & ~sure).sum()),
-        "points_dropped_chance": int(sure.sum()) - edges.num_points - outlines.num_points,
-        "points_of_outlines": outlines.num_points,
     }
-    return edges, outlines, stats
+    return limits, sure, stats
 
 
 def median_of(values: FloatArray) -> float:
