@@ -31,6 +31,7 @@ from typing import Any
 
 import click
 
+import colmap_edges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.workspace import find_images, find_model
 
@@ -203,12 +204,13 @@ def run_once(scene: Scene, variant: Variant, command: str, folder: Path) -> Stag
 
 
 def execute(command: list[str], tree: Path) -> dict[str, float]:
-    """Run a command with the package of a source tree; its measures.
+    """Run a command with the package of another source tree, or this process's own; its measures.
 
     Raises:
         ColmapEdgesError: with the last line it wrote, when it fails.
     """
-    environment = os.environ | {"PYTHONPATH": str(tree)}
+    package = Path(colmap_edges.__file__).parents[1] if tree == ROOT else tree
+    environment = os.environ | {"PYTHONPATH": str(package), "PYTHONSAFEPATH": "1"}
     begin = time.perf_counter()
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, cwd=tree, env=environment, stdout=log, stderr=log)

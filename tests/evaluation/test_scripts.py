@@ -1,7 +1,6 @@
 """The scripts that make tables, from images on, on the miniature."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -35,9 +34,8 @@ def sparse(root, tmp_path_factory):
 
 
 def run(script, *arguments, code=0):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
     return done
 
