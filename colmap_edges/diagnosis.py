@@ -200,6 +200,14 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             f"lower --Tracing.min_observations (now {tracing.min_observations}), or take more "
             "overlapping images",
         ),
+        (
+            "points_observed_enough",
+            "points_of_curves",
+            MIN_KEPT_SHARE,
+            "edge points have uncertain depths, or lie on curves that chance may have made",
+            f"raise --Tracing.max_sigma_ratio (now {tracing.max_sigma_ratio:g}) or "
+            f"--Tracing.max_false_edges (now {tracing.max_false_edges:g})",
+        ),
     ]
 
 
@@ -286,6 +294,11 @@ FUNNELS = {
         ("samples_in_runs", "samples_confirmed", "confirmed samples in runs that are sure"),
         ("points_traced", "", "points traced along new stretches"),
         ("points_observed_enough", "points_traced", "points observed in enough views"),
+        (
+            "points_of_curves",
+            "points_observed_enough",
+            "points that are sure, on curves that chance does not make",
+        ),
     ),
     "paper": (),
 }

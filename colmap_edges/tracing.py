@@ -412,6 +412,7 @@ def gather(
         edges = replace(edges, outlines=link_edges(outlines, options.linking))
     stats |= {
         "points_dropped_chance": int(sure.sum()) - pieces.num_points - outlines.num_points,
+        "points_of_curves": pieces.num_points + outlines.num_points,
         "points_of_outlines": outlines.num_points,
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),

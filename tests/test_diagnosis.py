@@ -14,6 +14,7 @@ CHAINS = {
     "samples_in_runs": 500,
     "points_traced": 400,
     "points_observed_enough": 300,
+    "points_of_curves": 250,
 }
 PAPER = {
     "pepcs": {"pepcs_from_sfm_points": 800, "pepcs_from_pecs": 200},
@@ -84,6 +85,11 @@ def test_nothing_to_say_when_all_went_well(options, details):
             {"trace": {"points_observed_enough": 40}},
             "90 % of 400 traced edge points",
             "--Tracing.min_observations (now 3)",
+        ),
+        (
+            {"trace": {"points_of_curves": 30}},
+            "90 % of 300 edge points have uncertain depths",
+            "--Tracing.max_false_edges (now 0.1)",
         ),
         ({"edges": 0}, "no 3D edge came out", "--Tracing.min_curve_points"),
         ({"write": {"median_residual_px": 1.4}}, "miss their observations by 1.40 px", "adjuster"),
