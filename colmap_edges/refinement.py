@@ -1,15 +1,16 @@
 """Least squares on the depths of curves: normal residuals in all views, smooth along the curve.
 
-A curve is a run of points on a chain of one view, its driver; each point has one unknown, its
-inverse depth there. An observation on a chain of another view says only how far the point lies
-across that chain, since an edge point may slide along its edge. On a straight edge inverse depth
-is affine along the image line, so the smoothness term, a second difference, costs nothing there;
-where an edge runs along the epipolar lines of all views it carries depth in from the ends.
+A curve is a run of points on a chain of one view, its driver; the unknown of each point is its
+inverse depth there, and in the end how far it lies off that chain. An observation on a chain of
+another view says only how far the point lies across that chain, since an edge point may slide
+along its edge. On a straight edge inverse depth is affine along the image line, so the smoothness
+term, a second difference, costs nothing there; where an edge runs along the epipolar lines of all
+views it carries depth in from the ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,13 @@ class Curves:
     sides: NDArray[np.int8]
 
     @property
+    def normals(self) -> FloatArray:
+        """(N, 2) unit normals of the curves in the driver's image."""
+        tangents = curve_tangents(self.ideal, self.offsets)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
+        return np.column_stack([-tangents[:, 1], tangents[:, 0]])
+
+    @property
     def curve_ids(self) -> IntArray:
         """(N,) curve of each point."""
         return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
@@ -53,11 +61,13 @@ class Linearization:
     Attributes:
         residuals: signed distance across the chain in pixels; NaN where not observed.
         slopes: change of the residual with inverse depth.
+        across: change of the residual with a shift of the driver's pixel across its chain.
         speeds: change of the projection with inverse depth in pixels, along and across.
     """
 
     residuals: FloatArray
     slopes: FloatArray
+    across: FloatArray
     speeds: FloatArray
 
 
@@ -121,7 +131,8 @@ def linearize(
 ) -> Linearization:
     """Residuals across the observed chains and their slopes at the present depths."""
     shape = positions.shape
-    residuals, slopes, speeds = (np.full(shape, np.nan) for _ in range(3))
+    residuals, slopes, across, speeds = (np.full(shape, np.nan) for _ in range(4))
+    shifts = np.column_stack([curves.normals / driver.focal_px, np.zeros(len(curves.ideal))])
     rays = np.column_stack([curves.ideal / driver.focal_px, np.ones(len(curves.ideal))])
     for k, (view, edge_view) in enumerate(zip(views, edge_views, strict=True)):
         rows = np.flatnonzero(np.isfinite(positions[:, k]))
@@ -133,12 +144,15 @@ def linearize(
         depth = local[:, 2:]
         projected = view.focal_px * local[:, :2] / depth
         moving = (view.focal_px * translation[:2] - projected * translation[2]) / depth
+        turned = shifts[rows] @ rotation.T
+        shifted = (view.focal_px * turned[:, :2] - projected * turned[:, 2:]) / depth
         at, tangent = _kernels.chain_points(edge_view, np.ascontiguousarray(positions[rows, k]))
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
         residuals[rows, k] = np.einsum("ij,ij->i", projected - at, normal)
         slopes[rows, k] = np.einsum("ij,ij->i", moving, normal)
+        across[rows, k] = np.einsum("ij,ij->i", shifted, normal)
         speeds[rows, k] = np.linalg.norm(moving, axis=1)
-    return Linearization(residuals=residuals, slopes=slopes, speeds=speeds)
+    return Linearization(residuals=residuals, slopes=slopes, across=across, speeds=speeds)
 
 
 def robust_weights(residuals: FloatArray, scale: float) -> FloatArray:
@@ -147,17 +161,52 @@ def robust_weights(residuals: FloatArray, scale: float) -> FloatArray:
     return weights
 
 
-def solve_depths(curves: Curves, linear: Linearization, options: RefinementOptions) -> FloatArray:
-    """(N,) inverse depths after one Gauss-Newton step on all curves at once."""
+def depth_step(curves: Curves, linear: Linearization, options: RefinementOptions) -> FloatArray:
+    """(N,) changes of inverse depth of one Gauss-Newton step, points staying on their chains."""
     weights = robust_weights(linear.residuals, options.robust_scale_px)
     slopes, residuals = np.nan_to_num(linear.slopes), np.nan_to_num(linear.residuals)
     information = np.sum(weights * slopes**2, axis=1)
     gradient = -np.sum(weights * slopes * residuals, axis=1)
-    speed = typical_speed(linear.speeds)
+    return solve_smooth(curves, information, gradient, linear.speeds, options)
+
+
+def joint_step(
+    curves: Curves, linear: Linearization, options: RefinementOptions
+) -> tuple[FloatArray, FloatArray]:
+    """One Gauss-Newton step in which the driver's chain is one observation of many.
+
+    A point may leave it, across. How far is a point's own affair, so that it is eliminated (Schur
+    complement) before the depths are solved for.
+
+    Returns:
+        (N,) changes of inverse depth and (N,) shifts across the driver's chain in pixels.
+    """
+    weights = robust_weights(linear.residuals, options.robust_scale_px)
+    slopes, residuals = np.nan_to_num(linear.slopes), np.nan_to_num(linear.residuals)
+    across = np.nan_to_num(linear.across)
+    shared = np.sum(weights * slopes * across, axis=1)
+    stiffness = np.sum(weights * across**2, axis=1) + 1  # the driver's own residual is zero
+    pull = -np.sum(weights * across * residuals, axis=1)
+    information = np.sum(weights * slopes**2, axis=1) - shared**2 / stiffness
+    gradient = -np.sum(weights * slopes * residuals, axis=1) - shared * pull / stiffness
+    changes = solve_smooth(curves, np.maximum(information, 0), gradient, linear.speeds, options)
+    shifts: FloatArray = (pull - shared * changes) / stiffness
+    return changes, shifts
+
+
+def solve_smooth(
+    curves: Curves,
+    information: FloatArray,
+    gradient: FloatArray,
+    speeds: FloatArray,
+    options: RefinementOptions,
+) -> FloatArray:
+    """(N,) changes of inverse depth by (N,) information and gradient, smooth along the curves."""
+    speed = typical_speed(speeds)
     smooth, inner = second_differences(curves.offsets)
     unit = speed[inner] / options.max_bend_px
-    bend = unit * (curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0]))
-    weight = unit**2 / (1 + bend**2)
+    second = curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0])
+    weight = unit**2 / (1 + (unit * second) ** 2)
     count = len(curves.ideal)
     bands = np.zeros((3, count))  # upper form: bands[2] diagonal, [1] next, [0] next but one
     bands[2] = information + 1e-4 * speed**2 + 1e-30
@@ -166,11 +215,9 @@ def solve_depths(curves: Curves, linear: Linearization, options: RefinementOptio
     np.add.at(bands[1], smooth[:, 1], -2.0 * weight)
     np.add.at(bands[1], smooth[:, 2], -2.0 * weight)
     np.add.at(bands[0], smooth[:, 2], weight)
-    pull = weight * (curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0]))
     for offset, factor in ((0, -1.0), (1, 2.0), (2, -1.0)):
-        np.add.at(gradient, smooth[:, offset], factor * pull)
-    step = solveh_banded(bands, gradient)
-    return np.asarray(curves.inverse_depths + step, np.float64)
+        np.add.at(gradient, smooth[:, offset], factor * weight * second)
+    return np.asarray(solveh_banded(bands, gradient), np.float64)
 
 
 def typical_speed(speeds: FloatArray) -> FloatArray:
@@ -206,7 +253,13 @@ def refine_curves(
         positions = drop_lone(positions, curves.offsets)
         for _ in range(2):
             linear = linearize(driver, curves, views, edge_views, positions)
-            curves = replace_depths(curves, solve_depths(curves, linear, options))
+            changes = depth_step(curves, linear, options)
+            curves = replace_depths(curves, curves.inverse_depths + changes)
+    # Once more, now that observations are sure: earlier, wrong ones would pull points away.
+    linear = linearize(driver, curves, views, edge_views, positions)
+    changes, shifts = joint_step(curves, linear, options)
+    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * curves.normals)
+    curves = replace_depths(curves, curves.inverse_depths + changes)
     positions = associate(
         driver,
         curves,

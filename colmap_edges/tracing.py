@@ -25,7 +25,7 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.linking import link_edges
-from colmap_edges.model import Model
+from colmap_edges.model import Model, View
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.significance import chance_of_observations
@@ -36,7 +36,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.3  # no real edge scatters less, however clean the scene
+MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -51,7 +51,7 @@ class Traced:
         views: (K + 1,) view of each column of `positions`, the driver first.
         positions: (N, K + 1) positions on the views' chains; NaN where not observed.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
-        residuals: (N,) root mean square distance to the chains that observe it, in pixels.
+        residuals: (N,) median distance to the chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
     """
 
@@ -152,9 +152,11 @@ def trace_views(
     num_threads: int,
     advance: Callable[[], None],
 ) -> list[Traced]:
-    """Curves of every view on what those before it left, the view with the most samples first."""
+    """Curves of every view on what those before it left, the best view first."""
     traced = []
-    order = np.argsort([-int(a.sum()) for a in agreeing], kind="stable")
+    views = scene.model.views
+    worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
+    order = np.argsort([-worth for worth in worths], kind="stable")
     for view in each_told(order, advance):
         driver = int(view)
         curves, indices = curves_of_view(
@@ -165,6 +167,11 @@ def trace_views(
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
     return traced
+
+
+def worth_of(view: View, depths: ChainDepths, agreeing: NDArray[np.int32]) -> float:
+    """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
+    return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
 
 def without_supports(depths: ChainDepths) -> ChainDepths:
@@ -367,7 +374,7 @@ def trace_view(
         points=lift(driver, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
-        residuals=np.sqrt(np.nansum(refined.residuals**2, axis=1) / np.maximum(observed, 1)),
+        residuals=row_medians(np.abs(refined.residuals)),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses[seeing]]),
@@ -450,6 +457,23 @@ def median_of(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
+def row_medians(values: FloatArray) -> FloatArray:
+    """(N,) median of the finite values in each row of (N, K), the lower of two; 0 of none."""
+    count = np.isfinite(values).sum(axis=1)
+    if values.shape[1] == 0:
+        return np.zeros(len(values))
+    middle = np.sort(values, axis=1)[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    return np.where(count > 0, middle, 0.0)
+
+
+def group_medians(values: FloatArray, groups: IntArray, count: int) -> FloatArray:
+    """(count,) median of the (N,) values of each group, the lower of two; groups ascend."""
+    ordered = values[np.lexsort((values, groups))]
+    sizes = np.bincount(groups, minlength=count)
+    medians: FloatArray = ordered[np.cumsum(sizes) - sizes + np.maximum(sizes - 1, 0) // 2]
+    return medians
+
+
 def sort_pieces(
     traced: Traced, keep: BoolArray, limits: Limits, options: TracingOptions
 ) -> tuple[Traced, Traced]:
@@ -467,9 +491,8 @@ def sort_pieces(
     # Points nearer to each other than that are not independent evidence.
     share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
-    squares = np.bincount(pieces, weights=traced.residuals**2, minlength=len(sizes))
     good = (sizes >= options.min_curve_points) & (logs <= limits.log_chance)
-    fixed = squares <= sizes * limits.residual_px**2
+    fixed = group_medians(traced.residuals, pieces, len(sizes)) <= limits.residual_px
     return (
         chosen(traced, pieces, keep & (good & fixed)[pieces]),
         chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
