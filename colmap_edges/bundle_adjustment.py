@@ -199,7 +199,7 @@ def problem_of_rows(model: Model, edges: Edges3D, rows: Rows, indices: IntArray)
     tangents = curve_tangents(edges.points, edges.edge_offsets)
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
     tangents = tangents / np.where(lengths > 0, lengths, 1)
-    edge_ids = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    edge_ids = edges.edge_ids
     return Problem(
         rotations=np.array([view.rotation for view in model.views]),
         translations=np.array([view.translation for view in model.views]),

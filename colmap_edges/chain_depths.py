@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of, owners_of, ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
@@ -83,11 +84,9 @@ def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
     lengths = np.diff(graph.polyline_offsets)
     steps = np.clip(lengths // MIN_SAMPLES, max(step // 2, 1), step)
     counts = np.maximum(lengths // steps, 1)
-    offsets = np.zeros(len(counts) + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
-    rank = np.arange(offsets[-1]) - np.repeat(offsets[:-1], counts)
     first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * steps) // 2
-    return np.repeat(first, counts) + rank * np.repeat(steps, counts), offsets
+    samples = np.repeat(first, counts) + ranks_of(counts) * np.repeat(steps, counts)
+    return samples, offsets_of(counts)
 
 
 def compute_chain_depths(
@@ -169,7 +168,7 @@ def learn_side_difference(
             unlimited,
             num_threads,
         )
-        owners = np.repeat(np.arange(len(depths.samples)), np.diff(depths.support_offsets))
+        owners = owners_of(depths.support_offsets)
         sure = depths.scores[owners] > SURE_SCORE
         own = graphs[view].sides[depths.samples[owners]].astype(int)
         for other in np.unique(depths.support_views):

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
@@ -91,7 +92,6 @@ def detect_pixel_chains(
     detector.detectEdges(image)
     segments = [np.asarray(s).reshape(-1, 2) for s in detector.getSegments()]
     chains = [s for s in segments if len(s) >= min_length_px]
-    offsets = np.zeros(len(chains) + 1, np.int64)
-    np.cumsum([len(c) for c in chains], out=offsets[1:])
+    offsets = offsets_of(np.array([len(c) for c in chains], np.int64))
     pixels = np.concatenate(chains) if chains else np.zeros((0, 2))
     return pixels.astype(np.float64), offsets

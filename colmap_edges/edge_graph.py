@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
@@ -61,7 +62,7 @@ class EdgeGraph:
     @cached_property
     def polyline_ids(self) -> IntArray:
         """(N,) polyline of each point."""
-        return np.repeat(np.arange(self.num_polylines), np.diff(self.polyline_offsets))
+        return owners_of(self.polyline_offsets)
 
 
 def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> EdgeGraph:
@@ -88,7 +89,7 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
     """Leave out every chain with a point that is not usable."""
     if usable.all():
         return chains
-    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    ids = owners_of(chains.offsets)
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
     lengths = np.diff(chains.offsets)[~bad]
@@ -98,13 +99,6 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
         sides=chains.sides[keep],
         offsets=offsets_of(lengths),
     )
-
-
-def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
-    """(n + 1,) CSR offsets of n lengths."""
-    offsets = np.zeros(len(lengths) + 1, np.int64)
-    np.cumsum(lengths, out=offsets[1:])
-    return offsets
 
 
 def join_chains(
@@ -254,7 +248,7 @@ def touched_polylines(
 ) -> NDArray[np.int32]:
     """(2C,) polyline whose inside the end touches (3x3 pixels), other than its own, or -1."""
     labels = np.full((height + 2, width + 2), -1, np.int32)
-    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    ids = owners_of(chains.offsets)
     inner = np.ones(len(ids), bool)
     inner[chains.offsets[:-1]] = inner[chains.offsets[1:] - 1] = False
     pixels = np.floor(chains.points[inner]).astype(int)
@@ -279,7 +273,7 @@ def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
     than `max_angle_deg` (paper: definition of regular length).
     """
     vertices = graph.points[graph.smoothed]
-    ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    ids = owners_of(graph.smoothed_offsets)
     within = ids[1:] == ids[:-1]
     segments = np.diff(vertices, axis=0)[within]
     polyline = ids[1:][within]
@@ -331,7 +325,7 @@ def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
     ids = graph.polyline_ids
     points = keep[ids]
     moved = np.cumsum(points) - 1
-    smoothed_ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    smoothed_ids = owners_of(graph.smoothed_offsets)
     renumbered = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
     through = graph.node_polylines
     return EdgeGraph(

@@ -49,7 +49,7 @@ def edge_lengths(edges: Edges3D) -> NDArray[np.float64]:
     """Length (E,) of each edge, world units."""
     segments = edge_segments(edges)
     lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
-    owners = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    owners = edges.edge_ids
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 

@@ -92,7 +92,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.uint8]:
     """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
     sums = np.zeros((edges.num_points, 3))
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     order = np.argsort(edges.track_views, kind="stable")
     bounds = np.searchsorted(edges.track_views[order], np.arange(len(model.views) + 1))
     for index, view in enumerate(model.views):

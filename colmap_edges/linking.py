@@ -15,7 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.edge_graph import offsets_of, walk_joined
+from colmap_edges.csr import offsets_of
+from colmap_edges.edge_graph import walk_joined
 from colmap_edges.edges import Edges3D
 from colmap_edges.options import LinkingOptions
 
@@ -64,8 +65,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
         closed.append(is_closed)
         tips.append((path[0], path[-1] ^ 1))
     loops = np.array(closed, bool)
-    return reordered(
-        edges,
+    return edges.reordered(
         np.concatenate(order),
         offsets_of(np.array(lengths, np.int64)),
         loops,
@@ -169,27 +169,3 @@ def find_nodes(
     result: NDArray[np.int32] = nodes[tips]
     result[closed] = -1
     return result
-
-
-def reordered(
-    edges: Edges3D,
-    order: IntArray,
-    offsets: IntArray,
-    closed: NDArray[np.bool_],
-    end_nodes: NDArray[np.int32],
-) -> Edges3D:
-    """The points of `edges` in another order, with their tracks, cut into other edges."""
-    lengths = np.diff(edges.track_offsets)[order]
-    track_offsets = offsets_of(lengths)
-    rows = np.arange(track_offsets[-1]) - np.repeat(track_offsets[:-1], lengths)
-    rows += np.repeat(edges.track_offsets[order], lengths)
-    return Edges3D(
-        points=edges.points[order],
-        edge_offsets=offsets,
-        closed=closed,
-        track_offsets=track_offsets,
-        track_views=edges.track_views[rows],
-        track_points2D=edges.track_points2D[rows],
-        sigmas=edges.sigmas[order],
-        end_nodes=end_nodes,
-    )

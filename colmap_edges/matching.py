@@ -56,7 +56,7 @@ def close_points(
         to the reprojections of a point (0 for points close to none).
     """
     num_points = len(model.points3D_xyz)
-    point_ids = np.repeat(np.arange(num_points), np.diff(model.track_offsets))
+    point_ids = model.track_points
     pixels = project_tracks(model, point_ids)
     near = field.find_near(
         model.track_views, pixels, np.full(len(pixels), max_distance_px), num_threads

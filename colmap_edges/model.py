@@ -20,6 +20,7 @@ from colmap_edges.colmap_files import (
     check_model_files,
     check_text_files,
 )
+from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -108,6 +109,11 @@ class Model:
     track_points2D: FloatArray
     unposed_names: tuple[str, ...]
     reconstruction: Any
+
+    @property
+    def track_points(self) -> IntArray:
+        """(T,) point of each observation."""
+        return owners_of(self.track_offsets)
 
     @cached_property
     def camera_centers(self) -> FloatArray:
@@ -236,8 +242,7 @@ def tracks_by_point(
         )
     rows = np.searchsorted(point3D_ids, observed_ids)
     order = np.argsort(rows, kind="stable")
-    offsets = np.zeros(len(point3D_ids) + 1, np.int64)
-    np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])
+    offsets = offsets_of(np.bincount(rows, minlength=len(point3D_ids)))
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
 
 
@@ -253,7 +258,7 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     NaN where the point lies behind the camera.
     """
     residuals = np.full(len(edges.track_views), np.nan)
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     for view, rows in zip(
         model.views, rows_by_view(edges.track_views, len(model.views)), strict=True
     ):
@@ -362,7 +367,7 @@ def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
     first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
     lengths = np.diff(edges.track_offsets)
-    owners = np.repeat(np.arange(edges.num_points), lengths)
+    owners = edges.track_points
     sums = np.bincount(owners, observation_residuals(model, edges), edges.num_points)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     return NewPoints(

@@ -56,7 +56,7 @@ def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: E
         (H, W, 3) uint8 BGR.
     """
     canvas = darkened(image)
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == view_index]] = True
     segments = edge_segments(edges)

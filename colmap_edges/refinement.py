@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from colmap_edges.cross_check import lift
+from colmap_edges.csr import owners_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
@@ -43,7 +44,7 @@ class Curves:
     @property
     def curve_ids(self) -> IntArray:
         """(N,) curve of each point."""
-        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+        return owners_of(self.offsets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +186,7 @@ def typical_speed(speeds: FloatArray) -> FloatArray:
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
     """(M, 3) consecutive points within curves, and (M,) the middle ones."""
     index = np.arange(max(int(offsets[-1]) - 2, 0))
-    ids = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    ids = owners_of(offsets)
     index = index[ids[index] == ids[index + 2]]
     return index[:, None] + np.arange(3), index + 1
 
@@ -240,7 +241,7 @@ def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     Both directions of a chain must go with the curve: neighbouring points are observed at
     neighbouring positions, in one order.
     """
-    same = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    same = owners_of(offsets)
     step = np.full(positions.shape, np.nan)
     if len(positions) > 1:
         step[1:] = np.diff(positions, axis=0)

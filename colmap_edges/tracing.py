@@ -20,7 +20,8 @@ from colmap_edges.chain_depths import (
     make_edge_view,
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
-from colmap_edges.edge_graph import EdgeGraph, offsets_of
+from colmap_edges.csr import offsets_of, owners_of
+from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -459,7 +460,7 @@ def sort_pieces(
         The pieces that are edges, and those that scatter around any fixed curve: what moves over a
         body from view to view, as its outline and reflections do.
     """
-    ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
+    ids = owners_of(traced.offsets)
     broken = np.ones(len(ids), bool)
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
     pieces = np.cumsum(broken) - 1

@@ -89,7 +89,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
 
 def observation_matrix(model: Model) -> csr_array:
     """(V, N) sparse bool: view v observes point n."""
-    points = np.repeat(np.arange(len(model.point3D_ids)), np.diff(model.track_offsets))
+    points = model.track_points
     shape = (len(model.views), len(model.point3D_ids))
     ones = np.ones(len(points), np.float64)
     matrix = csr_array((ones, (model.track_views, points)), shape=shape)

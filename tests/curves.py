@@ -10,7 +10,8 @@ import numpy as np
 import pycolmap
 import scenes
 
-from colmap_edges.edge_graph import EdgeGraph, offsets_of
+from colmap_edges.csr import offsets_of
+from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels
 from colmap_edges.model import Model, View

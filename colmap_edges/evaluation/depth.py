@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
-from colmap_edges.evaluation.observations import observed_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
 from colmap_edges.model import FloatArray, Model, View
@@ -205,7 +204,7 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
         Signed errors mesh - point along the optical axis in world units (T,), NaN where the mesh
         is not hit; depths of the points (T,).
     """
-    points = model.points3D_xyz[observed_points(model)]
+    points = model.points3D_xyz[model.track_points]
     errors = np.full(len(points), np.nan)
     depths = np.full(len(points), np.nan)
     for index, view in enumerate(model.views):

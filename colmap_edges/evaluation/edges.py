@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.evaluation.curves import Curves
 from colmap_edges.evaluation.depth import ReferenceDepth
-from colmap_edges.evaluation.observations import observed_points, select_points
+from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
 from colmap_edges.model import FloatArray, IntArray, Model
 
@@ -94,7 +94,7 @@ def depth_window_errors(
         (not `relative`) in world units.
     """
     index = {view.name: number for number, view in enumerate(model.views)}
-    points = model.points3D_xyz[observed_points(model)]
+    points = model.points3D_xyz[model.track_points]
     errors = []
     for reference in references:
         seen = model.track_views == index.get(reference.view.name, -1)
@@ -150,7 +150,7 @@ def reprojection_errors(model: Model) -> ReprojectionErrors:
 
     A point behind a camera that claims to see it counts as infinitely far.
     """
-    points = model.points3D_xyz[observed_points(model)]
+    points = model.points3D_xyz[model.track_points]
     distance = np.full(len(points), np.inf)
     for index, view in enumerate(model.views):
         seen = model.track_views == index

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.depth import DepthErrors, ReferenceDepth
 from colmap_edges.evaluation.edges import view_window_errors
-from colmap_edges.evaluation.observations import observed_points
 from colmap_edges.images import read_image
 from colmap_edges.model import FloatArray, Model
 
@@ -61,7 +60,7 @@ def write_edge_overlays(
     Colours are relative depth errors from 0 to 1 %; magenta: the reference is silent there.
     """
     names = [view.name for view in points.views]
-    observed = observed_points(points)
+    observed = points.track_points
     folder.mkdir(parents=True, exist_ok=True)
     for reference in references:
         seen = observed[points.track_views == names.index(reference.view.name)]

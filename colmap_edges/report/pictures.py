@@ -126,7 +126,7 @@ def observed_segments(
     view: View, index: int, edges: Edges3D, segments: NDArray[np.int32]
 ) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == index]] = True
     chosen = segments[observed[segments].all(axis=1)]
