@@ -83,6 +83,12 @@ class View:
         ideal, depths = self.project_ideal(points)
         return self.image_from_ideal(ideal), depths
 
+    def holds(self, pixels: FloatArray, depths: FloatArray) -> NDArray[np.bool_]:
+        """(N,) whether what projects to (N, 2) image pixels at (N,) depths is in the image."""
+        inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        held: NDArray[np.bool_] = inside & (depths > 0)
+        return held
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:

@@ -205,9 +205,7 @@ def pose_scores(
     scores = np.zeros(len(model.views))
     for index in np.flatnonzero(weights.any(axis=1)):  # few of many
         other = model.views[index]
-        pixels, depths = other.project(points)
-        inside = (depths > 0) & (pixels > 0).all(1) & (pixels < (other.width, other.height)).all(1)
-        scores[index] = float(np.sum(weights[index] * inside))
+        scores[index] = float(np.sum(weights[index] * other.holds(*other.project(points))))
     return scores
 
 

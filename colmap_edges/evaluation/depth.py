@@ -139,8 +139,7 @@ def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
     surface seen at 80 degrees falls back by over two pixels).
     """
     pixels, depths = view.project(points)
-    inside = (depths > 0) & (pixels >= 0).all(axis=1)
-    inside &= (pixels < (view.width, view.height)).all(axis=1)
+    inside = view.holds(pixels, depths)
     pixels, depths = pixels[inside], depths[inside]
     scale = _cloud_scale(points[inside], depths, view)
     shape = (int(np.ceil(view.height * scale)), int(np.ceil(view.width * scale)))

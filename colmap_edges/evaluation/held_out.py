@@ -88,8 +88,7 @@ def unhidden_pixels(points: FloatArray, view: View, caster: RayCaster | None) ->
     Hidden is what the mesh of `caster` covers by more than three pixels' length at its depth.
     """
     pixels, depths = view.project(points)
-    with np.errstate(invalid="ignore"):
-        seen = (depths > 0) & ((pixels >= 0) & (pixels < (view.width, view.height))).all(axis=1)
+    seen = view.holds(pixels, depths)
     if caster is not None and seen.any():
         along = caster.cast(view.center, points[seen] - view.center)
         seen[seen] = ~(along < 1 - 3 / view.focal_px)
