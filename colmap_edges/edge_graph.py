@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
+from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import EdgeGraphOptions
@@ -116,8 +117,7 @@ def join_chains(
     pieces, lengths, closed = [], [], []
     for path, is_closed in walk_joined(partner):
         for end in path:
-            a, b = chains.offsets[end // 2], chains.offsets[end // 2 + 1]
-            pieces.append(np.arange(a, b) if end % 2 == 0 else np.arange(b - 1, a - 1, -1))
+            pieces.append(points_from(end, chains.offsets[end // 2], chains.offsets[end // 2 + 1]))
         lengths.append(sum(len(piece) for piece in pieces[len(pieces) - len(path) :]))
         closed.append(is_closed)
     order = np.concatenate(pieces) if pieces else np.zeros(0, np.int64)
@@ -136,11 +136,9 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     Two ends may join when they touch, or when the direction goes on across a small gap; the
     bright side must stay on the same side.
     """
-    count = len(chains.offsets) - 1
-    partner = np.full(2 * count, -1, np.int64)
-    if count == 0:
-        return partner
     positions, outward, side = chain_ends(chains)
+    if len(positions) == 0:
+        return np.zeros(0, np.int64)
     pairs = cKDTree(positions).query_pairs(max_gap_px, output_type="ndarray")
     a, b = pairs[:, 0], pairs[:, 1]
     gap = positions[b] - positions[a]
@@ -152,10 +150,7 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     straight = (turn >= cos_limit) & (along >= cos_limit * distance)
     allowed = (touching | straight) & (side[a] == -side[b])
     cost = distance + (1 - turn) * max_gap_px
-    for index in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
-        if partner[a[index]] < 0 and partner[b[index]] < 0:
-            partner[a[index]], partner[b[index]] = b[index], a[index]
-    return partner
+    return match_best_first(len(positions), a, b, allowed, cost)
 
 
 def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
@@ -163,35 +158,12 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64
 
     The bright side is +1 when the normal is to the left of the outward direction, else -1.
     """
-    first, last = chains.offsets[:-1], chains.offsets[1:] - 1
-    tips = np.column_stack([first, last]).ravel()
-    inner = np.column_stack(
-        [np.minimum(first + DIRECTION_STEP, last), np.maximum(last - DIRECTION_STEP, first)]
-    ).ravel()
+    tips, inner = end_points(chains.offsets, DIRECTION_STEP)
     outward = chains.points[tips] - chains.points[inner]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-12
     normals = chains.normals[inner]
     cross = outward[:, 0] * normals[:, 1] - outward[:, 1] * normals[:, 0]
     return chains.points[tips], outward, np.where(cross >= 0, 1, -1)
-
-
-def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
-    """Paths of joined chains: lists of the end at which each chain is entered, and closedness."""
-    count = len(partner) // 2
-    seen = np.zeros(count, bool)
-    ends = partner.tolist()
-    paths = []
-    free = [end for end in range(2 * count) if ends[end] < 0]
-    for start in free + list(range(0, 2 * count, 2)):
-        if seen[start // 2]:
-            continue
-        path, end = [], start
-        while end >= 0 and not seen[end // 2]:
-            seen[end // 2] = True
-            path.append(end)
-            end = ends[end ^ 1]
-        paths.append((path, end == start))
-    return paths
 
 
 def assemble(

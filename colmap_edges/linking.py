@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.csr import offsets_of
-from colmap_edges.edge_graph import walk_joined
 from colmap_edges.edges import Edges3D
+from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.options import LinkingOptions
 
 FloatArray = NDArray[np.float64]
@@ -57,9 +57,10 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
     ends = find_ends(edges)
     partner = match_ends(ends, np.diff(edges.edge_offsets), options)
     skip = overlaps(edges, ends, partner)
+    begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     order, lengths, closed, tips = [], [], [], []
     for path, is_closed in walk_joined(partner):
-        pieces = [points_from(edges, end, skip) for end in path]
+        pieces = [points_from(end, begin[end // 2], stop[end // 2]) for end in path]
         order.extend(pieces)
         lengths.append(sum(len(piece) for piece in pieces))
         closed.append(is_closed)
@@ -75,11 +76,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
 
 def find_ends(edges: Edges3D) -> Ends:
     """The ends of all edges with their directions and spacings."""
-    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
-    tips = np.column_stack([first, last]).ravel()
-    inner = np.column_stack(
-        [np.minimum(first + REACH, last), np.maximum(last - REACH, first)]
-    ).ravel()
+    tips, inner = end_points(edges.edge_offsets, REACH)
     chords = edges.points[tips] - edges.points[inner]
     lengths = np.linalg.norm(chords, axis=1)
     return Ends(
@@ -117,11 +114,7 @@ def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions) -> IntArray
     allowed &= along >= -(REACH - 1) * spacing
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
     cost = np.linalg.norm(gap, axis=1) / spacing + 2 * across / spacing
-    partner = np.full(len(ends.positions), -1, np.int64)
-    for row in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
-        if partner[a[row]] < 0 and partner[b[row]] < 0:
-            partner[a[row]], partner[b[row]] = b[row], a[row]
-    return partner
+    return match_best_first(len(ends.positions), a, b, allowed, cost)
 
 
 def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
@@ -141,13 +134,6 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
         passed = (ahead < 0.3 * ends.spacings[joined]) & (skip[other] == step) & (sizes > step + 2)
         skip[other[passed]] += 1
     return skip
-
-
-def points_from(edges: Edges3D, end: int, skip: IntArray) -> IntArray:
-    """Indices of an edge's points from one of its ends to the other, overlaps left out."""
-    first = edges.edge_offsets[end // 2] + skip[end & ~1]
-    last = edges.edge_offsets[end // 2 + 1] - skip[end | 1]
-    return np.arange(first, last) if end % 2 == 0 else np.arange(last - 1, first - 1, -1)
 
 
 def find_nodes(
