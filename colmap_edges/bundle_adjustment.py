@@ -178,8 +178,7 @@ def make_problem(model: Model, edges: Edges3D, normals: FloatArray) -> tuple[Pro
 def ideal_pixels(model: Model, views: IntArray, parts: list[FloatArray]) -> FloatArray:
     """(T, 2) ideal pixels of image pixels, each in its view."""
     pixels: FloatArray = np.concatenate(parts)
-    for index, view in enumerate(model.views):
-        rows = views == index
+    for view, rows in zip(model.views, rows_by_view(views, len(model.views)), strict=True):
         pixels[rows] = view.ideal_from_image(pixels[rows])
     return pixels
 

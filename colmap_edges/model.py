@@ -252,7 +252,7 @@ def tracks_by_point(
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
 
 
-def rows_by_view(track_views: NDArray[np.int32], num_views: int) -> list[IntArray]:
+def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:
     """Of each view the rows, ascending, of the (T,) views of observations that are its own."""
     order = np.argsort(track_views, kind="stable")
     return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
