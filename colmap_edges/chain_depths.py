@@ -26,6 +26,7 @@ IntArray = NDArray[np.int64]
 
 SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
 MIN_SURE = 200  # supports of such depths that are enough to learn from
+ANY_SIDE_DIFFERENCE = 255.0  # gray levels; no two sides differ by more
 MIN_SAMPLES = 5  # that a polyline shall have, if its length allows
 
 
@@ -106,8 +107,11 @@ def compute_chain_depths(
         edge_views: all views in the kernels' form.
         graph: the source's edge graph.
         depth_range: the inverse depths that the source sees.
-        options: sampling, agreement and continuity; sides may differ without limit where it is -1.
+        options: sampling, agreement and continuity; no limit to sides where it is -1.
         num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The S samples on the source's chains with the depths found and the crossings that agree.
     """
     limit = options.max_side_difference
     samples, offsets = sample_chains(graph, options.sample_step_px)
@@ -119,7 +123,7 @@ def compute_chain_depths(
         depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
         max_disagreement_px=options.max_disagreement_px,
-        max_side_difference=limit if limit >= 0 else 255.0,
+        max_side_difference=limit if limit >= 0 else ANY_SIDE_DIFFERENCE,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
@@ -152,10 +156,23 @@ def learn_side_difference(
     """How much the more alike sides of one edge differ between views, in gray levels.
 
     Depths that geometry alone makes sure tell it, for a few samples of a few views; so what
-    exposure, gloss or moving lights change is allowed for. 255, no limit, if there are too few.
+    exposure, gloss or moving lights change is allowed for.
+
+    Args:
+        neighbors: V arrays (K,) of the views each view is compared with.
+        edge_views: the V views in the kernels' form.
+        graphs: their edge graphs.
+        ranges: the inverse depths that each sees.
+        options: as for `compute_chain_depths`; the limit to learn is left aside.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        A limit for `max_side_difference`, `ANY_SIDE_DIFFERENCE` where too few depths are sure.
     """
     unlimited = replace(
-        options, max_side_difference=255.0, sample_step_px=4 * options.sample_step_px
+        options,
+        max_side_difference=ANY_SIDE_DIFFERENCE,
+        sample_step_px=4 * options.sample_step_px,
     )
     differences = []
     for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
@@ -176,4 +193,6 @@ def learn_side_difference(
             theirs = graphs[other].sides[depths.support_positions[rows].astype(int)]
             differences.append(np.abs(own[rows] - theirs).min(axis=1))
     every = np.concatenate([np.zeros(0, int), *differences])
-    return 1.5 * float(np.percentile(every, 90)) + 1 if len(every) >= MIN_SURE else 255.0
+    if len(every) < MIN_SURE:
+        return ANY_SIDE_DIFFERENCE
+    return 1.5 * float(np.percentile(every, 90)) + 1

@@ -199,7 +199,19 @@ def refine_curves(
     options: RefinementOptions,
     num_threads: int,
 ) -> Refined:
-    """Refine the depths of curves on their observations."""
+    """Refine the depths of curves on their observations.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points, at depths near enough to find their observations.
+        views: the K views that may observe them.
+        edge_views: their chains in the kernels' form.
+        options: search radius, noise and smoothness.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The curves at their new depths, with (N, K) observations and (N,) standard deviations.
+    """
     for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = associate(
             driver, curves, edge_views, radius, options.max_tangent_angle_deg, num_threads

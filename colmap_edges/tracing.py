@@ -425,7 +425,16 @@ def gather(
 def find_limits(
     traced: list[Traced], options: TracingOptions
 ) -> tuple[Limits, BoolArray, dict[str, Any]]:
-    """What pieces may have, by the scene's own medians; which points are good; and counts."""
+    """What pieces may have, by the scene's own medians, and which points are good.
+
+    Args:
+        traced: the curves of all drivers, N points together.
+        options: how many observations are enough, and ratios to the medians.
+
+    Returns:
+        The limits of a piece; (N,) whether a point, in the order of `traced`, has observations
+        enough and is certain enough; and counts of points in and dropped by reason.
+    """
     counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
     every = np.concatenate([np.zeros(0, int), *counts])
     enough = every >= options.min_observations
