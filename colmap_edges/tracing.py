@@ -139,10 +139,10 @@ def trace_edges(
         witnesses=near.witnesses,
         covered=[np.zeros(len(graph.points), bool) for graph in graphs],
     )
-    traced = trace_views(scene, depths, agreeing, options, num_threads, advance)
+    traced, in_runs = trace_views(scene, depths, agreeing, options, num_threads, advance)
     edges, stats = gather(scene, traced, options)
     stats["max_side_difference"] = chain_depth.max_side_difference
-    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+    return edges, count_samples(scene, depths, agreeing, in_runs) | stats
 
 
 def trace_views(
@@ -152,20 +152,25 @@ def trace_views(
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None],
-) -> list[Traced]:
-    """Curves of every view on what those before it left, the view with the most samples first."""
-    traced = []
+) -> tuple[list[Traced], int]:
+    """Curves of every view on what those before it left, the view with the most samples first.
+
+    Returns:
+        The curves of each view that has any, and how many samples are in sure runs.
+    """
+    traced, in_runs = [], 0
     order = np.argsort([-int(a.sum()) for a in agreeing], kind="stable")
     for view in each_told(order, advance):
         driver = int(view)
-        curves, indices = curves_of_view(
+        curves, indices, sure = curves_of_view(
             scene, driver, depths[driver], agreeing[driver], options.tracing
         )
+        in_runs += sure
         if len(indices) == 0:
             continue
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
-    return traced
+    return traced, in_runs
 
 
 def without_supports(depths: ChainDepths) -> ChainDepths:
@@ -186,16 +191,9 @@ def count_samples(
     scene: Scene,
     depths: list[ChainDepths],
     agreeing: list[NDArray[np.int32]],
-    options: TracingOptions,
+    in_runs: int,
 ) -> dict[str, Any]:
     """Count the samples on chains after each check, and the views that overlap with none."""
-    in_runs = 0
-    for graph, found, others in zip(scene.graphs, depths, agreeing, strict=True):
-        rows = np.flatnonzero(found.found & (others >= 1))
-        if len(rows):
-            linked = link_samples(graph, found, rows, options)
-            sizes, sure = sure_runs(linked, others[rows], options)
-            in_runs += int(sizes[sure].sum())
     return {
         "views": len(depths),
         "views_without_neighbors": sum(len(n) == 0 for n in scene.neighbors),
@@ -212,17 +210,17 @@ def curves_of_view(
     depths: ChainDepths,
     agreeing: NDArray[np.int32],
     options: TracingOptions,
-) -> tuple[Curves, IntArray]:
+) -> tuple[Curves, IntArray, int]:
     """Curves on the chains of one view that are not covered yet.
 
     Returns:
-        The curves and (N,) the points of the graph that they run through.
+        The curves, (N,) the points of the graph that they run through, and how many samples are
+        in sure runs.
     """
     graph = scene.graphs[view]
-    good = depths.found & (agreeing >= 1)
-    rows = np.flatnonzero(good)
-    linked = link_samples(graph, depths, rows, options)
-    indices, inverse, runs = densify(graph, depths, rows, linked, agreeing, options)
+    rows = np.flatnonzero(depths.found & (agreeing >= 1))
+    sizes, sure = sure_runs(link_samples(graph, depths, rows, options), agreeing[rows], options)
+    indices, inverse, runs = densify(graph, depths, rows, sizes, sure, options)
     free = ~scene.covered[view][indices]
     indices, inverse, runs = indices[free], inverse[free], runs[free]
     # A covered stretch ends a curve as the end of its run does.
@@ -241,7 +239,7 @@ def curves_of_view(
         offsets=offsets_of(lengths),
         sides=sides.astype(np.int8),
     )
-    return curves, indices
+    return curves, indices, int(sizes[sure].sum())
 
 
 def link_samples(
@@ -271,25 +269,27 @@ def densify(
     graph: EdgeGraph,
     depths: ChainDepths,
     rows: IntArray,
-    linked: BoolArray,
-    agreeing: NDArray[np.int32],
+    sizes: IntArray,
+    sure: BoolArray,
     options: TracingOptions,
 ) -> tuple[IntArray, FloatArray, IntArray]:
-    """Points along the runs of linked samples, inverse depths linear between samples.
+    """Points along the sure runs of samples, inverse depths linear between samples.
 
-    Runs with too few samples, or none that enough views confirm, are left out.
+    Args:
+        graph: of the view.
+        depths: of its samples.
+        rows: (n,) the samples of all runs, one run after the other.
+        sizes: (R,) samples of each run.
+        sure: (R,) whether the run is.
+        options: spacing of the points, and how far they go beyond a run's ends.
 
     Returns:
         (N,) points of the graph, (N,) inverse depths, (N,) run of each.
     """
-    empty = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
-    if len(rows) == 0:
-        return empty
-    sizes, good = sure_runs(linked, agreeing[rows], options)
     spacing = options.point_spacing_px
     indices, inverse, ids = [], [], []
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    for run in np.flatnonzero(good):
+    starts = offsets_of(sizes)
+    for run in np.flatnonzero(sure):
         at = rows[starts[run] : starts[run + 1]]
         polyline = graph.polyline_ids[depths.samples[at[0]]]
         low = max(depths.samples[at[0]] - options.extension_px, graph.polyline_offsets[polyline])
@@ -301,7 +301,7 @@ def densify(
         inverse.append(extrapolate(points, depths.samples[at], depths.inverse_depths[at]))
         ids.append(np.full(len(points), run))
     if not indices:
-        return empty
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
     return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
 
 
@@ -318,6 +318,8 @@ def sure_runs(
     Returns:
         (R,) samples of each run, (R,) whether the run is kept.
     """
+    if len(agreeing) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, bool)
     runs = np.concatenate([[0], np.cumsum(~linked)])
     sizes = np.bincount(runs)
     sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
