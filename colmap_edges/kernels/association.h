@@ -1,6 +1,7 @@
 // Observations of 3D edge points in a view: the nearest point of a chain that runs the same way.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <vector>
