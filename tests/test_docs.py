@@ -16,6 +16,7 @@ from colmap_edges.flags import make_flags
 from colmap_edges.options import PipelineOptions
 
 ROOT = Path(__file__).resolve().parents[1]
+PROJECT = (ROOT / "pyproject.toml").read_text()
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 EXAMPLE = re.compile(r"<!-- tested -->\n```(bash|python)\n(.*?)```", re.DOTALL)
 EXAMPLES = [(page.name, *found) for page in PAGES for found in EXAMPLE.findall(page.read_text())]
@@ -84,3 +85,15 @@ def test_flags_in_the_documents_exist():
         for flag in re.findall(r"--[A-Za-z]+\.[a-z0-9_]+", text):
             if flag.partition(".")[0] in groups:
                 assert flag in known, f"{page.name}: {flag}"
+
+
+def test_every_dependency_has_its_licence_told():
+    lines = PROJECT[
+        PROJECT.index("\ndependencies") : PROJECT.index("[project.scripts]")
+    ].splitlines()
+    lines = [line for line in lines if not line.startswith("dev = ")]
+    wanted = re.findall(r'"([a-z-]+)>=([0-9.]+)', "\n".join(lines))
+    assert len(wanted) >= 14
+    page = (ROOT / "docs" / "licences.md").read_text()
+    told = dict(re.findall(r"^\| ([a-z-]+)(?: \([^|]*\))? \| ([0-9.]+) \|", page, re.MULTILINE))
+    assert {name: told.get(name) for name, _ in wanted} == dict(wanted)
