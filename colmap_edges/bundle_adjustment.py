@@ -24,7 +24,7 @@ from colmap_edges.chain_depths import make_edge_view
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view
+from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view, views_with_rows
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.refinement import curve_tangents
 
@@ -178,7 +178,7 @@ def make_problem(model: Model, edges: Edges3D, normals: FloatArray) -> tuple[Pro
 def ideal_pixels(model: Model, views: IntArray, parts: list[FloatArray]) -> FloatArray:
     """(T, 2) ideal pixels of image pixels, each in its view."""
     pixels: FloatArray = np.concatenate(parts)
-    for view, rows in zip(model.views, rows_by_view(views, len(model.views)), strict=True):
+    for view, rows in views_with_rows(model.views, views):
         pixels[rows] = view.ideal_from_image(pixels[rows])
     return pixels
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from colmap_edges.csr import entries_of, offsets_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField
 from colmap_edges.matching import project_tracks
-from colmap_edges.model import Model, rows_by_view
+from colmap_edges.model import Model, rows_by_view, views_with_rows
 from colmap_edges.options import CorrespondenceOptions
 
 FloatArray = NDArray[np.float64]
@@ -81,9 +81,7 @@ def pepcs_from_sfm_points(
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
     """(T,) size of a pixel at the depth of each tracked point in world units; inf behind a view."""
     sizes = np.full(len(point_ids), np.inf)
-    for view, rows in zip(
-        model.views, rows_by_view(model.track_views, len(model.views)), strict=True
-    ):
+    for view, rows in views_with_rows(model.views, model.track_views):
         depths = view.cam_from_world(model.points3D_xyz[point_ids[rows]])[:, 2]
         sizes[rows] = np.where(depths > 0, depths / view.focal_px, np.inf)
     return sizes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -258,6 +259,13 @@ def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[
     return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
 
 
+def views_with_rows(
+    views: Sequence[View], track_views: NDArray[np.integer[Any]]
+) -> Iterator[tuple[View, IntArray]]:
+    """Each view with the rows, ascending, of the (T,) views of observations that are its own."""
+    return zip(views, rows_by_view(track_views, len(views)), strict=True)
+
+
 def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     """Distances (T,) in pixels of each observation from the projection of its edge point.
 
@@ -265,9 +273,7 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
     """
     residuals = np.full(len(edges.track_views), np.nan)
     owners = edges.track_points
-    for view, rows in zip(
-        model.views, rows_by_view(edges.track_views, len(model.views)), strict=True
-    ):
+    for view, rows in views_with_rows(model.views, edges.track_views):
         projected, _ = view.project(edges.points[owners[rows]])
         residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
     return residuals

@@ -11,7 +11,7 @@ from colmap_edges.csr import entries_of, offsets_of, owners_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import rows_by_view
+from colmap_edges.model import views_with_rows
 from colmap_edges.options import SamplingOptions, VisibilityOptions
 
 FloatArray = NDArray[np.float64]
@@ -48,9 +48,7 @@ def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
     """The tracks of all edge points as one list."""
     points = edges.track_points
     ideal = np.empty((len(points), 2))
-    for view, rows in zip(
-        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
-    ):
+    for view, rows in views_with_rows(field.views, edges.track_views):
         if len(rows):
             ideal[rows] = view.ideal_from_image(edges.track_points2D[rows])
     return Observations(
@@ -387,9 +385,7 @@ def subdivisions(
     ends = after[starts]
     sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
     track_points = edges.track_points
-    for view, of_view in zip(
-        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
-    ):
+    for view, of_view in views_with_rows(field.views, edges.track_views):
         rows = track_points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
         np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
