@@ -30,7 +30,6 @@ TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
 IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
-INVALID_POINT3D = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @dataclass(frozen=True)
