@@ -1,4 +1,4 @@
-"""COLMAP models in and out, as arrays; the only module that imports pycolmap."""
+"""COLMAP models in and out, as arrays."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The documents tell the truth: their examples run, their links lead somewhere."""
 
-import importlib.util
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -69,11 +69,8 @@ def test_links_lead_somewhere(page):
 
 
 def test_options_page_is_as_the_code():
-    script = ROOT / "scripts" / "document_options.py"
-    spec = importlib.util.spec_from_file_location("document_options", script)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.TARGET.read_text() == module.options_page()
+    module = runpy.run_path(str(ROOT / "scripts" / "document_options.py"))
+    assert module["TARGET"].read_text() == module["options_page"]()
 
 
 def test_flags_in_the_documents_exist():
