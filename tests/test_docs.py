@@ -42,7 +42,7 @@ START = "from colmap_edges.cli import main; main()"
 
 
 def test_there_are_examples():
-    assert {name for name, *_ in EXAMPLES} == {"README.md", "recipes.md"}
+    assert {name for name, *_ in EXAMPLES} == {"README.md", "meshing.md", "recipes.md"}
     assert len(EXAMPLES) >= 7
 
 
@@ -68,9 +68,16 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).exists(), target
 
 
-def test_options_page_is_as_the_code():
-    module = runpy.run_path(str(ROOT / "scripts" / "document_options.py"))
-    assert module["TARGET"].read_text() == module["options_page"]()
+@pytest.mark.parametrize("name", ["options", "api"])
+def test_made_pages_are_as_the_code(name):
+    module = runpy.run_path(str(ROOT / "scripts" / f"document_{name}.py"))
+    assert module["TARGET"].read_text() == module[f"{name}_page"]()
+
+
+def test_interface_page_holds_every_public_name():
+    page = (ROOT / "docs" / "api.md").read_text().partition("## colmap_edges.")[0]
+    told = re.findall(r"^### (\w+)$", page, re.MULTILINE)
+    assert sorted(told) == sorted(set(colmap_edges.__all__) - {"__version__"})
 
 
 def test_flags_in_the_documents_exist():
