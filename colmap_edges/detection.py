@@ -1,4 +1,4 @@
-"""Image -> sub-pixel edge chains; the only module that uses OpenCV's detectors.
+"""Image -> sub-pixel edge chains (paper: 2D Edge-Graphs).
 
 Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
 moved to the maximum of the gradient along its normal, where the accuracy of all that follows

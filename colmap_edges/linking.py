@@ -1,8 +1,8 @@
-"""Pieces of 3D edges -> whole edges: joined across gaps and changes of view, closed, with nodes.
+"""Pieces of 3D edges -> whole edges: joined, closed, with nodes (paper: future work).
 
-A chain that ends in one view often goes on in another, which traced the rest of the edge (paper:
-the future work on linking 3D edges). Lengths are measured in spacings, the distance between edge
-points there, so that nothing depends on the scene's unit.
+A chain that ends in one view often goes on in another, which traced the rest of the edge. Lengths
+are measured in spacings, the distance between edge points there, so that nothing depends on the
+scene's unit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Polyline similarity graph -> communities: potential edge correspondences (paper: PECs)."""
+"""Polyline similarity graph -> communities (paper: Edge Matching and PEC generation)."""
 
 from __future__ import annotations
 

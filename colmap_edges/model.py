@@ -271,11 +271,24 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
 
     NaN where the point lies behind the camera.
     """
-    residuals = np.full(len(edges.track_views), np.nan)
-    owners = edges.track_points
-    for view, rows in views_with_rows(model.views, edges.track_views):
-        projected, _ = view.project(edges.points[owners[rows]])
-        residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
+    points = edges.points[edges.track_points]
+    return track_residuals(model.views, points, edges.track_views, edges.track_points2D)
+
+
+def track_residuals(
+    views: Sequence[View],
+    points: FloatArray,
+    track_views: NDArray[np.integer[Any]],
+    track_points2D: FloatArray,
+) -> FloatArray:
+    """Distances (T,) in pixels of (T, 2) observations from projections of (T, 3) world points.
+
+    NaN where the point lies behind the camera.
+    """
+    residuals = np.full(len(track_views), np.nan)
+    for view, rows in views_with_rows(views, track_views):
+        projected, _ = view.project(points[rows])
+        residuals[rows] = np.linalg.norm(projected - track_points2D[rows], axis=1)
     return residuals
 
 

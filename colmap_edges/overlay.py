@@ -64,7 +64,7 @@ def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: E
     segments = segments[observed[segments].all(axis=1)]
     pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])
     lines = fixed_point(pixels).reshape(-1, 2, 1, 2)
-    edge_of_segment = np.searchsorted(edges.edge_offsets, segments[:, 0], side="right") - 1
+    edge_of_segment = edges.edge_ids[segments[:, 0]]
     for index, color in enumerate(COLORS):
         chosen = lines[edge_of_segment % len(COLORS) == index]
         cv2.polylines(canvas, list(chosen), False, color, 2, cv2.LINE_AA, SHIFT)

@@ -16,7 +16,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
-from colmap_edges.model import FloatArray, Model, View
+from colmap_edges.model import FloatArray, Model, View, views_with_rows
 
 logger = logging.getLogger(__name__)
 
@@ -206,8 +206,7 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
     points = model.points3D_xyz[model.track_points]
     errors = np.full(len(points), np.nan)
     depths = np.full(len(points), np.nan)
-    for index, view in enumerate(model.views):
-        seen = np.flatnonzero(model.track_views == index)
+    for view, seen in views_with_rows(model.views, model.track_views):
         if not len(seen):
             continue
         depths[seen] = view.cam_from_world(points[seen])[:, 2]
