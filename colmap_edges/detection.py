@@ -39,6 +39,17 @@ class Chains:
     sides: NDArray[np.uint8]
     offsets: NDArray[np.int64]
 
+    def select(
+        self, index: NDArray[np.bool_] | NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> Chains:
+        """The points at a numpy index, cut into chains of these lengths."""
+        return Chains(
+            points=self.points[index],
+            normals=self.normals[index],
+            sides=self.sides[index],
+            offsets=offsets_of(lengths),
+        )
+
 
 def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains:
     """Detect the edge chains of a grayscale image.

@@ -93,13 +93,7 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
     ids = owners_of(chains.offsets)
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
-    lengths = np.diff(chains.offsets)[~bad]
-    return Chains(
-        points=chains.points[keep],
-        normals=chains.normals[keep],
-        sides=chains.sides[keep],
-        offsets=offsets_of(lengths),
-    )
+    return chains.select(keep, np.diff(chains.offsets)[~bad])
 
 
 def join_chains(
@@ -121,13 +115,7 @@ def join_chains(
         lengths.append(sum(len(piece) for piece in pieces[len(pieces) - len(path) :]))
         closed.append(is_closed)
     order = np.concatenate(pieces) if pieces else np.zeros(0, np.int64)
-    joined = Chains(
-        points=chains.points[order],
-        normals=chains.normals[order],
-        sides=chains.sides[order],
-        offsets=offsets_of(np.array(lengths, np.int64)),
-    )
-    return joined, np.array(closed, bool)
+    return chains.select(order, np.array(lengths, np.int64)), np.array(closed, bool)
 
 
 def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
