@@ -24,7 +24,7 @@ from colmap_edges.chain_depths import make_edge_view
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view
+from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view, views_with_rows
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.refinement import curve_tangents
 
@@ -178,8 +178,7 @@ def make_problem(model: Model, edges: Edges3D, normals: FloatArray) -> tuple[Pro
 def ideal_pixels(model: Model, views: IntArray, parts: list[FloatArray]) -> FloatArray:
     """(T, 2) ideal pixels of image pixels, each in its view."""
     pixels: FloatArray = np.concatenate(parts)
-    for index, view in enumerate(model.views):
-        rows = views == index
+    for view, rows in views_with_rows(model.views, views):
         pixels[rows] = view.ideal_from_image(pixels[rows])
     return pixels
 
@@ -199,7 +198,7 @@ def problem_of_rows(model: Model, edges: Edges3D, rows: Rows, indices: IntArray)
     tangents = curve_tangents(edges.points, edges.edge_offsets)
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
     tangents = tangents / np.where(lengths > 0, lengths, 1)
-    edge_ids = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    edge_ids = edges.edge_ids
     return Problem(
         rotations=np.array([view.rotation for view in model.views]),
         translations=np.array([view.translation for view in model.views]),

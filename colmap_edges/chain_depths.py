@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of, owners_of, ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
@@ -25,6 +26,7 @@ IntArray = NDArray[np.int64]
 
 SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
 MIN_SURE = 200  # supports of such depths that are enough to learn from
+ANY_SIDE_DIFFERENCE = 255.0  # gray levels; no two sides differ by more
 MIN_SAMPLES = 5  # that a polyline shall have, if its length allows
 
 
@@ -83,11 +85,9 @@ def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
     lengths = np.diff(graph.polyline_offsets)
     steps = np.clip(lengths // MIN_SAMPLES, max(step // 2, 1), step)
     counts = np.maximum(lengths // steps, 1)
-    offsets = np.zeros(len(counts) + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
-    rank = np.arange(offsets[-1]) - np.repeat(offsets[:-1], counts)
     first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * steps) // 2
-    return np.repeat(first, counts) + rank * np.repeat(steps, counts), offsets
+    samples = np.repeat(first, counts) + ranks_of(counts) * np.repeat(steps, counts)
+    return samples, offsets_of(counts)
 
 
 def compute_chain_depths(
@@ -107,8 +107,11 @@ def compute_chain_depths(
         edge_views: all views in the kernels' form.
         graph: the source's edge graph.
         depth_range: the inverse depths that the source sees.
-        options: sampling, agreement and continuity; sides may differ without limit where it is -1.
+        options: sampling, agreement and continuity; no limit to sides where it is -1.
         num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The S samples on the source's chains with the depths found and the crossings that agree.
     """
     limit = options.max_side_difference
     samples, offsets = sample_chains(graph, options.sample_step_px)
@@ -120,7 +123,7 @@ def compute_chain_depths(
         depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
         max_disagreement_px=options.max_disagreement_px,
-        max_side_difference=limit if limit >= 0 else 255.0,
+        max_side_difference=limit if limit >= 0 else ANY_SIDE_DIFFERENCE,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
@@ -153,10 +156,23 @@ def learn_side_difference(
     """How much the more alike sides of one edge differ between views, in gray levels.
 
     Depths that geometry alone makes sure tell it, for a few samples of a few views; so what
-    exposure, gloss or moving lights change is allowed for. 255, no limit, if there are too few.
+    exposure, gloss or moving lights change is allowed for.
+
+    Args:
+        neighbors: V arrays (K,) of the views each view is compared with.
+        edge_views: the V views in the kernels' form.
+        graphs: their edge graphs.
+        ranges: the inverse depths that each sees.
+        options: as for `compute_chain_depths`; the limit to learn is left aside.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        A limit for `max_side_difference`, `ANY_SIDE_DIFFERENCE` where too few depths are sure.
     """
     unlimited = replace(
-        options, max_side_difference=255.0, sample_step_px=4 * options.sample_step_px
+        options,
+        max_side_difference=ANY_SIDE_DIFFERENCE,
+        sample_step_px=4 * options.sample_step_px,
     )
     differences = []
     for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
@@ -169,7 +185,7 @@ def learn_side_difference(
             unlimited,
             num_threads,
         )
-        owners = np.repeat(np.arange(len(depths.samples)), np.diff(depths.support_offsets))
+        owners = owners_of(depths.support_offsets)
         sure = depths.scores[owners] > SURE_SCORE
         own = graphs[view].sides[depths.samples[owners]].astype(int)
         for other in np.unique(depths.support_views):
@@ -177,4 +193,6 @@ def learn_side_difference(
             theirs = graphs[other].sides[depths.support_positions[rows].astype(int)]
             differences.append(np.abs(own[rows] - theirs).min(axis=1))
     every = np.concatenate([np.zeros(0, int), *differences])
-    return 1.5 * float(np.percentile(every, 90)) + 1 if len(every) >= MIN_SURE else 255.0
+    if len(every) < MIN_SURE:
+        return ANY_SIDE_DIFFERENCE
+    return 1.5 * float(np.percentile(every, 90)) + 1

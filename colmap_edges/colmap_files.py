@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import owners_of, ranks_of
 from colmap_edges.errors import ColmapEdgesError
 
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
@@ -29,7 +30,6 @@ TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
 IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
-INVALID_POINT3D = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,7 @@ def check_points3D(path: Path, images: list[ImageRecord]) -> None:
         raise damaged(path, "two points have the same id")
     if not np.isfinite(heads["xyz"]).all():
         raise damaged(path, "a point is not finite")
-    first = np.cumsum(lengths) - lengths
-    within = np.arange(lengths.sum()) - np.repeat(first, lengths)
+    within = ranks_of(lengths)
     tracks = gather(
         data,
         np.repeat(starts + POINT3D.itemsize, lengths) + within * TRACK_ELEMENT.itemsize,
@@ -307,7 +306,7 @@ def append_points3D(path: Path, points: NewPoints, point2D_indices: NDArray[np.i
     raw = np.empty(len(heads) * head + len(elements) * element, np.uint8)
     starts = np.arange(len(heads)) * head + points.track_offsets[:-1] * element
     raw[starts[:, None] + np.arange(head)] = heads.view(np.uint8).reshape(-1, head)
-    owners = np.repeat(np.arange(len(heads)), np.diff(points.track_offsets))
+    owners = owners_of(points.track_offsets)
     at = (owners + 1) * head + np.arange(len(elements)) * element
     raw[at[:, None] + np.arange(element)] = elements.view(np.uint8).reshape(-1, element)
     with path.open("r+b") as file:

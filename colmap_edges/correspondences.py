@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import entries_of, offsets_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField
 from colmap_edges.matching import project_tracks
-from colmap_edges.model import Model, rows_by_view
+from colmap_edges.model import Model, rows_by_view, views_with_rows
 from colmap_edges.options import CorrespondenceOptions
 
 FloatArray = NDArray[np.float64]
@@ -50,7 +51,7 @@ def pepcs_from_sfm_points(
     are given in pixels of the view that sees the point sharpest, and a sphere's circle has the
     radius r * focal / depth.
     """
-    point_ids = np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
+    point_ids = model.track_points
     sizes = pixel_sizes(model, point_ids)
     finest = np.full(len(model.points3D_xyz), np.inf)
     np.minimum.at(finest, point_ids, sizes)
@@ -80,9 +81,7 @@ def pepcs_from_sfm_points(
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
     """(T,) size of a pixel at the depth of each tracked point in world units; inf behind a view."""
     sizes = np.full(len(point_ids), np.inf)
-    for view, rows in zip(
-        model.views, rows_by_view(model.track_views, len(model.views)), strict=True
-    ):
+    for view, rows in views_with_rows(model.views, model.track_views):
         depths = view.cam_from_world(model.points3D_xyz[point_ids[rows]])[:, 2]
         sizes[rows] = np.where(depths > 0, depths / view.focal_px, np.inf)
     return sizes
@@ -120,7 +119,7 @@ def depth_ranges(model: Model) -> FloatArray:
 
     A view that sees no SfM points is not bounded: (0, inf).
     """
-    point_ids = np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
+    point_ids = model.track_points
     ranges = np.tile([0.0, np.inf], (len(model.views), 1))
     for index, rows in enumerate(rows_by_view(model.track_views, len(model.views))):
         points = model.points3D_xyz[point_ids[rows]]
@@ -149,7 +148,7 @@ def sample_polylines(
     usable = wanted & (lengths > 0)
     counts = np.where(usable, np.maximum(1, np.round(lengths / spacing_px)), 0).astype(np.int64)
     polylines = np.repeat(np.arange(field.num_polylines), counts)
-    rank = np.arange(len(polylines)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rank = ranks_of(counts)
     places = begin[polylines] + (rank + 0.5) * lengths[polylines] / counts[polylines]
     segments = np.searchsorted(arc, places, "right") - 1
     segments = np.clip(
@@ -162,11 +161,9 @@ def sample_polylines(
 def join_pepcs(parts: Sequence[Pepcs]) -> Pepcs:
     """The PEPCs of several strategies, one after the other."""
     counts = np.concatenate([np.diff(part.candidate_offsets) for part in parts])
-    offsets = np.zeros(len(counts) + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
     return Pepcs(
         starts=join_positions([part.starts for part in parts]),
-        candidate_offsets=offsets,
+        candidate_offsets=offsets_of(counts),
         candidates=join_positions([part.candidates for part in parts]),
     )
 
@@ -182,12 +179,8 @@ def join_positions(parts: Sequence[ChainPositions]) -> ChainPositions:
 def shuffle_pepcs(pepcs: Pepcs, random_seed: int) -> Pepcs:
     """The same PEPCs in random order, so that neighbours on an edge are not tried in a row."""
     order = np.random.default_rng(random_seed).permutation(len(pepcs))
-    counts = np.diff(pepcs.candidate_offsets)[order]
-    offsets = np.zeros(len(order) + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
-    first = np.repeat(pepcs.candidate_offsets[:-1][order] - offsets[:-1], counts)
     return Pepcs(
         starts=pepcs.starts.select(order),
-        candidate_offsets=offsets,
-        candidates=pepcs.candidates.select(np.arange(offsets[-1]) + first),
+        candidate_offsets=offsets_of(np.diff(pepcs.candidate_offsets)[order]),
+        candidates=pepcs.candidates.select(entries_of(pepcs.candidate_offsets, order)),
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.chain_depths import ChainDepths
+from colmap_edges.csr import owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.model import View
 
@@ -28,7 +29,7 @@ def count_agreeing_views(
     the same 3D point when these agree within what `max_disagreement_px` pixels would change.
     """
     own = depths[source]
-    owners = np.repeat(np.arange(len(own.samples)), np.diff(own.support_offsets))
+    owners = owners_of(own.support_offsets)
     points = world_points(views[source], graphs[source], own)
     counts = np.zeros(len(own.samples), np.int32)
     for other in np.unique(own.support_views):

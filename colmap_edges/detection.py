@@ -1,4 +1,4 @@
-"""Image -> sub-pixel edge chains; the only module that uses OpenCV's detectors.
+"""Image -> sub-pixel edge chains (paper: 2D Edge-Graphs).
 
 Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
 moved to the maximum of the gradient along its normal, where the accuracy of all that follows
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
@@ -37,6 +38,17 @@ class Chains:
     normals: FloatArray
     sides: NDArray[np.uint8]
     offsets: NDArray[np.int64]
+
+    def select(
+        self, index: NDArray[np.bool_] | NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> Chains:
+        """The points at a numpy index, cut into chains of these lengths."""
+        return Chains(
+            points=self.points[index],
+            normals=self.normals[index],
+            sides=self.sides[index],
+            offsets=offsets_of(lengths),
+        )
 
 
 def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains:
@@ -91,7 +103,6 @@ def detect_pixel_chains(
     detector.detectEdges(image)
     segments = [np.asarray(s).reshape(-1, 2) for s in detector.getSegments()]
     chains = [s for s in segments if len(s) >= min_length_px]
-    offsets = np.zeros(len(chains) + 1, np.int64)
-    np.cumsum([len(c) for c in chains], out=offsets[1:])
+    offsets = offsets_of(np.array([len(c) for c in chains], np.int64))
     pixels = np.concatenate(chains) if chains else np.zeros((0, 2))
     return pixels.astype(np.float64), offsets

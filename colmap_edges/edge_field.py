@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
@@ -59,7 +60,7 @@ class NearPolylines:
     @property
     def queries(self) -> IntArray:
         """(M,) query of each row."""
-        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+        return owners_of(self.offsets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +153,7 @@ def build_edge_field(views: Sequence[View], graphs: Sequence[EdgeGraph]) -> Edge
     lengths = np.concatenate(
         [np.zeros(0, np.int64), *(np.diff(g.polyline_offsets) for g in graphs)]
     )
-    offsets = np.zeros(len(lengths) + 1, np.int64)
-    np.cumsum(lengths, out=offsets[1:])
+    offsets = offsets_of(lengths)
     closed = np.concatenate([np.zeros(0, bool), *(g.closed for g in graphs)])
     polyline_views = np.repeat(
         np.arange(len(views), dtype=np.int32), [g.num_polylines for g in graphs]

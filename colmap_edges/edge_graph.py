@@ -11,7 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
+from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import EdgeGraphOptions
@@ -61,7 +63,7 @@ class EdgeGraph:
     @cached_property
     def polyline_ids(self) -> IntArray:
         """(N,) polyline of each point."""
-        return np.repeat(np.arange(self.num_polylines), np.diff(self.polyline_offsets))
+        return owners_of(self.polyline_offsets)
 
 
 def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> EdgeGraph:
@@ -88,23 +90,10 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
     """Leave out every chain with a point that is not usable."""
     if usable.all():
         return chains
-    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    ids = owners_of(chains.offsets)
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
-    lengths = np.diff(chains.offsets)[~bad]
-    return Chains(
-        points=chains.points[keep],
-        normals=chains.normals[keep],
-        sides=chains.sides[keep],
-        offsets=offsets_of(lengths),
-    )
-
-
-def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
-    """(n + 1,) CSR offsets of n lengths."""
-    offsets = np.zeros(len(lengths) + 1, np.int64)
-    np.cumsum(lengths, out=offsets[1:])
-    return offsets
+    return chains.select(keep, np.diff(chains.offsets)[~bad])
 
 
 def join_chains(
@@ -122,18 +111,11 @@ def join_chains(
     pieces, lengths, closed = [], [], []
     for path, is_closed in walk_joined(partner):
         for end in path:
-            a, b = chains.offsets[end // 2], chains.offsets[end // 2 + 1]
-            pieces.append(np.arange(a, b) if end % 2 == 0 else np.arange(b - 1, a - 1, -1))
+            pieces.append(points_from(end, chains.offsets[end // 2], chains.offsets[end // 2 + 1]))
         lengths.append(sum(len(piece) for piece in pieces[len(pieces) - len(path) :]))
         closed.append(is_closed)
     order = np.concatenate(pieces) if pieces else np.zeros(0, np.int64)
-    joined = Chains(
-        points=chains.points[order],
-        normals=chains.normals[order],
-        sides=chains.sides[order],
-        offsets=offsets_of(np.array(lengths, np.int64)),
-    )
-    return joined, np.array(closed, bool)
+    return chains.select(order, np.array(lengths, np.int64)), np.array(closed, bool)
 
 
 def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
@@ -142,11 +124,9 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     Two ends may join when they touch, or when the direction goes on across a small gap; the
     bright side must stay on the same side.
     """
-    count = len(chains.offsets) - 1
-    partner = np.full(2 * count, -1, np.int64)
-    if count == 0:
-        return partner
     positions, outward, side = chain_ends(chains)
+    if len(positions) == 0:
+        return np.zeros(0, np.int64)
     pairs = cKDTree(positions).query_pairs(max_gap_px, output_type="ndarray")
     a, b = pairs[:, 0], pairs[:, 1]
     gap = positions[b] - positions[a]
@@ -158,10 +138,7 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     straight = (turn >= cos_limit) & (along >= cos_limit * distance)
     allowed = (touching | straight) & (side[a] == -side[b])
     cost = distance + (1 - turn) * max_gap_px
-    for index in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
-        if partner[a[index]] < 0 and partner[b[index]] < 0:
-            partner[a[index]], partner[b[index]] = b[index], a[index]
-    return partner
+    return match_best_first(len(positions), a, b, allowed, cost)
 
 
 def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
@@ -169,35 +146,12 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64
 
     The bright side is +1 when the normal is to the left of the outward direction, else -1.
     """
-    first, last = chains.offsets[:-1], chains.offsets[1:] - 1
-    tips = np.column_stack([first, last]).ravel()
-    inner = np.column_stack(
-        [np.minimum(first + DIRECTION_STEP, last), np.maximum(last - DIRECTION_STEP, first)]
-    ).ravel()
+    tips, inner = end_points(chains.offsets, DIRECTION_STEP)
     outward = chains.points[tips] - chains.points[inner]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-12
     normals = chains.normals[inner]
     cross = outward[:, 0] * normals[:, 1] - outward[:, 1] * normals[:, 0]
     return chains.points[tips], outward, np.where(cross >= 0, 1, -1)
-
-
-def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
-    """Paths of joined chains: lists of the end at which each chain is entered, and closedness."""
-    count = len(partner) // 2
-    seen = np.zeros(count, bool)
-    ends = partner.tolist()
-    paths = []
-    free = [end for end in range(2 * count) if ends[end] < 0]
-    for start in free + list(range(0, 2 * count, 2)):
-        if seen[start // 2]:
-            continue
-        path, end = [], start
-        while end >= 0 and not seen[end // 2]:
-            seen[end // 2] = True
-            path.append(end)
-            end = ends[end ^ 1]
-        paths.append((path, end == start))
-    return paths
 
 
 def assemble(
@@ -254,7 +208,7 @@ def touched_polylines(
 ) -> NDArray[np.int32]:
     """(2C,) polyline whose inside the end touches (3x3 pixels), other than its own, or -1."""
     labels = np.full((height + 2, width + 2), -1, np.int32)
-    ids = np.repeat(np.arange(len(chains.offsets) - 1), np.diff(chains.offsets))
+    ids = owners_of(chains.offsets)
     inner = np.ones(len(ids), bool)
     inner[chains.offsets[:-1]] = inner[chains.offsets[1:] - 1] = False
     pixels = np.floor(chains.points[inner]).astype(int)
@@ -279,7 +233,7 @@ def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
     than `max_angle_deg` (paper: definition of regular length).
     """
     vertices = graph.points[graph.smoothed]
-    ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    ids = owners_of(graph.smoothed_offsets)
     within = ids[1:] == ids[:-1]
     segments = np.diff(vertices, axis=0)[within]
     polyline = ids[1:][within]
@@ -331,7 +285,7 @@ def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
     ids = graph.polyline_ids
     points = keep[ids]
     moved = np.cumsum(points) - 1
-    smoothed_ids = np.repeat(np.arange(graph.num_polylines), np.diff(graph.smoothed_offsets))
+    smoothed_ids = owners_of(graph.smoothed_offsets)
     renumbered = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
     through = graph.node_polylines
     return EdgeGraph(

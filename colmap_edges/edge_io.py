@@ -49,12 +49,18 @@ def edge_lengths(edges: Edges3D) -> NDArray[np.float64]:
     """Length (E,) of each edge, world units."""
     segments = edge_segments(edges)
     lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
-    owners = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    owners = edges.edge_ids
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
 def write_ply(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
-    """Write a binary PLY with `vertex` and `edge` elements."""
+    """Write a binary PLY with `vertex` and `edge` elements.
+
+    Args:
+        edges: N points together.
+        colors: (N, 3) uint8 RGB of the points.
+        path: file to write.
+    """
     vertices = np.empty(edges.num_points, PLY_VERTEX)
     vertices["xyz"], vertices["rgb"] = edges.points, colors
     segments = edge_segments(edges)
@@ -83,6 +89,11 @@ def write_glb(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
 
     World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
     as the format knows no empty scene.
+
+    Args:
+        edges: N points together.
+        colors: (N, 3) uint8 RGB of the points.
+        path: file to write.
     """
     from trimesh import Scene
     from trimesh.path import Path3D

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import entries_of, offsets_of, owners_of
+
 
 @dataclass(frozen=True, kw_only=True)
 class Edges3D:
@@ -44,3 +46,40 @@ class Edges3D:
     def num_points(self) -> int:
         """Number of edge points over all edges."""
         return len(self.points)
+
+    @property
+    def edge_ids(self) -> NDArray[np.int64]:
+        """(N,) edge of each point."""
+        return owners_of(self.edge_offsets)
+
+    @property
+    def track_points(self) -> NDArray[np.int64]:
+        """(T,) point of each observation."""
+        return owners_of(self.track_offsets)
+
+    def reordered(
+        self,
+        order: NDArray[np.int64],
+        edge_offsets: NDArray[np.int64],
+        closed: NDArray[np.bool_],
+        end_nodes: NDArray[np.int32],
+    ) -> Edges3D:
+        """The points (n,) of these edges in another order, with their tracks, cut anew.
+
+        Args:
+            order: (n,) indices of the points.
+            edge_offsets: (E' + 1,) offsets of the new edges.
+            closed: (E',) which of them are closed.
+            end_nodes: (E', 2) their nodes.
+        """
+        rows = entries_of(self.track_offsets, order)
+        return Edges3D(
+            points=self.points[order],
+            edge_offsets=edge_offsets,
+            closed=closed,
+            track_offsets=offsets_of(np.diff(self.track_offsets)[order]),
+            track_views=self.track_views[rows],
+            track_points2D=self.track_points2D[rows],
+            sigmas=self.sigmas[order],
+            end_nodes=end_nodes,
+        )

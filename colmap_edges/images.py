@@ -1,8 +1,8 @@
-"""Photographs in: where they are, reading them, sampling their colours."""
+"""Pictures: where photographs are, reading them, sampling their colours; encoding."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.model import Model, View
+from colmap_edges.model import Model, View, views_with_rows
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
 COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -89,14 +89,33 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     return np.asarray(image, np.uint8)
 
 
+def gray_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture (H, W, 3) without colour: (H, W)."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def encoded(kind: str, picture: NDArray[np.uint8], options: Sequence[int] = ()) -> bytes:
+    """The bytes of an image file.
+
+    Args:
+        kind: ending of the file's name, such as `.png`.
+        picture: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA.
+        options: pairs of OpenCV's flags and values.
+
+    Raises:
+        ColmapEdgesError: when it cannot be encoded.
+    """
+    done, data = cv2.imencode(kind, picture, options)
+    if not done:
+        raise ColmapEdgesError(f"cannot encode a picture of {picture.shape} as {kind}")
+    return bytes(data.tobytes())
+
+
 def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.uint8]:
     """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
     sums = np.zeros((edges.num_points, 3))
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    order = np.argsort(edges.track_views, kind="stable")
-    bounds = np.searchsorted(edges.track_views[order], np.arange(len(model.views) + 1))
-    for index, view in enumerate(model.views):
-        rows = order[bounds[index] : bounds[index + 1]]
+    owners = edges.track_points
+    for view, rows in views_with_rows(model.views, edges.track_views):
         if len(rows):
             image = read_image(view, image_path)
             np.add.at(sums, owners[rows], bilinear(image, edges.track_points2D[rows] - 0.5))

@@ -1,8 +1,8 @@
-"""Pieces of 3D edges -> whole edges: joined across gaps and changes of view, closed, with nodes.
+"""Pieces of 3D edges -> whole edges: joined, closed, with nodes (paper: future work).
 
-A chain that ends in one view often goes on in another, which traced the rest of the edge (paper:
-the future work on linking 3D edges). Lengths are measured in spacings, the distance between edge
-points there, so that nothing depends on the scene's unit.
+A chain that ends in one view often goes on in another, which traced the rest of the edge. Lengths
+are measured in spacings, the distance between edge points there, so that nothing depends on the
+scene's unit.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.edge_graph import offsets_of, walk_joined
+from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
+from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.options import LinkingOptions
 
 FloatArray = NDArray[np.float64]
@@ -56,16 +57,16 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
     ends = find_ends(edges)
     partner = match_ends(ends, np.diff(edges.edge_offsets), options)
     skip = overlaps(edges, ends, partner)
+    begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     order, lengths, closed, tips = [], [], [], []
     for path, is_closed in walk_joined(partner):
-        pieces = [points_from(edges, end, skip) for end in path]
+        pieces = [points_from(end, begin[end // 2], stop[end // 2]) for end in path]
         order.extend(pieces)
         lengths.append(sum(len(piece) for piece in pieces))
         closed.append(is_closed)
         tips.append((path[0], path[-1] ^ 1))
     loops = np.array(closed, bool)
-    return reordered(
-        edges,
+    return edges.reordered(
         np.concatenate(order),
         offsets_of(np.array(lengths, np.int64)),
         loops,
@@ -75,11 +76,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
 
 def find_ends(edges: Edges3D) -> Ends:
     """The ends of all edges with their directions and spacings."""
-    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
-    tips = np.column_stack([first, last]).ravel()
-    inner = np.column_stack(
-        [np.minimum(first + REACH, last), np.maximum(last - REACH, first)]
-    ).ravel()
+    tips, inner = end_points(edges.edge_offsets, REACH)
     chords = edges.points[tips] - edges.points[inner]
     lengths = np.linalg.norm(chords, axis=1)
     return Ends(
@@ -117,11 +114,7 @@ def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions) -> IntArray
     allowed &= along >= -(REACH - 1) * spacing
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
     cost = np.linalg.norm(gap, axis=1) / spacing + 2 * across / spacing
-    partner = np.full(len(ends.positions), -1, np.int64)
-    for row in np.flatnonzero(allowed)[np.argsort(cost[allowed], kind="stable")]:
-        if partner[a[row]] < 0 and partner[b[row]] < 0:
-            partner[a[row]], partner[b[row]] = b[row], a[row]
-    return partner
+    return match_best_first(len(ends.positions), a, b, allowed, cost)
 
 
 def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
@@ -143,13 +136,6 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
     return skip
 
 
-def points_from(edges: Edges3D, end: int, skip: IntArray) -> IntArray:
-    """Indices of an edge's points from one of its ends to the other, overlaps left out."""
-    first = edges.edge_offsets[end // 2] + skip[end & ~1]
-    last = edges.edge_offsets[end // 2 + 1] - skip[end | 1]
-    return np.arange(first, last) if end % 2 == 0 else np.arange(last - 1, first - 1, -1)
-
-
 def find_nodes(
     ends: Ends, tips: IntArray, closed: NDArray[np.bool_], options: LinkingOptions
 ) -> NDArray[np.int32]:
@@ -169,27 +155,3 @@ def find_nodes(
     result: NDArray[np.int32] = nodes[tips]
     result[closed] = -1
     return result
-
-
-def reordered(
-    edges: Edges3D,
-    order: IntArray,
-    offsets: IntArray,
-    closed: NDArray[np.bool_],
-    end_nodes: NDArray[np.int32],
-) -> Edges3D:
-    """The points of `edges` in another order, with their tracks, cut into other edges."""
-    lengths = np.diff(edges.track_offsets)[order]
-    track_offsets = offsets_of(lengths)
-    rows = np.arange(track_offsets[-1]) - np.repeat(track_offsets[:-1], lengths)
-    rows += np.repeat(edges.track_offsets[order], lengths)
-    return Edges3D(
-        points=edges.points[order],
-        edge_offsets=offsets,
-        closed=closed,
-        track_offsets=track_offsets,
-        track_views=edges.track_views[rows],
-        track_points2D=edges.track_points2D[rows],
-        sigmas=edges.sigmas[order],
-        end_nodes=end_nodes,
-    )

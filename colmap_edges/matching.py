@@ -1,4 +1,4 @@
-"""Polyline similarity graph -> communities: potential edge correspondences (paper: PECs)."""
+"""Polyline similarity graph -> communities (paper: Edge Matching and PEC generation)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from colmap_edges.edge_field import EdgeField
-from colmap_edges.model import Model, rows_by_view
+from colmap_edges.model import Model, views_with_rows
 from colmap_edges.options import MatchingOptions
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +56,7 @@ def close_points(
         to the reprojections of a point (0 for points close to none).
     """
     num_points = len(model.points3D_xyz)
-    point_ids = np.repeat(np.arange(num_points), np.diff(model.track_offsets))
+    point_ids = model.track_points
     pixels = project_tracks(model, point_ids)
     near = field.find_near(
         model.track_views, pixels, np.full(len(pixels), max_distance_px), num_threads
@@ -75,9 +75,7 @@ def close_points(
 def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
     """(T, 2) ideal pixels to which each point projects in each view of its track."""
     pixels = np.full((len(point_ids), 2), np.nan)
-    for view, rows in zip(
-        model.views, rows_by_view(model.track_views, len(model.views)), strict=True
-    ):
+    for view, rows in views_with_rows(model.views, model.track_views):
         pixels[rows] = view.project_ideal(model.points3D_xyz[point_ids[rows]])[0]
     return pixels
 

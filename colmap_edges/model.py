@@ -1,9 +1,10 @@
-"""COLMAP models in and out, as arrays; the only module that imports pycolmap."""
+"""COLMAP models in and out, as arrays."""
 
 from __future__ import annotations
 
 import copy
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -20,6 +21,7 @@ from colmap_edges.colmap_files import (
     check_model_files,
     check_text_files,
 )
+from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -82,6 +84,12 @@ class View:
         ideal, depths = self.project_ideal(points)
         return self.image_from_ideal(ideal), depths
 
+    def holds(self, pixels: FloatArray, depths: FloatArray) -> NDArray[np.bool_]:
+        """(N,) whether what projects to (N, 2) image pixels at (N,) depths is in the image."""
+        inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        held: NDArray[np.bool_] = inside & (depths > 0)
+        return held
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
@@ -108,6 +116,11 @@ class Model:
     track_points2D: FloatArray
     unposed_names: tuple[str, ...]
     reconstruction: Any
+
+    @property
+    def track_points(self) -> IntArray:
+        """(T,) point of each observation."""
+        return owners_of(self.track_offsets)
 
     @cached_property
     def camera_centers(self) -> FloatArray:
@@ -236,15 +249,21 @@ def tracks_by_point(
         )
     rows = np.searchsorted(point3D_ids, observed_ids)
     order = np.argsort(rows, kind="stable")
-    offsets = np.zeros(len(point3D_ids) + 1, np.int64)
-    np.cumsum(np.bincount(rows, minlength=len(point3D_ids)), out=offsets[1:])
+    offsets = offsets_of(np.bincount(rows, minlength=len(point3D_ids)))
     return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
 
 
-def rows_by_view(track_views: NDArray[np.int32], num_views: int) -> list[IntArray]:
+def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:
     """Of each view the rows, ascending, of the (T,) views of observations that are its own."""
     order = np.argsort(track_views, kind="stable")
     return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
+
+
+def views_with_rows(
+    views: Sequence[View], track_views: NDArray[np.integer[Any]]
+) -> Iterator[tuple[View, IntArray]]:
+    """Each view with the rows, ascending, of the (T,) views of observations that are its own."""
+    return zip(views, rows_by_view(track_views, len(views)), strict=True)
 
 
 def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
@@ -252,13 +271,24 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
 
     NaN where the point lies behind the camera.
     """
-    residuals = np.full(len(edges.track_views), np.nan)
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    for view, rows in zip(
-        model.views, rows_by_view(edges.track_views, len(model.views)), strict=True
-    ):
-        projected, _ = view.project(edges.points[owners[rows]])
-        residuals[rows] = np.linalg.norm(projected - edges.track_points2D[rows], axis=1)
+    points = edges.points[edges.track_points]
+    return track_residuals(model.views, points, edges.track_views, edges.track_points2D)
+
+
+def track_residuals(
+    views: Sequence[View],
+    points: FloatArray,
+    track_views: NDArray[np.integer[Any]],
+    track_points2D: FloatArray,
+) -> FloatArray:
+    """Distances (T,) in pixels of (T, 2) observations from projections of (T, 3) world points.
+
+    NaN where the point lies behind the camera.
+    """
+    residuals = np.full(len(track_views), np.nan)
+    for view, rows in views_with_rows(views, track_views):
+        projected, _ = view.project(points[rows])
+        residuals[rows] = np.linalg.norm(projected - track_points2D[rows], axis=1)
     return residuals
 
 
@@ -362,7 +392,7 @@ def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
     first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
     lengths = np.diff(edges.track_offsets)
-    owners = np.repeat(np.arange(edges.num_points), lengths)
+    owners = edges.track_points
     sums = np.bincount(owners, observation_residuals(model, edges), edges.num_points)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     return NewPoints(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
+from colmap_edges.images import gray_of
 from colmap_edges.model import Model
 
 Picture = NDArray[np.uint8]
@@ -56,14 +57,14 @@ def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: E
         (H, W, 3) uint8 BGR.
     """
     canvas = darkened(image)
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == view_index]] = True
     segments = edge_segments(edges)
     segments = segments[observed[segments].all(axis=1)]
     pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])
     lines = fixed_point(pixels).reshape(-1, 2, 1, 2)
-    edge_of_segment = np.searchsorted(edges.edge_offsets, segments[:, 0], side="right") - 1
+    edge_of_segment = edges.edge_ids[segments[:, 0]]
     for index, color in enumerate(COLORS):
         chosen = lines[edge_of_segment % len(COLORS) == index]
         cv2.polylines(canvas, list(chosen), False, color, 2, cv2.LINE_AA, SHIFT)
@@ -72,8 +73,7 @@ def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: E
 
 def darkened(image: NDArray[np.uint8]) -> Picture:
     """The image at half its brightness and without colour: (H, W, 3) uint8 BGR."""
-    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) // 2
-    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
+    return np.asarray(cv2.cvtColor(gray_of(image) // 2, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -13,7 +13,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 import colmap_edges
@@ -24,7 +23,14 @@ from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, wr
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.graph_store import GraphStore
-from colmap_edges.images import check_images_exist, path_of_image, read_image, sample_colors
+from colmap_edges.images import (
+    check_images_exist,
+    encoded,
+    gray_of,
+    path_of_image,
+    read_image,
+    sample_colors,
+)
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
     Model,
@@ -269,8 +275,7 @@ def detect_stage(
                 damaged[index] = error
                 chains, graph = NO_CHAINS, build_edge_graph(NO_CHAINS, view, options.edge_graph)
             else:
-                gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-                chains = detect_chains(gray, options.detection)
+                chains = detect_chains(gray_of(image), options.detection)
                 graph = build_edge_graph(chains, view, options.edge_graph)
                 if visit:
                     visit(index, image, chains, graph)
@@ -348,10 +353,7 @@ def graph_writer(model: Model, folder: Path) -> Visitor:
         packed = BytesIO()  # a .npz cut short on a full disk would complain when it is deleted
         np.savez(packed, **vars(graph))
         arrays.write_bytes(packed.getvalue())
-        done, encoded = cv2.imencode(".png", draw_edge_graph(image, graph))
-        if not done:
-            raise ColmapEdgesError(f"cannot encode the overlay {picture}")
-        picture.write_bytes(encoded.tobytes())
+        picture.write_bytes(encoded(".png", draw_edge_graph(image, graph)))
 
     return write
 

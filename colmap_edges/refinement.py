@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from colmap_edges.cross_check import lift
+from colmap_edges.csr import owners_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
@@ -51,7 +52,7 @@ class Curves:
     @property
     def curve_ids(self) -> IntArray:
         """(N,) curve of each point."""
-        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+        return owners_of(self.offsets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +233,7 @@ def typical_speed(speeds: FloatArray) -> FloatArray:
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
     """(M, 3) consecutive points within curves, and (M,) the middle ones."""
     index = np.arange(max(int(offsets[-1]) - 2, 0))
-    ids = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    ids = owners_of(offsets)
     index = index[ids[index] == ids[index + 2]]
     return index[:, None] + np.arange(3), index + 1
 
@@ -245,7 +246,19 @@ def refine_curves(
     options: RefinementOptions,
     num_threads: int,
 ) -> Refined:
-    """Refine the depths of curves on their observations."""
+    """Refine the depths of curves on their observations.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points, at depths near enough to find their observations.
+        views: the K views that may observe them.
+        edge_views: their chains in the kernels' form.
+        options: search radius, noise and smoothness.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The curves at their new depths, with (N, K) observations and (N,) standard deviations.
+    """
     for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = associate(
             driver, curves, edge_views, radius, options.max_tangent_angle_deg, num_threads
@@ -293,7 +306,7 @@ def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     Both directions of a chain must go with the curve: neighbouring points are observed at
     neighbouring positions, in one order.
     """
-    same = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    same = owners_of(offsets)
     step = np.full(positions.shape, np.nan)
     if len(positions) > 1:
         step[1:] = np.diff(positions, axis=0)

@@ -68,7 +68,5 @@ def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
     """(N,) number of views whose image (N, 3) world points fall into."""
     counts = np.zeros(len(points))
     for view in views:
-        pixels, depths = view.project(points)
-        inside = (pixels > 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
-        counts += inside & (depths > 0)
+        counts += view.holds(*view.project(points))
     return counts

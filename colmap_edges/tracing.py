@@ -20,7 +20,8 @@ from colmap_edges.chain_depths import (
     make_edge_view,
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
-from colmap_edges.edge_graph import EdgeGraph, offsets_of
+from colmap_edges.csr import offsets_of, owners_of
+from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -138,10 +139,10 @@ def trace_edges(
         witnesses=near.witnesses,
         covered=[np.zeros(len(graph.points), bool) for graph in graphs],
     )
-    traced = trace_views(scene, depths, agreeing, options, num_threads, advance)
+    traced, in_runs = trace_views(scene, depths, agreeing, options, num_threads, advance)
     edges, stats = gather(scene, traced, options)
     stats["max_side_difference"] = chain_depth.max_side_difference
-    return edges, count_samples(scene, depths, agreeing, options.tracing) | stats
+    return edges, count_samples(scene, depths, agreeing, in_runs) | stats
 
 
 def trace_views(
@@ -151,22 +152,27 @@ def trace_views(
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None],
-) -> list[Traced]:
-    """Curves of every view on what those before it left, the best view first."""
-    traced = []
+) -> tuple[list[Traced], int]:
+    """Curves of every view on what those before it left, the best view first.
+
+    Returns:
+        The curves of each view that has any, and how many samples are in sure runs.
+    """
+    traced, in_runs = [], 0
     views = scene.model.views
     worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
     order = np.argsort([-worth for worth in worths], kind="stable")
     for view in each_told(order, advance):
         driver = int(view)
-        curves, indices = curves_of_view(
+        curves, indices, sure = curves_of_view(
             scene, driver, depths[driver], agreeing[driver], options.tracing
         )
+        in_runs += sure
         if len(indices) == 0:
             continue
         traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
         mark_covered(scene, traced[-1], options.tracing)
-    return traced
+    return traced, in_runs
 
 
 def worth_of(view: View, depths: ChainDepths, agreeing: NDArray[np.int32]) -> float:
@@ -192,16 +198,9 @@ def count_samples(
     scene: Scene,
     depths: list[ChainDepths],
     agreeing: list[NDArray[np.int32]],
-    options: TracingOptions,
+    in_runs: int,
 ) -> dict[str, Any]:
     """Count the samples on chains after each check, and the views that overlap with none."""
-    in_runs = 0
-    for graph, found, others in zip(scene.graphs, depths, agreeing, strict=True):
-        rows = np.flatnonzero(found.found & (others >= 1))
-        if len(rows):
-            linked = link_samples(graph, found, rows, options)
-            sizes, sure = sure_runs(linked, others[rows], options)
-            in_runs += int(sizes[sure].sum())
     return {
         "views": len(depths),
         "views_without_neighbors": sum(len(n) == 0 for n in scene.neighbors),
@@ -218,17 +217,17 @@ def curves_of_view(
     depths: ChainDepths,
     agreeing: NDArray[np.int32],
     options: TracingOptions,
-) -> tuple[Curves, IntArray]:
+) -> tuple[Curves, IntArray, int]:
     """Curves on the chains of one view that are not covered yet.
 
     Returns:
-        The curves and (N,) the points of the graph that they run through.
+        The curves, (N,) the points of the graph that they run through, and how many samples are
+        in sure runs.
     """
     graph = scene.graphs[view]
-    good = depths.found & (agreeing >= 1)
-    rows = np.flatnonzero(good)
-    linked = link_samples(graph, depths, rows, options)
-    indices, inverse, runs = densify(graph, depths, rows, linked, agreeing, options)
+    rows = np.flatnonzero(depths.found & (agreeing >= 1))
+    sizes, sure = sure_runs(link_samples(graph, depths, rows, options), agreeing[rows], options)
+    indices, inverse, runs = densify(graph, depths, rows, sizes, sure, options)
     free = ~scene.covered[view][indices]
     indices, inverse, runs = indices[free], inverse[free], runs[free]
     # A covered stretch ends a curve as the end of its run does.
@@ -247,7 +246,7 @@ def curves_of_view(
         offsets=offsets_of(lengths),
         sides=sides.astype(np.int8),
     )
-    return curves, indices
+    return curves, indices, int(sizes[sure].sum())
 
 
 def link_samples(
@@ -277,25 +276,27 @@ def densify(
     graph: EdgeGraph,
     depths: ChainDepths,
     rows: IntArray,
-    linked: BoolArray,
-    agreeing: NDArray[np.int32],
+    sizes: IntArray,
+    sure: BoolArray,
     options: TracingOptions,
 ) -> tuple[IntArray, FloatArray, IntArray]:
-    """Points along the runs of linked samples, inverse depths linear between samples.
+    """Points along the sure runs of samples, inverse depths linear between samples.
 
-    Runs with too few samples, or none that enough views confirm, are left out.
+    Args:
+        graph: of the view.
+        depths: of its samples.
+        rows: (n,) the samples of all runs, one run after the other.
+        sizes: (R,) samples of each run.
+        sure: (R,) whether the run is.
+        options: spacing of the points, and how far they go beyond a run's ends.
 
     Returns:
         (N,) points of the graph, (N,) inverse depths, (N,) run of each.
     """
-    empty = np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
-    if len(rows) == 0:
-        return empty
-    sizes, good = sure_runs(linked, agreeing[rows], options)
     spacing = options.point_spacing_px
     indices, inverse, ids = [], [], []
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    for run in np.flatnonzero(good):
+    starts = offsets_of(sizes)
+    for run in np.flatnonzero(sure):
         at = rows[starts[run] : starts[run + 1]]
         polyline = graph.polyline_ids[depths.samples[at[0]]]
         low = max(depths.samples[at[0]] - options.extension_px, graph.polyline_offsets[polyline])
@@ -307,7 +308,7 @@ def densify(
         inverse.append(extrapolate(points, depths.samples[at], depths.inverse_depths[at]))
         ids.append(np.full(len(points), run))
     if not indices:
-        return empty
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
     return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
 
 
@@ -324,6 +325,8 @@ def sure_runs(
     Returns:
         (R,) samples of each run, (R,) whether the run is kept.
     """
+    if len(agreeing) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, bool)
     runs = np.concatenate([[0], np.cumsum(~linked)])
     sizes = np.bincount(runs)
     sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
@@ -431,7 +434,16 @@ def gather(
 def find_limits(
     traced: list[Traced], options: TracingOptions
 ) -> tuple[Limits, BoolArray, dict[str, Any]]:
-    """What pieces may have, by the scene's own medians; which points are good; and counts."""
+    """What pieces may have, by the scene's own medians, and which points are good.
+
+    Args:
+        traced: the curves of all drivers, N points together.
+        options: how many observations are enough, and ratios to the medians.
+
+    Returns:
+        The limits of a piece; (N,) whether a point, in the order of `traced`, has observations
+        enough and is certain enough; and counts of points in and dropped by reason.
+    """
     counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
     every = np.concatenate([np.zeros(0, int), *counts])
     enough = every >= options.min_observations
@@ -483,7 +495,7 @@ def sort_pieces(
         The pieces that are edges, and those that scatter around any fixed curve: what moves over a
         body from view to view, as its outline and reflections do.
     """
-    ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
+    ids = owners_of(traced.offsets)
     broken = np.ones(len(ids), bool)
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
     pieces = np.cumsum(broken) - 1

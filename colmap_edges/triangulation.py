@@ -13,6 +13,7 @@ import numpy as np
 import pycolmap
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images import read_picture
 from colmap_edges.model import FloatArray
 
 
@@ -41,6 +42,25 @@ class PosedImage:
         """(3,) projection centre in world coordinates."""
         center: FloatArray = -self.rotation.T @ self.translation
         return center
+
+
+def posed_image(
+    path: Path, calibration: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> PosedImage:
+    """The image file `path` at a known pose.
+
+    Raises:
+        ColmapEdgesError: the file holds no picture.
+    """
+    height, width = read_picture(path).shape[:2]
+    return PosedImage(
+        name=path.name,
+        width=width,
+        height=height,
+        calibration=calibration,
+        rotation=rotation,
+        translation=translation,
+    )
 
 
 def triangulate(

@@ -89,7 +89,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
 
 def observation_matrix(model: Model) -> csr_array:
     """(V, N) sparse bool: view v observes point n."""
-    points = np.repeat(np.arange(len(model.point3D_ids)), np.diff(model.track_offsets))
+    points = model.track_points
     shape = (len(model.views), len(model.point3D_ids))
     ones = np.ones(len(points), np.float64)
     matrix = csr_array((ones, (model.track_views, points)), shape=shape)
@@ -205,9 +205,7 @@ def pose_scores(
     scores = np.zeros(len(model.views))
     for index in np.flatnonzero(weights.any(axis=1)):  # few of many
         other = model.views[index]
-        pixels, depths = other.project(points)
-        inside = (depths > 0) & (pixels > 0).all(1) & (pixels < (other.width, other.height)).all(1)
-        scores[index] = float(np.sum(weights[index] * inside))
+        scores[index] = float(np.sum(weights[index] * other.holds(*other.project(points))))
     return scores
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import entries_of, offsets_of, owners_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import rows_by_view
+from colmap_edges.model import views_with_rows
 from colmap_edges.options import SamplingOptions, VisibilityOptions
 
 FloatArray = NDArray[np.float64]
@@ -45,11 +46,9 @@ class Observations:
 
 def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
     """The tracks of all edge points as one list."""
-    points = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    points = edges.track_points
     ideal = np.empty((len(points), 2))
-    for view, rows in zip(
-        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
-    ):
+    for view, rows in views_with_rows(field.views, edges.track_views):
         if len(rows):
             ideal[rows] = view.ideal_from_image(edges.track_points2D[rows])
     return Observations(
@@ -72,9 +71,7 @@ def merge(*parts: Observations) -> Observations:
 
 def track_offsets(points: IntArray, num_points: int) -> IntArray:
     """(num_points + 1,) CSR offsets of ascending point indices."""
-    offsets = np.zeros(num_points + 1, np.int64)
-    np.cumsum(np.bincount(points, minlength=num_points), out=offsets[1:])
-    return offsets
+    return offsets_of(np.bincount(points, minlength=num_points))
 
 
 def triangulate_observations(
@@ -239,10 +236,7 @@ def compatible(
     num_points = int(observed.points.max(initial=-1)) + 1
     offsets = track_offsets(observed.points, num_points)
     counts = np.diff(offsets)[candidates.points]
-    index = np.arange(counts.sum()) + np.repeat(
-        offsets[candidates.points] - (np.cumsum(counts) - counts), counts
-    )
-    tracks = observed.select(index)
+    tracks = observed.select(entries_of(offsets, candidates.points))
     trials = np.arange(len(candidates.points))
     trial_tracks = merge(
         replace(tracks, points=np.repeat(trials, counts)), replace(candidates, points=trials)
@@ -330,7 +324,7 @@ def keep_points(edges: Edges3D, keep: NDArray[np.bool_]) -> Edges3D:
 
     A closed edge that loses a point is opened there.
     """
-    edge_ids = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    edge_ids = edges.edge_ids
     order = np.arange(edges.num_points)
     whole = np.ones(edges.num_edges, bool)
     np.logical_and.at(whole, edge_ids, keep)
@@ -345,36 +339,11 @@ def keep_points(edges: Edges3D, keep: NDArray[np.bool_]) -> Edges3D:
     long_enough = lengths > 1
     chosen = order[kept][long_enough[piece[kept]]]
     source = edge_ids[np.flatnonzero(starts)][long_enough]
-    offsets = np.zeros(len(source) + 1, np.int64)
-    np.cumsum(lengths[long_enough], out=offsets[1:])
-    return take_points(edges, chosen, offsets, edges.closed[source] & whole[source], source)
-
-
-def take_points(
-    edges: Edges3D,
-    chosen: IntArray,
-    edge_offsets: IntArray,
-    closed: NDArray[np.bool_],
-    source: IntArray,
-) -> Edges3D:
-    """New edges of points `chosen` of `edges`; `source` is the edge each comes from."""
-    counts = np.diff(edges.track_offsets)[chosen]
-    offsets = np.zeros(len(chosen) + 1, np.int64)
-    np.cumsum(counts, out=offsets[1:])
-    tracks = np.arange(offsets[-1]) + np.repeat(edges.track_offsets[chosen] - offsets[:-1], counts)
+    offsets = offsets_of(lengths[long_enough])
     end_nodes = edges.end_nodes[source].copy()
-    end_nodes[chosen[edge_offsets[:-1]] != edges.edge_offsets[source], 0] = -1
-    end_nodes[chosen[edge_offsets[1:] - 1] != edges.edge_offsets[source + 1] - 1, 1] = -1
-    return Edges3D(
-        points=edges.points[chosen],
-        edge_offsets=edge_offsets,
-        closed=closed,
-        track_offsets=offsets,
-        track_views=edges.track_views[tracks],
-        track_points2D=edges.track_points2D[tracks],
-        sigmas=edges.sigmas[chosen],
-        end_nodes=end_nodes,
-    )
+    end_nodes[chosen[offsets[:-1]] != edges.edge_offsets[source], 0] = -1
+    end_nodes[chosen[offsets[1:] - 1] != edges.edge_offsets[source + 1] - 1, 1] = -1
+    return edges.reordered(chosen, offsets, edges.closed[source] & whole[source], end_nodes)
 
 
 def sample_edges(
@@ -393,7 +362,7 @@ def sample_edges(
     """
     segment_starts, segment_ends, counts = subdivisions(edges, field, options.spacing_px)
     samples = np.repeat(np.arange(len(counts)), counts)
-    rank = np.arange(len(samples)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
+    rank = ranks_of(counts) + 1
     share = (rank / (counts[samples] + 1))[:, None]
     start, end = edges.points[segment_starts[samples]], edges.points[segment_ends[samples]]
     chords = start + share * (end - start)
@@ -415,10 +384,8 @@ def subdivisions(
     starts = np.flatnonzero(after >= 0)
     ends = after[starts]
     sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
-    track_points = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    for view, of_view in zip(
-        field.views, rows_by_view(edges.track_views, len(field.views)), strict=True
-    ):
+    track_points = edges.track_points
+    for view, of_view in views_with_rows(field.views, edges.track_views):
         rows = track_points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
         np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
@@ -439,7 +406,7 @@ def observe_samples(
 ) -> Observations:
     """Nearest places to samples ((N,) segments, (N, 3) points) in the views of both their ends."""
     num_views = len(field.views)
-    track_points = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    track_points = edges.track_points
     seen = np.zeros((edges.num_points, num_views), bool)
     seen[track_points, edges.track_views] = True
     both = seen[starts] & seen[ends]
@@ -472,7 +439,7 @@ def observe_samples(
 
 def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
     """Row of the smallest distance of each query that has any; the first among equals."""
-    queries = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    queries = owners_of(offsets)
     order = np.lexsort((distances, queries))
     first: IntArray = order[offsets[:-1][np.diff(offsets) > 0]]
     return first
@@ -500,7 +467,7 @@ def insert_points(
         replace(given, points=place[given.points]),
         replace(fresh, points=place[renumbered[fresh.points]]),
     )
-    edge_ids = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    edge_ids = edges.edge_ids
     all_edges = np.concatenate([edge_ids, edge_ids[np.floor(positions[kept]).astype(np.int64)]])
     enlarged = replace(
         edges,

@@ -2,7 +2,6 @@
 // Small value types that every part of the mesher shares.
 #pragma once
 
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <vector>

@@ -27,8 +27,9 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.cli import RECONSTRUCT_FLAGS
 from colmap_edges.colmap_files import NewPoints, append_points
+from colmap_edges.csr import offsets_of
 from colmap_edges.detection import Chains
-from colmap_edges.edge_graph import build_edge_graph, offsets_of
+from colmap_edges.edge_graph import build_edge_graph
 from colmap_edges.edge_io import write_json, write_ply
 from colmap_edges.edges import Edges3D
 from colmap_edges.flags import make_flags, normalize, options_from_flags

@@ -10,7 +10,9 @@ import numpy as np
 import pycolmap
 import scenes
 
-from colmap_edges.edge_graph import EdgeGraph, offsets_of
+from colmap_edges.csr import offsets_of
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels
 from colmap_edges.model import Model, View
 
@@ -147,4 +149,18 @@ def model_of(views, points=None, observed=None) -> Model:
         track_points2D=pixels.reshape(-1, 2),
         unposed_names=(),
         reconstruction=None,
+    )
+
+
+def no_edges() -> Edges3D:
+    """3D edges of which there are none."""
+    return Edges3D(
+        points=np.zeros((0, 3)),
+        edge_offsets=np.zeros(1, np.int64),
+        closed=np.zeros(0, bool),
+        track_offsets=np.zeros(1, np.int64),
+        track_views=np.zeros(0, np.int32),
+        track_points2D=np.zeros((0, 2)),
+        sigmas=np.zeros(0),
+        end_nodes=np.zeros((0, 2), np.int32),
     )

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import curves
 import numpy as np
 import pycolmap
 import pytest
@@ -8,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from test_demo_scene import DEMO
 
 from colmap_edges import bundle_adjustment as ba
-from colmap_edges.edges import Edges3D
 from colmap_edges.evaluation.poses import (
     TrueCameras,
     adjust,
@@ -236,19 +236,6 @@ def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     np.testing.assert_array_equal(before, [view.rotation for view in start.views])
 
 
-def no_edges():
-    return Edges3D(
-        points=np.zeros((0, 3)),
-        edge_offsets=np.zeros(1, np.int64),
-        closed=np.zeros(0, bool),
-        track_offsets=np.zeros(1, np.int64),
-        track_views=np.zeros(0, np.int32),
-        track_points2D=np.zeros((0, 2)),
-        sigmas=np.zeros(0),
-        end_nodes=np.zeros((0, 2), np.int32),
-    )
-
-
 def test_images_of_a_rig_move_together():
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 3, 6
@@ -258,7 +245,7 @@ def test_images_of_a_rig_move_together():
     assert len(np.unique(frames_of_views(model))) == 6
     truth = truth_of(model)
     start = moved_model(model, random_motions(6, 0.01, 0.02), model.points3D_xyz)
-    refined, _, _ = solve(start, no_edges(), np.zeros((0, 2)))
+    refined, _, _ = solve(start, curves.no_edges(), np.zeros((0, 2)))
     assert min(pose_errors(start.reconstruction, truth)) > 1e-2
     assert max(pose_errors(refined.reconstruction, truth)) < 1e-4
     for view in refined.views:
@@ -275,7 +262,7 @@ def test_too_little_to_know_is_left_alone(scene_model):
         track_views=scene_model.track_views[: scene_model.track_offsets[5]],
         track_points2D=scene_model.track_points2D[: scene_model.track_offsets[5]],
     )
-    refined, stats = ba.refine_poses(few, no_edges(), np.zeros((0, 2)), OPTIONS)
+    refined, stats = ba.refine_poses(few, curves.no_edges(), np.zeros((0, 2)), OPTIONS)
     assert refined is few
     assert not stats["refined"]
 

@@ -1,5 +1,6 @@
 import numpy as np
 from curve_scenes import circle, graph_of, helix, line, make_model, ring_of_views
+from pinhole_geometry import epipolar_lines, fundamental_matrix
 
 from colmap_edges.correspondences import (
     depth_ranges,
@@ -10,7 +11,6 @@ from colmap_edges.correspondences import (
     shuffle_pepcs,
 )
 from colmap_edges.edge_field import build_edge_field
-from colmap_edges.geometry import epipolar_lines, fundamental_matrix
 from colmap_edges.options import CorrespondenceOptions
 
 VIEWS = ring_of_views(5)

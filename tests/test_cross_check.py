@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from colmap_edges.chain_depths import ChainDepths, compute_chain_depths, make_edge_view
 from colmap_edges.cross_check import count_agreeing_views, depths_at, lift, world_points
-from colmap_edges.edge_graph import offsets_of
+from colmap_edges.csr import offsets_of
 from colmap_edges.options import ChainDepthOptions
 from colmap_edges.view_selection import DepthRange
 

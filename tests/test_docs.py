@@ -1,8 +1,8 @@
 """The documents tell the truth: their examples run, their links lead somewhere."""
 
-import importlib.util
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -16,7 +16,8 @@ from colmap_edges.flags import make_flags
 from colmap_edges.options import PipelineOptions
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PROJECT = (ROOT / "pyproject.toml").read_text()
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 EXAMPLE = re.compile(r"<!-- tested -->\n```(bash|python)\n(.*?)```", re.DOTALL)
 EXAMPLES = [(page.name, *found) for page in PAGES for found in EXAMPLE.findall(page.read_text())]
 
@@ -41,7 +42,7 @@ START = "from colmap_edges.cli import main; main()"
 
 
 def test_there_are_examples():
-    assert {name for name, *_ in EXAMPLES} == {"README.md", "recipes.md"}
+    assert {name for name, *_ in EXAMPLES} == {"README.md", "meshing.md", "recipes.md"}
     assert len(EXAMPLES) >= 7
 
 
@@ -67,12 +68,16 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).exists(), target
 
 
-def test_options_page_is_as_the_code():
-    script = ROOT / "scripts" / "document_options.py"
-    spec = importlib.util.spec_from_file_location("document_options", script)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.TARGET.read_text() == module.options_page()
+@pytest.mark.parametrize("name", ["options", "api"])
+def test_made_pages_are_as_the_code(name):
+    module = runpy.run_path(str(ROOT / "scripts" / f"document_{name}.py"))
+    assert module["TARGET"].read_text() == module[f"{name}_page"]()
+
+
+def test_interface_page_holds_every_public_name():
+    page = (ROOT / "docs" / "api.md").read_text().partition("## colmap_edges.")[0]
+    told = re.findall(r"^### (\w+)$", page, re.MULTILINE)
+    assert sorted(told) == sorted(set(colmap_edges.__all__) - {"__version__"})
 
 
 def test_flags_in_the_documents_exist():
@@ -84,3 +89,15 @@ def test_flags_in_the_documents_exist():
         for flag in re.findall(r"--[A-Za-z]+\.[a-z0-9_]+", text):
             if flag.partition(".")[0] in groups:
                 assert flag in known, f"{page.name}: {flag}"
+
+
+def test_every_dependency_has_its_licence_told():
+    lines = PROJECT[
+        PROJECT.index("\ndependencies") : PROJECT.index("[project.scripts]")
+    ].splitlines()
+    lines = [line for line in lines if not line.startswith("dev = ")]
+    wanted = re.findall(r'"([a-z-]+)>=([0-9.]+)', "\n".join(lines))
+    assert len(wanted) >= 13
+    page = (ROOT / "docs" / "licences.md").read_text()
+    told = dict(re.findall(r"^\| ([a-z-]+)(?: \([^|]*\))? \| ([0-9.]+) \|", page, re.MULTILINE))
+    assert {name: told.get(name) for name, _ in wanted} == dict(wanted)

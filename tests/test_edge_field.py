@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from curve_scenes import Curve, circle, graph_of, helix, line, ring_of_views
+from pinhole_geometry import point_segment_distances
 
 from colmap_edges.edge_field import ChainPositions, build_edge_field, next_points
-from colmap_edges.geometry import point_segment_distances
 
 VIEWS = ring_of_views(3)
 

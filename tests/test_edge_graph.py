@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from colmap_edges.csr import offsets_of
 from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import (
     EdgeGraph,
@@ -15,7 +16,6 @@ from colmap_edges.edge_graph import (
     drop_chains,
     join_chains,
     keep_polylines,
-    offsets_of,
     regular_lengths,
     regular_polylines,
 )

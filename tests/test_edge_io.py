@@ -1,5 +1,6 @@
 import json
 
+import curves
 import ezdxf
 import numpy as np
 import pymeshlab
@@ -47,16 +48,7 @@ def test_lengths(square_and_line):
 
 
 def test_no_edges_at_all(tmp_path):
-    none = Edges3D(
-        points=np.zeros((0, 3)),
-        edge_offsets=np.zeros(1, np.int64),
-        closed=np.zeros(0, bool),
-        track_offsets=np.zeros(1, np.int64),
-        track_views=np.zeros(0, np.int32),
-        track_points2D=np.zeros((0, 2)),
-        sigmas=np.zeros(0),
-        end_nodes=np.zeros((0, 2), np.int32),
-    )
+    none = curves.no_edges()
     assert edge_segments(none).shape == (0, 2)
     write_ply(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")

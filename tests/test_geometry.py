@@ -3,9 +3,7 @@ import pytest
 from curve_scenes import make_view, ring_of_views
 from hypothesis import given
 from hypothesis import strategies as st
-
-from colmap_edges.edge_field import pose_arrays
-from colmap_edges.geometry import (
+from pinhole_geometry import (
     cross_matrix,
     epipolar_lines,
     fundamental_matrix,
@@ -15,6 +13,8 @@ from colmap_edges.geometry import (
     triangulate_linear,
     view_rays,
 )
+
+from colmap_edges.edge_field import pose_arrays
 from colmap_edges.kernels import _kernels
 
 coordinate = st.floats(-1.5, 1.5)

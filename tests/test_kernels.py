@@ -4,7 +4,7 @@ import curves as known
 import numpy as np
 import pytest
 
-from colmap_edges.edge_graph import offsets_of
+from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels
 
 FOCAL = 500.0

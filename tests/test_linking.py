@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from colmap_edges.edge_graph import offsets_of
+from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.linking import link_edges
 from colmap_edges.options import LinkingOptions

@@ -2,6 +2,7 @@ import shutil
 import struct
 import subprocess
 
+import curves
 import numpy as np
 import pycolmap
 import pytest
@@ -308,3 +309,12 @@ def test_rows_by_view_are_those_of_each_view():
     for view, rows in enumerate(found):
         assert rows.tolist() == np.flatnonzero(views == view).tolist()
     assert [len(rows) for rows in rows_by_view(np.zeros(0, np.int32), 2)] == [0, 0]
+
+
+def test_an_image_holds_what_lies_on_it_and_ahead():
+    view = curves.make_view(np.eye(3), np.zeros(3))
+    pixels = np.array([[0, 0], [639, 479], [640, 0], [0, 480], [-1e-9, 5], [5, 5], [np.nan, 5]])
+    depths = np.array([1, 1, 1, 1, 1, -1, 1.0])
+    assert view.holds(pixels, depths).tolist() == [True, True] + 5 * [False]
+    points = np.array([[0, 0, 2.0], [0, 0, -2], [2, 0, 2]])
+    assert view.holds(*view.project(points)).tolist() == [True, False, False]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import ranks_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, scores
@@ -107,8 +108,7 @@ def sample(curves: Curves, spacing: float) -> FloatArray:
     counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
     counts[lengths == 0] = 0
     segment = np.repeat(np.arange(len(counts)), counts)
-    first = np.repeat(np.cumsum(counts) - counts, counts)
-    part = (np.arange(len(segment)) - first + 0.5) / counts[segment]
+    part = (ranks_of(counts) + 0.5) / counts[segment]
     start, end = (curves.points[curves.segments[segment, side]] for side in (0, 1))
     return np.asarray(start + part[:, None] * (end - start))
 

@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
-from colmap_edges.evaluation.observations import observed_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
-from colmap_edges.model import FloatArray, Model, View
+from colmap_edges.model import FloatArray, Model, View, views_with_rows
 
 logger = logging.getLogger(__name__)
 
@@ -140,8 +139,7 @@ def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
     surface seen at 80 degrees falls back by over two pixels).
     """
     pixels, depths = view.project(points)
-    inside = (depths > 0) & (pixels >= 0).all(axis=1)
-    inside &= (pixels < (view.width, view.height)).all(axis=1)
+    inside = view.holds(pixels, depths)
     pixels, depths = pixels[inside], depths[inside]
     scale = _cloud_scale(points[inside], depths, view)
     shape = (int(np.ceil(view.height * scale)), int(np.ceil(view.width * scale)))
@@ -205,11 +203,10 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
         Signed errors mesh - point along the optical axis in world units (T,), NaN where the mesh
         is not hit; depths of the points (T,).
     """
-    points = model.points3D_xyz[observed_points(model)]
+    points = model.points3D_xyz[model.track_points]
     errors = np.full(len(points), np.nan)
     depths = np.full(len(points), np.nan)
-    for index, view in enumerate(model.views):
-        seen = np.flatnonzero(model.track_views == index)
+    for view, seen in views_with_rows(model.views, model.track_views):
         if not len(seen):
             continue
         depths[seen] = view.cam_from_world(points[seen])[:, 2]

@@ -23,9 +23,8 @@ from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import cloud_to_cloud
 from colmap_edges.evaluation.curves import columns
 from colmap_edges.evaluation.ply import read_ply
-from colmap_edges.images import read_picture
 from colmap_edges.model import FloatArray
-from colmap_edges.triangulation import PosedImage
+from colmap_edges.triangulation import PosedImage, posed_image
 
 PAPER_SCANS = (6, 23, 28, 37, 98, 118)
 THINNING_MM = 0.2
@@ -127,7 +126,7 @@ def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[
         matrix_path = calibration / f"pos_{position:03d}.txt"
         if not matrix_path.is_file():
             raise ColmapEdgesError(f"{matrix_path} is missing; it calibrates {path.name}")
-        images.append(_posed_image(path, read_matrix(matrix_path)))
+        images.append(posed_image(path, *decompose_projection(read_matrix(matrix_path))))
     return folder, images
 
 
@@ -180,21 +179,11 @@ def repackaged_images(folder: Path) -> tuple[Path, list[PosedImage]]:
         if matrix.ndim != 2 or min(matrix.shape) < 3 or matrix.shape[1] < 4:
             raise ColmapEdgesError(f"{cameras[0]} holds no matrix world_mat_{i}")
         matrices.append(matrix[:3, :4].astype(np.float64))
-    images = [_posed_image(path, matrix) for path, matrix in zip(paths, matrices, strict=True)]
+    images = [
+        posed_image(path, *decompose_projection(matrix))
+        for path, matrix in zip(paths, matrices, strict=True)
+    ]
     return folder / "image", images
-
-
-def _posed_image(path: Path, projection: FloatArray) -> PosedImage:
-    picture = read_picture(path)
-    calibration, rotation, translation = decompose_projection(projection)
-    return PosedImage(
-        name=path.name,
-        width=picture.shape[1],
-        height=picture.shape[0],
-        calibration=calibration,
-        rotation=rotation,
-        translation=translation,
-    )
 
 
 def find(root: Path, relative: str) -> Path:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.evaluation.curves import Curves
 from colmap_edges.evaluation.depth import ReferenceDepth
-from colmap_edges.evaluation.observations import observed_points, select_points
+from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
-from colmap_edges.model import FloatArray, IntArray, Model
+from colmap_edges.model import FloatArray, IntArray, Model, track_residuals
 
 GROSS_SEGMENT_RATIO = 20.0
 
@@ -94,7 +94,7 @@ def depth_window_errors(
         (not `relative`) in world units.
     """
     index = {view.name: number for number, view in enumerate(model.views)}
-    points = model.points3D_xyz[observed_points(model)]
+    points = model.points3D_xyz[model.track_points]
     errors = []
     for reference in references:
         seen = model.track_views == index.get(reference.view.name, -1)
@@ -150,13 +150,9 @@ def reprojection_errors(model: Model) -> ReprojectionErrors:
 
     A point behind a camera that claims to see it counts as infinitely far.
     """
-    points = model.points3D_xyz[observed_points(model)]
-    distance = np.full(len(points), np.inf)
-    for index, view in enumerate(model.views):
-        seen = model.track_views == index
-        pixels, _ = view.project(points[seen])
-        distance[seen] = np.linalg.norm(pixels - model.track_points2D[seen], axis=1)
-    distance = np.nan_to_num(distance, nan=np.inf)
+    points = model.points3D_xyz[model.track_points]
+    residuals = track_residuals(model.views, points, model.track_views, model.track_points2D)
+    distance = np.nan_to_num(residuals, nan=np.inf)
     counts = np.diff(model.track_offsets)
     nan = float("nan")
     return ReprojectionErrors(

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -88,8 +87,7 @@ def unhidden_pixels(points: FloatArray, view: View, caster: RayCaster | None) ->
     Hidden is what the mesh of `caster` covers by more than three pixels' length at its depth.
     """
     pixels, depths = view.project(points)
-    with np.errstate(invalid="ignore"):
-        seen = (depths > 0) & ((pixels >= 0) & (pixels < (view.width, view.height))).all(axis=1)
+    seen = view.holds(pixels, depths)
     if caster is not None and seen.any():
         along = caster.cast(view.center, points[seen] - view.center)
         seen[seen] = ~(along < 1 - 3 / view.focal_px)
@@ -137,7 +135,7 @@ def left_out_view_errors(
         ColmapEdgesError: Too few images are left, or an image cannot be read.
     """
     from colmap_edges.detection import detect_chains
-    from colmap_edges.images import read_image
+    from colmap_edges.images import gray_of, read_image
     from colmap_edges.meshing import mesh
     from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline import reconstruct
@@ -160,8 +158,7 @@ def left_out_view_errors(
     errors = []
     for view in unused:
         image = read_image(view, image_path)
-        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-        chains = detect_chains(gray, options.detection).points
+        chains = detect_chains(gray_of(image), options.detection).points
         pixels = unhidden_pixels(found.points, view, caster)
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:

@@ -1,4 +1,4 @@
-"""A model's observations as flat arrays, and its points by choice."""
+"""A choice of a model's points, and the rays of its pixels."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.model import FloatArray, IntArray, Model, View
-
-
-def observed_points(model: Model) -> IntArray:
-    """Index of the point of each observation, (T,), beside `track_views`, `track_points2D`."""
-    return np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
+from colmap_edges.csr import offsets_of
+from colmap_edges.model import FloatArray, Model, View
 
 
 def select_points(model: Model, keep: NDArray[np.bool_]) -> Model:
@@ -24,7 +20,7 @@ def select_points(model: Model, keep: NDArray[np.bool_]) -> Model:
         points3D_xyz=model.points3D_xyz[keep],
         point3D_ids=model.point3D_ids[keep],
         points3D_rgb=model.points3D_rgb[keep],
-        track_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        track_offsets=offsets_of(counts),
         track_views=model.track_views[kept],
         track_points2D=model.track_points2D[kept],
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.curves import Curves, load_curves
@@ -313,9 +314,9 @@ def _edges(
 ) -> Edges3D:
     return Edges3D(
         points=points,
-        edge_offsets=np.concatenate([[0], np.cumsum(edge_counts)]).astype(np.int64),
+        edge_offsets=offsets_of(edge_counts),
         closed=np.zeros(len(edge_counts), dtype=bool),
-        track_offsets=np.concatenate([[0], np.cumsum(track_counts)]).astype(np.int64),
+        track_offsets=offsets_of(track_counts),
         track_views=views.astype(np.int32),
         track_points2D=pixels,
         sigmas=np.full(len(points), np.nan),

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.depth import DepthErrors, ReferenceDepth
 from colmap_edges.evaluation.edges import view_window_errors
-from colmap_edges.evaluation.observations import observed_points
-from colmap_edges.images import read_image
+from colmap_edges.images import encoded, gray_of, read_image
 from colmap_edges.model import FloatArray, Model
 
 Picture = NDArray[np.uint8]
@@ -61,7 +60,7 @@ def write_edge_overlays(
     Colours are relative depth errors from 0 to 1 %; magenta: the reference is silent there.
     """
     names = [view.name for view in points.views]
-    observed = observed_points(points)
+    observed = points.track_points
     folder.mkdir(parents=True, exist_ok=True)
     for reference in references:
         seen = observed[points.track_views == names.index(reference.view.name)]
@@ -74,8 +73,7 @@ def write_edge_overlays(
 
 def faint(image: Picture) -> Picture:
     """The image (H, W, 3) in light grey, for coloured points to stand out."""
-    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.asarray(cv2.cvtColor(gray // 2 + 110, cv2.COLOR_GRAY2BGR), np.uint8)
+    return np.asarray(cv2.cvtColor(gray_of(image) // 2 + 110, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def file_name(prefix: str, view_name: str) -> str:
@@ -107,8 +105,7 @@ def write_png(path: Path, picture: NDArray[Any]) -> None:
     Raises:
         ColmapEdgesError: The file cannot be written.
     """
-    done, content = cv2.imencode(".png", picture)
     try:
-        path.write_bytes(content.tobytes() if done else b"")
+        path.write_bytes(encoded(".png", picture))
     except OSError as error:
         raise ColmapEdgesError(f"{path} cannot be written: {error}") from error

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from colmap_edges.csr import entries_of, offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.model import Model, load_model
@@ -34,15 +34,12 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
         counts = np.diff(written.track_offsets)[rows]
     except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
         raise ColmapEdgesError(f"{run_path} holds no edges that fit its model: {error}") from error
-    starts = written.track_offsets[rows]
-    taken = np.fromiter(
-        chain.from_iterable(range(s, s + c) for s, c in zip(starts, counts, strict=True)), np.int64
-    )
+    taken = entries_of(written.track_offsets, rows)
     return Edges3D(
         points=written.points3D_xyz[rows],
-        edge_offsets=np.cumsum([0, *(len(i) for i in ids)], dtype=np.int64),
+        edge_offsets=offsets_of(np.array([len(i) for i in ids], np.int64)),
         closed=np.array([record["closed"] for record in records], dtype=bool),
-        track_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        track_offsets=offsets_of(counts),
         track_views=views[written.track_views[taken]],
         track_points2D=written.track_points2D[taken],
         sigmas=np.full(len(rows), np.nan),

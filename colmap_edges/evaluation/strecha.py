@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images import read_picture
 from colmap_edges.model import FloatArray
-from colmap_edges.triangulation import PosedImage
+from colmap_edges.triangulation import PosedImage, posed_image
 
 
 def posed_images(image_path: Path, camera_path: Path | None = None) -> list[PosedImage]:
@@ -24,7 +23,7 @@ def posed_images(image_path: Path, camera_path: Path | None = None) -> list[Pose
     for path in sorted(image_path.iterdir()):
         camera = camera_path / f"{path.name}.camera"
         if path.suffix.lower() in (".png", ".jpg", ".jpeg", ".ppm") and camera.is_file():
-            images.append(_posed_image(path, camera, calibration))
+            images.append(posed_image(path, *read_camera(camera, calibration)))
     if not images:
         raise ColmapEdgesError(f"{camera_path} holds no NAME.camera for the images of {image_path}")
     return images
@@ -69,16 +68,3 @@ def _numbers(path: Path) -> FloatArray:
         )
     except ValueError as error:
         raise ColmapEdgesError(f"{path} holds something else than numbers: {error}") from error
-
-
-def _posed_image(path: Path, camera: Path, calibration: FloatArray | None) -> PosedImage:
-    picture = read_picture(path)
-    matrix, rotation, translation = read_camera(camera, calibration)
-    return PosedImage(
-        name=path.name,
-        width=picture.shape[1],
-        height=picture.shape[0],
-        calibration=matrix,
-        rotation=rotation,
-        translation=translation,
-    )

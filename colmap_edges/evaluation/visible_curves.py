@@ -42,9 +42,7 @@ def visibility(points: FloatArray, views: Sequence[View], caster: RayCaster | No
     for view in views:
         pixels, depth = view.project(points)
         size = np.where(depth > 0, depth / view.focal_px, np.inf)
-        with np.errstate(invalid="ignore"):
-            seen = (depth > 0) & (pixels >= 0).all(axis=1)
-            seen &= (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
+        seen = view.holds(pixels, depth)
         nearest = np.minimum(nearest, size)
         inside = np.flatnonzero(seen)
         if caster is not None and len(inside):

@@ -4,7 +4,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
-#include <cstdint>
+#include <initializer_list>
 #include <utility>
 #include <vector>
 

@@ -64,13 +64,10 @@ inline double Associate(const EdgeView& view, const Vec3& world, const Vec3& tan
 inline std::vector<double> AssociateAll(const EdgeView& view, const double* points,
                                         const double* tangents, const int8_t* sides, int64_t count,
                                         const AssociationParameters& parameters, int num_threads) {
-  constexpr int64_t kBlock = 1024;
   std::vector<double> positions(count);
-  ParallelFor((count + kBlock - 1) / kBlock, num_threads, [&](int64_t block, int) {
-    for (int64_t i = block * kBlock; i < std::min(count, (block + 1) * kBlock); ++i) {
-      const double *p = points + 3 * i, *t = tangents + 3 * i;
-      positions[i] = Associate(view, {p[0], p[1], p[2]}, {t[0], t[1], t[2]}, sides[i], parameters);
-    }
+  ParallelBlocks(count, num_threads, 1024, [&](int64_t i) {
+    const double *p = points + 3 * i, *t = tangents + 3 * i;
+    positions[i] = Associate(view, {p[0], p[1], p[2]}, {t[0], t[1], t[2]}, sides[i], parameters);
   });
   return positions;
 }

@@ -49,7 +49,7 @@ nb::tuple DouglasPeuckerArrays(Points2D points, Offsets offsets, double distance
   std::vector<int64_t> kept, kept_offsets = {0};
   {
     nb::gil_scoped_release release;
-    const auto point = [&](int64_t i) { return points.data() + 2 * i; };
+    const auto point = [&](int64_t i) { return Vec2{points(i, 0), points(i, 1)}; };
     for (size_t p = 0; p + 1 < offsets.size(); ++p) {
       if (offsets(p) < offsets(p + 1)) {
         DouglasPeucker(point, offsets(p), offsets(p + 1) - 1, distance, &kept);
@@ -79,9 +79,8 @@ void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals,
   std::vector<Sides> grays(sides.shape(0));
   for (size_t i = 0; i < grays.size(); ++i) grays[i] = {sides(i, 0), sides(i, 1)};
   Mat3 r;
-  Vec3 t;
   std::copy_n(rotation.data(), 9, r.begin());
-  std::copy_n(translation.data(), 3, t.begin());
+  const Vec3 t = {translation(0), translation(1), translation(2)};
   new (self) EdgeView(ToVec2(points), ToVec2(normals), grays, ToVector(offsets),
                       {closed.data(), closed.data() + closed.size()}, r, t, focal);
 }
@@ -150,8 +149,8 @@ nb::tuple ChainPointsArrays(const EdgeView& view, InArray<double, nb::ndim<1>> p
     }
     const Vec2 point = view.At(positions(i));
     const Vec2& tangent = view.tangent(int64_t(positions(i)));
-    std::copy_n(point.begin(), 2, points.begin() + 2 * i);
-    std::copy_n(tangent.begin(), 2, tangents.begin() + 2 * i);
+    points[2 * i] = point.x, points[2 * i + 1] = point.y;
+    tangents[2 * i] = tangent.x, tangents[2 * i + 1] = tangent.y;
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(tangents), {count, 2}));

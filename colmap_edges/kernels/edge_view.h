@@ -6,51 +6,17 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <stdexcept>
 #include <utility>
 #include <vector>
 
 #include "polyline.h"
+#include "vectors.h"
 
 namespace colmap_edges {
 
-using Vec2 = std::array<double, 2>;
-using Sides = std::array<uint8_t, 2>;
 using Vec2f = std::array<float, 2>;
-using Vec3 = std::array<double, 3>;
-using Mat3 = std::array<double, 9>;  // row major
-
-inline Vec3 Multiply(const Mat3& m, const Vec3& v) {
-  return {m[0] * v[0] + m[1] * v[1] + m[2] * v[2], m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-          m[6] * v[0] + m[7] * v[1] + m[8] * v[2]};
-}
-
-inline Vec3 MultiplyTransposed(const Mat3& m, const Vec3& v) {
-  return {m[0] * v[0] + m[3] * v[1] + m[6] * v[2], m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
-          m[2] * v[0] + m[5] * v[1] + m[8] * v[2]};
-}
-
-// a b^T of two rotations.
-inline Mat3 MultiplyByTransposed(const Mat3& a, const Mat3& b) {
-  Mat3 result;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) {
-      result[3 * i + j] =
-          a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
-    }
-  }
-  return result;
-}
-
-inline double Dot(const Vec2& a, const Vec2& b) { return a[0] * b[0] + a[1] * b[1]; }
-inline double Dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-inline double Norm(const Vec2& a) { return std::sqrt(Dot(a, a)); }
-inline double Cross(const Vec2& a, const Vec2& b) { return a[0] * b[1] - a[1] * b[0]; }
-inline Vec3 Cross(const Vec3& a, const Vec3& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-inline Vec3 Scaled(const Vec3& a, double s) { return {a[0] * s, a[1] * s, a[2] * s}; }
+using Sides = std::array<uint8_t, 2>;  // gray on the dark and on the bright side
 
 class EdgeView {
  public:
@@ -139,11 +105,7 @@ class EdgeView {
   Vec2 tangent(int64_t i) const { return Widened(points_[i].tangent); }
 
   // Camera coordinates of a world point.
-  Vec3 ToCamera(const Vec3& world) const {
-    Vec3 local = Multiply(rotation_, world);
-    for (int k = 0; k < 3; ++k) local[k] += translation_[k];
-    return local;
-  }
+  Vec3 ToCamera(const Vec3& world) const { return Multiply(rotation_, world) + translation_; }
 
   // The chord of a stretch of a polyline, from point `first` over `count` steps. What crosses the
   // chord crosses the stretch, and all but grazing lines that cross the stretch cross the chord.
@@ -158,15 +120,6 @@ class EdgeView {
     }
   };
   const std::vector<Stretch>& stretches() const { return stretches_; }
-
-  // Bounds of all points, for clipping.
-  const Vec2& low() const { return low_; }
-  const Vec2& high() const { return high_; }
-
-  // Calls visit(i, t) for each segment i -> Next(i) crossed by the line piece a -> b, where t in
-  // [0, 1] is the fraction along the segment; each crossing once, in the order of the cells.
-  template <typename Visit>
-  void VisitCrossings(Vec2 a, Vec2 b, const Visit& visit) const;
 
   // Calls visit(i) for each point within the square of half-width `radius` around `center`.
   template <typename Visit>
@@ -194,7 +147,6 @@ class EdgeView {
 
   std::vector<Stretch> MakeStretches() const;
   void BuildGrid();
-  bool Clip(Vec2* a, Vec2* b) const;
 
   // All that a crossing needs to know of a point, as small as it can be: views are larger than
   // caches. Single precision is a thousandth of a chain's own noise.
@@ -223,9 +175,7 @@ class EdgeView {
 inline std::vector<EdgeView::Stretch> EdgeView::MakeStretches() const {
   std::vector<Stretch> stretches;
   std::vector<int64_t> kept;
-  std::vector<Vec2> all(num_points());
-  for (int64_t i = 0; i < num_points(); ++i) all[i] = point(i);
-  const auto xy = [&all](int64_t i) { return all[i].data(); };
+  const auto xy = [this](int64_t i) { return point(i); };
   const auto add = [&](int64_t i, int64_t j, int64_t count) {
     const Vec2 &a = point(i), &b = point(j);
     stretches.push_back(
@@ -279,84 +229,6 @@ inline void EdgeView::BuildGrid() {
   std::vector<int64_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
   for (const Stretch& s : stretches_)
     for_cells(s, [&](int64_t c) { cell_stretches_[fill[c]++] = s; });
-}
-
-// Liang-Barsky against the bounds of the points; false when nothing is left.
-inline bool EdgeView::Clip(Vec2* a, Vec2* b) const {
-  double t0 = 0, t1 = 1;
-  const Vec2 d = {(*b)[0] - (*a)[0], (*b)[1] - (*a)[1]};
-  for (int k = 0; k < 2; ++k) {
-    const double before = (*a)[k] - low_[k], after = high_[k] - (*a)[k];
-    for (const auto& [p, q] : {std::pair{-d[k], before}, std::pair{d[k], after}}) {
-      if (p == 0) {
-        if (q < 0) return false;
-      } else if (p < 0) {
-        t0 = std::max(t0, q / p);
-      } else {
-        t1 = std::min(t1, q / p);
-      }
-    }
-  }
-  if (!(t0 <= t1)) return false;
-  const Vec2 start = *a;
-  *a = {start[0] + t0 * d[0], start[1] + t0 * d[1]};
-  *b = {start[0] + t1 * d[0], start[1] + t1 * d[1]};
-  return true;
-}
-
-template <typename Visit>
-void EdgeView::VisitCrossings(Vec2 a, Vec2 b, const Visit& visit) const {
-  if (points_.empty() || !Clip(&a, &b)) return;
-  const double length = std::hypot(b[0] - a[0], b[1] - a[1]);
-  if (!(length > 0)) return;
-  const double ux = (b[0] - a[0]) / length, uy = (b[1] - a[1]) / length;
-  const auto side = [&](double x, double y) { return ux * (y - a[1]) - uy * (x - a[0]); };
-  // Walk the cells from a to b (Amanatides and Woo).
-  int64_t column = Column(a[0]), row = Row(a[1]);
-  const int64_t end_column = Column(b[0]), end_row = Row(b[1]);
-  const int step_x = ux > 0 ? 1 : -1, step_y = uy > 0 ? 1 : -1;
-  const double infinity = std::numeric_limits<double>::infinity();
-  const auto boundary = [&](int64_t cell, int step, double origin) {
-    return origin + kCell * double(cell + (step > 0 ? 1 : 0));
-  };
-  double next_x = ux != 0 ? (boundary(column, step_x, low_[0]) - a[0]) / ux : infinity;
-  double next_y = uy != 0 ? (boundary(row, step_y, low_[1]) - a[1]) / uy : infinity;
-  const double delta_x = ux != 0 ? kCell / std::abs(ux) : infinity;
-  const double delta_y = uy != 0 ? kCell / std::abs(uy) : infinity;
-  while (true) {
-    const int64_t cell = row * columns_ + column;
-    for (int64_t k = cell_offsets_[cell]; k < cell_offsets_[cell + 1]; ++k) {
-      const Stretch& stretch = cell_stretches_[k];
-      const double s0 = side(stretch.ax, stretch.ay), s1 = side(stretch.bx, stretch.by);
-      if ((s0 < 0) == (s1 < 0)) continue;
-      const double t = s0 / (s0 - s1);
-      const double x = stretch.ax + t * (stretch.bx - stretch.ax);
-      const double y = stretch.ay + t * (stretch.by - stretch.ay);
-      const double along = ux * (x - a[0]) + uy * (y - a[1]);
-      // A stretch listed in several cells counts in the one that holds the crossing.
-      if (along < 0 || along > length || Column(x) != column || Row(y) != row) continue;
-      // The step at which the stretch changes sides: near where the chord does.
-      const auto behind = [&](int64_t i) {
-        const Vec2& p = point(i);
-        return (side(float(p[0]), float(p[1])) < 0) == (s0 < 0);
-      };
-      const int64_t end = stretch.first + stretch.count - 1;
-      int64_t low = stretch.first + int64_t(t * stretch.count);
-      while (low < end && behind(low + 1)) ++low;
-      while (low > stretch.first && !behind(low)) --low;
-      const Vec2 &p = point(low), &q = point(Next(low));
-      const double before = side(p[0], p[1]), after = side(q[0], q[1]);
-      visit(low, before != after ? std::clamp(before / (before - after), 0.0, 1.0) : 0.5);
-    }
-    if (column == end_column && row == end_row) return;
-    if (std::min(next_x, next_y) > length + kCell) return;
-    if (next_x < next_y) {
-      column += step_x, next_x += delta_x;
-    } else {
-      row += step_y, next_y += delta_y;
-    }
-    if (column < 0 || column >= columns_ || row < 0 || row >= rows_) return;
-  }
 }
 
 template <typename Visit>

@@ -7,7 +7,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include "edge_view.h"
@@ -26,9 +25,8 @@ inline Pair MakePair(const EdgeView& source, const EdgeView& neighbor) {
   Pair pair;
   pair.view = &neighbor;
   pair.rotation = MultiplyByTransposed(neighbor.rotation(), source.rotation());
-  const Vec3 moved = Multiply(pair.rotation, source.translation());
-  for (int k = 0; k < 3; ++k) pair.translation[k] = neighbor.translation()[k] - moved[k];
-  pair.source_epipole = Scaled(MultiplyTransposed(pair.rotation, pair.translation), -1);
+  pair.translation = neighbor.translation() - Multiply(pair.rotation, source.translation());
+  pair.source_epipole = -1.0 * MultiplyTransposed(pair.rotation, pair.translation);
   return pair;
 }
 
@@ -50,13 +48,13 @@ class EpipolarIndex {
 
   // Stretches within `min_angle_sin` of the epipolar direction are left out.
   EpipolarIndex(const Pair& pair, double min_angle_sin) : view_(pair.view) {
-    baseline_ = std::sqrt(Dot(pair.translation, pair.translation));
+    baseline_ = Norm(pair.translation);
     if (!(baseline_ > 0)) return;
-    axis_ = Scaled(pair.translation, 1 / baseline_);
+    axis_ = 1 / baseline_ * pair.translation;
     // Angles count from the optical axis, so that their seam is behind the camera.
     const bool forward = std::abs(axis_[2]) > 0.999;
     e2_ = Cross(axis_, forward ? Vec3{1, 0, 0} : Vec3{0, 0, 1});
-    e2_ = Scaled(e2_, 1 / std::sqrt(Dot(e2_, e2_)));
+    e2_ = 1 / Norm(e2_) * e2_;
     e1_ = Cross(e2_, axis_);
     Build(min_angle_sin);
   }

@@ -6,45 +6,19 @@
 #include <cmath>
 #include <cstdint>
 
+#include "vectors.h"
+
 namespace colmap_edges {
-
-struct Vec2 {
-  double x = 0, y = 0;
-};
-inline Vec2 operator+(Vec2 a, Vec2 b) { return {a.x + b.x, a.y + b.y}; }
-inline Vec2 operator-(Vec2 a, Vec2 b) { return {a.x - b.x, a.y - b.y}; }
-inline Vec2 operator*(double s, Vec2 a) { return {s * a.x, s * a.y}; }
-inline double Dot(Vec2 a, Vec2 b) { return a.x * b.x + a.y * b.y; }
-inline double Cross(Vec2 a, Vec2 b) { return a.x * b.y - a.y * b.x; }
-inline double Norm(Vec2 a) { return std::sqrt(Dot(a, a)); }
-
-struct Vec3 {
-  double x = 0, y = 0, z = 0;
-};
-inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vec3 operator*(double s, const Vec3& a) { return {s * a.x, s * a.y, s * a.z}; }
-inline double Dot(const Vec3& a, const Vec3& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline Vec3 Cross(const Vec3& a, const Vec3& b) {
-  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-inline double Norm(const Vec3& a) { return std::sqrt(Dot(a, a)); }
 
 // A pinhole view in ideal pixels: x_cam = R x_world + t, pixel = focal_px * (x, y) / z.
 struct PinholeView {
-  std::array<double, 9> R;  // row major, cam_from_world
+  Mat3 R;  // cam_from_world
   Vec3 t;
   Vec3 center;
   double focal_px;
 
-  Vec3 Rotate(const Vec3& v) const {
-    return {R[0] * v.x + R[1] * v.y + R[2] * v.z, R[3] * v.x + R[4] * v.y + R[5] * v.z,
-            R[6] * v.x + R[7] * v.y + R[8] * v.z};
-  }
-  Vec3 RotateBack(const Vec3& v) const {
-    return {R[0] * v.x + R[3] * v.y + R[6] * v.z, R[1] * v.x + R[4] * v.y + R[7] * v.z,
-            R[2] * v.x + R[5] * v.y + R[8] * v.z};
-  }
+  Vec3 Rotate(const Vec3& v) const { return Multiply(R, v); }
+  Vec3 RotateBack(const Vec3& v) const { return MultiplyTransposed(R, v); }
   Vec3 FromWorld(const Vec3& point) const { return Rotate(point) + t; }
   // Direction in the world, length 1, of the ray through an ideal pixel.
   Vec3 Ray(Vec2 pixel) const {

@@ -1,26 +1,27 @@
-// Polylines of pixels: Douglas-Peucker smoothing and directions along a chain.
+// Polylines of pixels: Douglas-Peucker smoothing.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 #include <utility>
 #include <vector>
 
+#include "vectors.h"
+
 namespace colmap_edges {
 
 // Squared distance of p to the segment a-b.
-inline double SquaredDistanceToSegment(const double* p, const double* a, const double* b) {
-  const double dx = b[0] - a[0], dy = b[1] - a[1];
-  const double length2 = dx * dx + dy * dy;
-  double t = length2 > 0 ? ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / length2 : 0;
+inline double SquaredDistanceToSegment(const Vec2& p, const Vec2& a, const Vec2& b) {
+  const Vec2 d = b - a;
+  const double length2 = Dot(d, d);
+  double t = length2 > 0 ? Dot(p - a, d) / length2 : 0;
   t = t < 0 ? 0 : (t > 1 ? 1 : t);
-  const double ex = a[0] + t * dx - p[0], ey = a[1] + t * dy - p[1];
-  return ex * ex + ey * ey;
+  const Vec2 e = a + t * d - p;
+  return Dot(e, e);
 }
 
 // Indices in [first, last] that Douglas-Peucker keeps so that no point is farther than `distance`
 // from the kept polyline; both ends are kept. Appended to `kept` in ascending order. `point(i)` is
-// a pointer to the two coordinates of point i.
+// a Vec2.
 template <typename Point>
 void DouglasPeucker(const Point& point, int64_t first, int64_t last, double distance,
                     std::vector<int64_t>* kept) {

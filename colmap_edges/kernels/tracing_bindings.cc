@@ -3,7 +3,6 @@
 #include "tracing_bindings.h"
 
 #include <stdexcept>
-#include <string>
 
 #include "arrays.h"
 #include "correspondences.h"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,32 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model
 
-if TYPE_CHECKING:
-    from colmap_edges.report.pictures import ImagePicture
-
 # What a figure is to plotly.js: traces and layout as JSON.
 Trace = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagePicture:
+    """The picture of one view.
+
+    Attributes:
+        view: index of the view.
+        photo: the image made small, JPEG.
+        detected: its 2D edge graph, transparent PNG of the same size.
+        dropped: detected edges that are not in the graph; None when all are.
+        shape: height and width, pixels.
+    """
+
+    view: int
+    photo: bytes
+    detected: bytes
+    dropped: bytes | None
+    shape: tuple[int, int]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the picture and its layers."""
+        return len(self.photo) + len(self.detected) + len(self.dropped or b"")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from typing import Any
 from colmap_edges.edge_io import edge_lengths
 from colmap_edges.model import Model, observation_residuals
 from colmap_edges.report.charts import edge_charts, stage_chart
-from colmap_edges.report.contents import Contents, Trace, typed
-from colmap_edges.report.pictures import ImagePicture, data_uri, reprojected_layer
+from colmap_edges.report.contents import Contents, ImagePicture, Trace, typed
+from colmap_edges.report.pictures import data_uri, reprojected_layer
 from colmap_edges.report.scene3d import scene_figure
 from colmap_edges.report.tracks import edge_data, views_per_edge
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -14,9 +13,10 @@ from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
+from colmap_edges.images import encoded
 from colmap_edges.model import Model, View
 from colmap_edges.overlay import SHIFT, fixed_point
-from colmap_edges.report.contents import spread
+from colmap_edges.report.contents import ImagePicture, spread
 
 FloatArray = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -29,30 +29,6 @@ JPEG_QUALITY = 75
 # Lines on nothing: as small as the best compression to a tenth, in a third of its time.
 RUN_LENGTHS = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImagePicture:
-    """The picture of one view.
-
-    Attributes:
-        view: index of the view.
-        photo: the image made small, JPEG.
-        detected: its 2D edge graph, transparent PNG of the same size.
-        dropped: detected edges that are not in the graph; None when all are.
-        shape: height and width, pixels.
-    """
-
-    view: int
-    photo: bytes
-    detected: bytes
-    dropped: bytes | None
-    shape: tuple[int, int]
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the picture and its layers."""
-        return len(self.photo) + len(self.detected) + len(self.dropped or b"")
 
 
 class PictureTaker:
@@ -126,7 +102,7 @@ def observed_segments(
     view: View, index: int, edges: Edges3D, segments: NDArray[np.int32]
 ) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == index]] = True
     chosen = segments[observed[segments].all(axis=1)]
@@ -149,12 +125,6 @@ def layer(
     bgra[..., :3] = np.where(mask[..., None] > 0, np.array(color, np.uint8), 0)
     bgra[..., 3] = mask
     return encoded(".png", bgra, RUN_LENGTHS)
-
-
-def encoded(kind: str, image: Picture, options: list[int]) -> bytes:
-    """The bytes of an image file."""
-    _, data = cv2.imencode(kind, image, options)
-    return bytes(data.tobytes())
 
 
 def data_uri(kind: str, data: bytes) -> str:

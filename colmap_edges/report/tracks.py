@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.edge_graph import offsets_of
+from colmap_edges.csr import offsets_of
 from colmap_edges.edge_io import edge_lengths
 from colmap_edges.edges import Edges3D
 from colmap_edges.model import Model
@@ -23,7 +23,7 @@ FULL = 65535  # of 16 bits: the width or height of an image
 def edge_of_observation(edges: Edges3D) -> IntArray:
     """(T,) edge of each observation."""
     per_point = np.diff(edges.track_offsets)
-    edge_of_point = np.repeat(np.arange(edges.num_edges), np.diff(edges.edge_offsets))
+    edge_of_point = edges.edge_ids
     return np.repeat(edge_of_point, per_point)
 
 
@@ -77,7 +77,7 @@ def reprojections(
         (K, 2) pixels as parts of width and height, 65535 being all, and (K,) the observations
         they belong to, thinned evenly to `MAX_REPROJECTIONS`.
     """
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = edges.track_points
     pixels = np.full((len(owners), 2), np.nan)
     for index in pictured:
         view, rows = model.views[index], np.flatnonzero(edges.track_views == index)

@@ -14,7 +14,6 @@ from colmap_edges.evaluation import (
     clouds,
     curves,
     depth,
-    dtu,
     held_out,
     results,
     scene,
@@ -22,31 +21,11 @@ from colmap_edges.evaluation import (
 )
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
-from colmap_edges.triangulation import triangulate
-
-
-def has_mesher():
-    try:
-        from colmap_edges import _mesher, pipeline  # noqa: F401
-    except ImportError:
-        return False
-    return True
-
-
-needs_mesher = pytest.mark.skipif(not has_mesher(), reason="the CGAL mesher is not built")
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
     return miniature.write(tmp_path_factory.mktemp("data"), cameras=9)
-
-
-@pytest.fixture(scope="module")
-def sparse(root, tmp_path_factory):
-    folder, images = dtu.posed_images(root, 6)
-    path = tmp_path_factory.mktemp("sparse")
-    triangulate(images, folder, path)
-    return path
 
 
 def test_sphere_against_its_sampling():
@@ -198,7 +177,7 @@ def test_numbers_in_tables():
     ]  # fmt: skip
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_from_dtu_images_to_the_table(root, tmp_path):
     scenes = benchmark.dtu_scenes(root, [6])
     results = benchmark.run(scenes, tmp_path, ("SfM",))
@@ -212,7 +191,7 @@ def test_from_dtu_images_to_the_table(root, tmp_path):
     assert "| DTU-006 (mm) | SfM |" in (tmp_path / "evaluation.md").read_text()
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
     errors = held_out.split_half_errors(sparse)
     assert errors["absolute"]["median"] < 0.15
@@ -231,7 +210,7 @@ def run_path(root, sparse, tmp_path_factory):
     return out
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_an_output_folder_is_judged(root, sparse, run_path):
     images = root / "Rectified" / "scan6"
     record = evaluation.run(run_path, sparse, image_path=images, held_out_views=9)
@@ -247,7 +226,7 @@ def test_an_output_folder_is_judged(root, sparse, run_path):
         evaluation.run(run_path, sparse)
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_edges_are_read_back(sparse, run_path):
     model = load_model(sparse)
     found = results.load_edges(run_path, model)
@@ -265,7 +244,7 @@ def test_edges_are_read_back(sparse, run_path):
     assert found.num_edges == len(records)
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     paths = ["--run_path", str(run_path), "--input_path", str(sparse)]
@@ -281,7 +260,7 @@ def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
     assert again.stderr.count("\n") == 1
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])
 def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path, suffix):
     from colmap_edges.evaluation.raycasting import load_mesh
@@ -296,7 +275,7 @@ def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path
     assert found["completeness"]["mae"] == pytest.approx(expected["completeness"]["mae"], rel=1e-4)
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, tmp_path):
     import shutil
 
@@ -327,7 +306,7 @@ def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, t
     assert red > 100 > 50 > blue
 
 
-@needs_mesher
+@pytest.mark.usefixtures("mesher")
 def test_an_evaluation_that_fails_leaves_nothing(sparse, run_path, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mesh.ply").write_bytes((run_path / "mesh.ply").read_bytes())

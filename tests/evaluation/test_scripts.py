@@ -9,28 +9,18 @@ import miniature
 import numpy as np
 import pytest
 import trimesh
-from test_benchmark import needs_mesher
 
-from colmap_edges.evaluation import depth, dtu
+from colmap_edges.evaluation import depth
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.model import load_model
-from colmap_edges.triangulation import triangulate
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = needs_mesher
+pytestmark = pytest.mark.usefixtures("mesher")
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
     return miniature.write(tmp_path_factory.mktemp("data"), cameras=7)
-
-
-@pytest.fixture(scope="module")
-def sparse(root, tmp_path_factory):
-    folder, images = dtu.posed_images(root, 6)
-    path = tmp_path_factory.mktemp("sparse")
-    triangulate(images, folder, path)
-    return path
 
 
 def run(script, *arguments, code=0):

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 import valid
+from curves import no_edges
 
 from colmap_edges import cli, info
 from colmap_edges.errors import ColmapEdgesError
@@ -34,7 +35,7 @@ def read_model(folder: Path) -> None:
     """Read a model and write it again with no edge added."""
     model = load_model(folder)
     info.describe_model(model)
-    write_model(model, valid.no_edges(), folder / "written")
+    write_model(model, no_edges(), folder / "written")
     load_model(folder / "written")
 
 

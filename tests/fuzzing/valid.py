@@ -20,7 +20,6 @@ import miniature  # noqa: E402
 import pycolmap  # noqa: E402
 import scenes  # noqa: E402
 
-from colmap_edges.edges import Edges3D  # noqa: E402
 from colmap_edges.model import Model, View, model_from_reconstruction  # noqa: E402
 from colmap_edges.options import PipelineOptions  # noqa: E402
 from colmap_edges.pipeline import Paths, run  # noqa: E402
@@ -42,19 +41,6 @@ def view_model() -> Model:
 def view_named(name: str) -> View:
     """A view of the usual size whose image is called `name`."""
     return replace(view_model().views[0], name=name)
-
-
-def no_edges() -> Edges3D:
-    return Edges3D(
-        points=np.zeros((0, 3)),
-        edge_offsets=np.zeros(1, np.int64),
-        closed=np.zeros(0, bool),
-        track_offsets=np.zeros(1, np.int64),
-        track_views=np.zeros(0, np.int32),
-        track_points2D=np.zeros((0, 2)),
-        sigmas=np.zeros(0),
-        end_nodes=np.zeros((0, 2), np.int32),
-    )
 
 
 def remove(path: Path) -> None:

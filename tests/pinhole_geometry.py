@@ -1,7 +1,7 @@
 """Epipolar lines, triangulation and distances of posed pinhole views: pure numpy.
 
-Pixels are *ideal* (see `colmap_edges.model.View`). The kernels hold faster versions of the same;
-these are their references and what code outside hot loops uses.
+Pixels are *ideal* (see `colmap_edges.model.View`). References for the kernels, which hold faster
+versions of the same.
 """
 
 from __future__ import annotations

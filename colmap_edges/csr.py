@@ -1,0 +1,34 @@
+"""Rows of different lengths in flat arrays (compressed sparse rows), as all stages hold them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int64]
+
+
+def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
+    """(n + 1,) CSR offsets of n lengths."""
+    offsets = np.zeros(len(lengths) + 1, np.int64)
+    np.cumsum(lengths, out=offsets[1:])
+    return offsets
+
+
+def owners_of(offsets: IntArray) -> IntArray:
+    """(offsets[-1],) the row that each entry of (n + 1,) offsets belongs to."""
+    return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+
+
+def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
+    """Indices of the entries of the chosen (m,) rows of (n + 1,) offsets, in the rows' order."""
+    starts = offsets[rows]
+    lengths = offsets[rows + 1] - starts
+    first = starts - np.cumsum(lengths) + lengths
+    entries: IntArray = np.arange(lengths.sum()) + np.repeat(first, lengths)
+    return entries
+
+
+def ranks_of(lengths: NDArray[np.int64]) -> IntArray:
+    """Place of each entry within its row, for rows of n lengths one after the other."""
+    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)

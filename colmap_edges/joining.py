@@ -1,0 +1,67 @@
+"""Pieces of curves joined end to end: which end is which, who goes on whom, in which order.
+
+Piece i has two ends, 2i at its first point and 2i + 1 at its last. Chains in an image and edges in
+space are joined alike; which ends may join, and at what cost, those know who ask.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
+    """(2P,) index of the point at each end of P pieces, and of the one `reach` points inward.
+
+    On shorter pieces the latter is the other end.
+    """
+    first, last = offsets[:-1], offsets[1:] - 1
+    tips = np.column_stack([first, last]).ravel()
+    inner = np.column_stack([np.minimum(first + reach, last), np.maximum(last - reach, first)])
+    return tips, inner.ravel()
+
+
+def match_best_first(
+    num_ends: int, a: IntArray, b: IntArray, allowed: NDArray[np.bool_], costs: FloatArray
+) -> IntArray:
+    """(num_ends,) the end that goes on each end, cheapest pairs first; -1 where none does.
+
+    Args:
+        num_ends: twice the number of pieces.
+        a: (n,) ends that may join.
+        b: (n,) the ends they may join.
+        allowed: (n,) whether they may.
+        costs: (n,) what it costs; among equals the first pair wins.
+    """
+    partner = np.full(num_ends, -1, np.int64)
+    for row in np.flatnonzero(allowed)[np.argsort(costs[allowed], kind="stable")]:
+        if partner[a[row]] < 0 and partner[b[row]] < 0:
+            partner[a[row]], partner[b[row]] = b[row], a[row]
+    return partner
+
+
+def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
+    """Paths of joined pieces: lists of the end at which each piece is entered, and closedness."""
+    count = len(partner) // 2
+    seen = np.zeros(count, bool)
+    ends = partner.tolist()
+    paths = []
+    free = [end for end in range(2 * count) if ends[end] < 0]
+    for start in free + list(range(0, 2 * count, 2)):
+        if seen[start // 2]:
+            continue
+        path, end = [], start
+        while end >= 0 and not seen[end // 2]:
+            seen[end // 2] = True
+            path.append(end)
+            end = ends[end ^ 1]
+        paths.append((path, end == start))
+    return paths
+
+
+def points_from(end: int, begin: int, stop: int) -> IntArray:
+    """The points begin:stop of a piece from one of its ends to the other."""
+    return np.arange(begin, stop) if end % 2 == 0 else np.arange(stop - 1, begin - 1, -1)

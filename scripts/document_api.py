@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+"""Writes docs/api.md: what there is to call from Python, from the docstrings in the code."""
+
+import ast
+import re
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGET = ROOT / "docs" / "api.md"
+HEAD = """# Python interface
+
+Made by `scripts/document_api.py` from the docstrings. Arrays are numpy's, with shapes in brackets;
+pixels are COLMAP's (the centre of the first one is (0.5, 0.5)), lengths world units where nothing
+else is said. Options are in [options.md](options.md), examples in [recipes.md](recipes.md).
+Whatever goes wrong with the input raises a `ColmapEdgesError` whose text says what, where and the
+remedy.
+
+"""
+# What is documented: module, the names in it, the module from which they are to be imported.
+PUBLIC = (
+    ("pipeline", ("reconstruct", "EdgeReconstruction"), "colmap_edges"),
+    ("edges", ("Edges3D",), "colmap_edges"),
+    ("meshing", ("mesh", "Mesh", "write_mesh"), "colmap_edges"),
+    ("options", ("PipelineOptions", "preset"), "colmap_edges"),
+    ("errors", ("ColmapEdgesError",), "colmap_edges"),
+    (
+        "edge_io",
+        ("write_ply", "write_obj", "write_glb", "write_dxf", "write_json"),
+        "colmap_edges.edge_io",
+    ),
+    ("triangulation", ("PosedImage", "posed_image", "triangulate"), "colmap_edges.triangulation"),
+    ("evaluation/__init__", ("run",), "colmap_edges.evaluation"),
+)
+SECTION = re.compile(r"^(Args|Attributes|Returns|Raises):$")
+
+Definition = ast.ClassDef | ast.FunctionDef
+
+
+def definitions(module: str) -> dict[str, Definition]:
+    """The classes and functions of a module by name."""
+    text = (ROOT / "colmap_edges" / f"{module}.py").read_text(encoding="utf-8")
+    found = (node for node in ast.parse(text).body if isinstance(node, Definition))
+    return {node.name: node for node in found}
+
+
+def signature(node: ast.FunctionDef) -> str:
+    """A function's name, parameters and result, a parameter a line where they are many."""
+    result = f" -> {ast.unparse(node.returns)}" if node.returns else ""
+    parameters = re.split(r", (?![^[]*\])", ast.unparse(node.args))
+    parameters = [re.sub(r"(: [^=]+)=", r"\1 = ", parameter) for parameter in parameters]
+    line = f"{node.name}({', '.join(parameters)}){result}"
+    if len(line) <= 96:
+        return line
+    return "\n".join([f"{node.name}(", *(f"    {each}," for each in parameters), f"){result}"])
+
+
+def entries(lines: list[str]) -> Iterator[str]:
+    """The entries of a section, each with the lines that continue it."""
+    entry: list[str] = []
+    for line in lines:
+        if entry and not line.startswith(" "):
+            yield " ".join(entry)
+            entry = []
+        entry.append(line.strip())
+    if entry:
+        yield " ".join(entry)
+
+
+def section(title: str, body: str) -> list[str]:
+    """A docstring's section as Markdown."""
+    lines = textwrap.dedent(body).strip("\n").splitlines()
+    if title == "Returns":
+        return [f"{title}: {' '.join(line.strip() for line in lines)}", ""]
+    told = (entry.partition(": ") for entry in entries(lines))
+    return [f"{title}:", "", *(f"- `{name}`: {text}" for name, _, text in told), ""]
+
+
+def markdown(docstring: str) -> str:
+    """A docstring in Google's style as Markdown."""
+    parts: list[str] = []
+    lines = docstring.splitlines()
+    while lines:
+        line = lines.pop(0)
+        found = SECTION.match(line)
+        if not found:
+            parts.append(line)
+            continue
+        body = []
+        while lines and (not lines[0] or lines[0].startswith(" ")):
+            body.append(lines.pop(0))
+        parts += section(found[1], "\n".join(body))
+    return "\n".join(parts).rstrip("\n")
+
+
+def members(node: ast.ClassDef) -> Iterator[str]:
+    """The public properties and methods of a class, one line each."""
+    for member in node.body:
+        if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):
+            first = (ast.get_docstring(member) or "").partition("\n")[0]
+            is_property = any("property" in ast.unparse(d) for d in member.decorator_list)
+            yield f"- `{member.name}{'' if is_property else '()'}`: {first}"
+
+
+def described(node: Definition) -> str:
+    """One entry of the page."""
+    lines = [f"### {node.name}", ""]
+    if isinstance(node, ast.FunctionDef):
+        lines += ["```python", signature(node), "```", ""]
+    lines.append(markdown(ast.get_docstring(node) or ""))
+    if isinstance(node, ast.ClassDef) and (rows := list(members(node))):
+        lines += ["", "Members:", "", *rows]
+    return "\n".join(lines)
+
+
+def api_page() -> str:
+    """The whole page."""
+    parts = []
+    for place in dict.fromkeys(place for *_, place in PUBLIC):
+        parts.append(f"## {place}")
+        for module, names, where in PUBLIC:
+            if where == place:
+                found = definitions(module)
+                parts += [described(found[name]) for name in names]
+    return HEAD + "\n\n".join(parts) + "\n"
+
+
+if __name__ == "__main__":
+    TARGET.write_text(api_page(), encoding="utf-8")
