@@ -31,11 +31,12 @@ from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import build_edge_graph, offsets_of
 from colmap_edges.edge_io import write_json, write_ply
 from colmap_edges.edges import Edges3D
+from colmap_edges.executors import run_all
 from colmap_edges.flags import make_flags, normalize, options_from_flags
 from colmap_edges.graph_store import GraphStore
 from colmap_edges.model import Model, View, load_model, observation_residuals, write_model
 from colmap_edges.options import PipelineOptions
-from colmap_edges.pipeline import map_threads, model_counts, thread_count, trace_stage
+from colmap_edges.pipeline import model_counts, open_workers, trace_stage
 from colmap_edges.stages import Stages
 
 FloatArray = NDArray[np.float64]
@@ -312,7 +313,8 @@ def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[Gra
         store.add(index, graph)
         return len(graph.points)
 
-    return store, sum(map_threads(make, len(model.views), thread_count(options)))
+    with open_workers(options) as workers:
+        return store, sum(run_all(workers.images, ((make, (v,)) for v in range(len(model.views)))))
 
 
 def write_results(model: Model, edges: Edges3D, folder: Path) -> None:

@@ -1,0 +1,114 @@
+"""Who does the work on single images and single views: threads here, or a cluster's workers.
+
+Work is handed over as calls of plain functions (`concurrent.futures`), a task an image or a view
+with its neighbours, so that stages do not know where they run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from colmap_edges.cache import Cache, code_version
+from colmap_edges.errors import ColmapEdgesError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        images: runs tasks of one image each.
+        views: runs tasks of one view and its neighbours each.
+        num_view_tasks: tasks of `views` that are worth having at once.
+        threads_per_view: threads that such a task takes for itself.
+        remote: whether tasks run in other processes, to which edge graphs go by the cache.
+        cache: results of earlier runs, if they are kept.
+    """
+
+    images: Executor
+    views: Executor
+    num_view_tasks: int
+    threads_per_view: int
+    remote: bool = False
+    cache: Cache | None = None
+
+
+@contextmanager
+def local_workers(num_threads: int, cache: Cache | None = None) -> Iterator[Workers]:
+    """Threads of this process: an image each, then all of them together on one view at a time.
+
+    So few views are in memory at once, and the last one does not keep the others waiting.
+    """
+    with ThreadPoolExecutor(num_threads) as images, ThreadPoolExecutor(1) as views:
+        yield Workers(
+            images=images, views=views, num_view_tasks=1, threads_per_view=num_threads, cache=cache
+        )
+
+
+@contextmanager
+def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
+    """The workers of a dask.distributed cluster; tasks of workers that die run again.
+
+    Args:
+        scheduler: address of the scheduler, such as tcp://host:8786.
+        cache: in a folder that this process and all workers see, as they must see the images.
+
+    Raises:
+        ColmapEdgesError: when dask is missing, the scheduler cannot be reached, or workers have
+            another version of the code.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ColmapEdgesError(
+            f"a scheduler needs dask ({error}); pip install 'colmap-edges[cluster]'"
+        ) from error
+    try:
+        client = Client(scheduler, timeout=10, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ColmapEdgesError(f"cannot reach the scheduler {scheduler}: {error}") from error
+    with client:
+        client.wait_for_workers(1)
+        others = [at for at, found in client.run(code_version).items() if found != code_version()]
+        if others:
+            raise ColmapEdgesError(f"worker {others[0]} has other versions of code or libraries")
+        executor = client.get_executor(pure=False)
+        yield Workers(
+            images=executor,
+            views=executor,
+            num_view_tasks=2 * sum(client.nthreads().values()),  # none waits for the next
+            threads_per_view=1,
+            remote=True,
+            cache=cache,
+        )
+
+
+def run_all(
+    executor: Executor,
+    calls: Iterable[tuple[Callable[..., Any], tuple[Any, ...]]],
+    advance: Callable[[], None] = lambda: None,
+) -> list[Any]:
+    """Results of calls (function, arguments), in their order; the first error stops the rest.
+
+    `advance` is called when a call is done, from any thread.
+    """
+    futures: list[Future[Any]] = []
+    try:
+        for function, arguments in calls:
+            futures.append(executor.submit(function, *arguments))
+            futures[-1].add_done_callback(lambda _: advance())
+        return [future.result() for future in futures]
+    finally:
+        stop(futures)
+
+
+def stop(futures: Iterable[Future[Any]]) -> None:
+    """Cancel the calls that have not begun and wait for those that have."""
+    futures = list(futures)
+    for future in futures:
+        future.cancel()
+    wait(futures)
