@@ -64,11 +64,14 @@ class Cache:
         except OSError:
             return None
         packed = memoryview(data)[DIGEST_BYTES:]
-        if seal(kind, key, packed) != data[:DIGEST_BYTES]:
-            logger.warning("cache entry %s is damaged; it is made again", path)
-            return None
-        with np.load(BytesIO(packed), allow_pickle=False) as arrays:
-            return dict(arrays)
+        if seal(kind, key, packed) == data[:DIGEST_BYTES]:
+            try:
+                with np.load(BytesIO(packed), allow_pickle=False) as arrays:
+                    return dict(arrays)
+            except ValueError:
+                pass  # no arrays: somebody else's work
+        logger.warning("cache entry %s is damaged; it is made again", path)
+        return None
 
     def save(self, kind: str, key: str, arrays: Arrays) -> bool:
         """Keep arrays as an entry; False, with a warning, where that cannot be done.
