@@ -7,13 +7,16 @@ with its neighbours, so that stages do not know where they run.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from colmap_edges.cache import Cache, code_version
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.scheduling import Schedule
+
+Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +92,7 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
 
 def run_all(
     executor: Executor,
-    calls: Iterable[tuple[Callable[..., Any], tuple[Any, ...]]],
+    calls: Iterable[Call],
     advance: Callable[[], None] = lambda: None,
 ) -> list[Any]:
     """Results of calls (function, arguments), in their order; the first error stops the rest.
@@ -104,6 +107,36 @@ def run_all(
         return [future.result() for future in futures]
     finally:
         stop(futures)
+
+
+def run_scheduled(
+    workers: Workers,
+    schedule: Schedule,
+    call: Callable[[int], Call],
+    finish: Callable[[int, Any], None],
+) -> None:
+    """Run a call a view in the order of a schedule, as many at once as is worth it.
+
+    Args:
+        workers: who does the work.
+        schedule: the views.
+        call: gives the call of a view, when its turn has come.
+        finish: takes a view and its result before those that wait for the view are begun.
+    """
+    running: dict[Future[Any], int] = {}
+    try:
+        while True:
+            while len(running) < workers.num_view_tasks and (view := schedule.take()) is not None:
+                function, arguments = call(view)
+                running[workers.views.submit(function, *arguments)] = view
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                view = running.pop(future)
+                finish(view, future.result())
+                schedule.finish(view)
+    finally:
+        stop(running)
 
 
 def stop(futures: Iterable[Future[Any]]) -> None:

@@ -501,7 +501,7 @@ def trace(
     threads = thread_count(options)
     if options.tracing.method == "paper":
         return trace_edges_paper(model, graphs, options, threads)
-    return trace_edges(model, graphs, options, threads, advance)
+    return trace_edges(model, graphs, options, threads, advance, workers)
 
 
 def key_of_edges(model: Model, graph_keys: list[str], options: PipelineOptions) -> str:
