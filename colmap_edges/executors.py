@@ -16,6 +16,8 @@ from colmap_edges.cache import Cache, code_version
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.scheduling import Schedule
 
+CONNECT_S = 10  # in which a scheduler must answer
+
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
 
 
@@ -71,7 +73,7 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
             f"a scheduler needs dask ({error}); pip install 'colmap-edges[cluster]'"
         ) from error
     try:
-        client = Client(scheduler, timeout=10, set_as_default=False)
+        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ColmapEdgesError(f"cannot reach the scheduler {scheduler}: {error}") from error
     with client:
