@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from colmap_edges.chain_depths import (
     ChainDepths,
@@ -53,7 +54,7 @@ class Traced:
         sigmas: (N,) standard deviation along the driver's ray, world units.
         offsets: (E + 1,) CSR of the points by curve.
         views: (K + 1,) view of each column of `positions`, the driver first.
-        positions: (N, K + 1) positions on the views' chains; NaN where not observed.
+        positions: (N, K + 1) sparse positions on the views' chains, where they are observed.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
         residuals: (N,) root mean square distance to the chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
@@ -66,7 +67,12 @@ class Traced:
     log_chances: FloatArray
     offsets: IntArray
     views: IntArray
-    positions: FloatArray
+    positions: csr_array
+
+    @property
+    def num_observations(self) -> IntArray:
+        """(N,) number of observations of each point."""
+        return np.asarray(np.diff(self.positions.indptr), np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -466,8 +472,15 @@ def trace_view(
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses[seeing]]),
-        positions=np.column_stack([indices.astype(np.float64), refined.positions[:, seeing]]),
+        positions=sparse(np.column_stack([indices, refined.positions[:, seeing]])),
     )
+
+
+def sparse(values: FloatArray) -> csr_array:
+    """The values that are not NaN, of (N, M), zeros among them."""
+    known = np.isfinite(values)
+    columns = np.nonzero(known)[1].astype(np.int32)
+    return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)
 
 
 def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
@@ -475,10 +488,11 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
 
     A point with too few observations will not last, so it covers nothing.
     """
-    lasting = np.isfinite(traced.positions).sum(axis=1) >= options.min_observations
+    lasting = traced.num_observations >= options.min_observations
+    observed = traced.positions[lasting].tocsc()
     for column, view in enumerate(traced.views):
-        positions = traced.positions[lasting, column]
-        at = positions[np.isfinite(positions)].astype(np.int64)
+        first, last = observed.indptr[column : column + 2]
+        at = observed.data[first:last].astype(np.int64)
         offsets = scene.polyline_offsets[view]
         polyline = np.searchsorted(offsets, at, "right") - 1
         reach = options.point_spacing_px
@@ -520,8 +534,7 @@ def find_limits(
     traced: list[Traced], options: TracingOptions
 ) -> tuple[Limits, BoolArray, dict[str, Any]]:
     """What pieces may have, by the scene's own medians; which points are good; and counts."""
-    counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
-    every = np.concatenate([np.zeros(0, int), *counts])
+    every = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
     enough = every >= options.min_observations
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
     sure = enough & (uncertain <= options.max_sigma_ratio * median_of(uncertain[enough]))
@@ -590,14 +603,12 @@ def make_edges(scene: Scene, parts: list[Traced]) -> Edges3D:
     """Put the curves of all drivers together as 3D edges with tracks."""
     points, sigmas, lengths, track_lengths, track_views, positions = [], [], [], [], [], []
     for part in parts:
-        seen = np.isfinite(part.positions)
-        rows, columns = np.nonzero(seen)
         points.append(part.points)
         sigmas.append(part.sigmas)
         lengths.append(np.diff(part.offsets))
-        track_lengths.append(seen.sum(axis=1))
-        track_views.append(part.views[columns])
-        positions.append(part.positions[rows, columns])
+        track_lengths.append(part.num_observations)
+        track_views.append(part.views[part.positions.indices])
+        positions.append(part.positions.data)
     views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
     num_edges = int(sum(len(length) for length in lengths))
     return Edges3D(
