@@ -109,6 +109,16 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
         path_flag("image_path", "Folder of the images [WORKSPACE/images]"),
         path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
         path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
+        path_flag(
+            "cache_path",
+            "Folder of results that later runs find again: made when missing, can be deleted",
+        ),
+        click.Option(
+            ["--scheduler"],
+            default="",
+            metavar="ADDRESS",
+            help="Let a dask.distributed cluster work, such as tcp://host:8786; needs --cache_path",
+        ),
         *([quality_flag()] if "tracing" in names else []),
         click.Option(
             ["--config"],
@@ -150,9 +160,16 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
-    paths = Paths(**paths_from_flags(values))
+    paths = Paths(**paths_from_flags(values), cache_path=values["cache_path"])
     with progress_bars() as progress:
-        report = run(name, paths, options, overwrite=values["overwrite"], progress=progress)
+        report = run(
+            name,
+            paths,
+            options,
+            overwrite=values["overwrite"],
+            progress=progress,
+            scheduler=values["scheduler"],
+        )
     click.echo(summary(report, paths.output_path, time.perf_counter() - started))
 
 

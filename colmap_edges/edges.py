@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,3 +85,21 @@ class Edges3D:
             sigmas=self.sigmas[order],
             end_nodes=end_nodes,
         )
+
+
+def arrays_of_edges(edges: Edges3D) -> dict[str, NDArray[Any]]:
+    """The arrays of edges and, after "outlines.", of their outlines."""
+    arrays = {entry.name: getattr(edges, entry.name) for entry in fields(edges)}
+    outlines: Edges3D | None = arrays.pop("outlines")
+    if outlines is not None:
+        arrays |= {f"outlines.{name}": a for name, a in arrays_of_edges(outlines).items()}
+    return arrays
+
+
+def edges_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Edges3D:
+    """What `arrays_of_edges` took apart."""
+    own = {name: array for name, array in arrays.items() if not name.startswith("outlines.")}
+    rest = {
+        name.removeprefix("outlines."): array for name, array in arrays.items() if name not in own
+    }
+    return Edges3D(**own, outlines=edges_from_arrays(rest) if rest else None)

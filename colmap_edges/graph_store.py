@@ -57,9 +57,21 @@ class GraphStore(Sequence[EdgeGraph]):
     add graphs and take them.
     """
 
-    def __init__(self, count: int, max_bytes: float) -> None:
-        """Make a store for `count` graphs, of which `max_bytes` stay in memory."""
-        self.length, self.max_bytes = count, max_bytes
+    def __init__(
+        self,
+        count: int,
+        max_bytes: float,
+        elsewhere: Callable[[int], EdgeGraph] | None = None,
+    ) -> None:
+        """Make a store.
+
+        Args:
+            count: number of graphs.
+            max_bytes: of graphs that stay in memory.
+            elsewhere: reads a graph from where all are kept, if they are; none is written then.
+        """
+        self.length, self.max_bytes, self.elsewhere = count, max_bytes, elsewhere
+        self.keys: list[str] = []  # of the graphs in the cache, once they are there
         self.num_bytes = 0
         self.kept: OrderedDict[int, EdgeGraph] = OrderedDict()
         self.written: set[int] = set()
@@ -86,7 +98,8 @@ class GraphStore(Sequence[EdgeGraph]):
             raise IndexError(index)
         with self.lock:
             if index not in self.kept:
-                self.keep(index, read_graph(self.path(index)))
+                read = self.elsewhere or (lambda place: read_graph(self.path(place)))
+                self.keep(index, read(index))
             self.kept.move_to_end(index)
             return self.kept[index]
 
@@ -97,7 +110,7 @@ class GraphStore(Sequence[EdgeGraph]):
         while self.num_bytes > self.max_bytes and len(self.kept) > 1:
             old, dropped = self.kept.popitem(last=False)
             self.num_bytes -= graph_bytes(dropped)
-            if old not in self.written:
+            if old not in self.written and self.elsewhere is None:
                 write_graph(dropped, self.path(old))
                 self.written.add(old)
 

@@ -62,7 +62,17 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
         ColmapEdgesError: when it is not of its camera's size.
     """
     path = path_of_image(image_path, view.name)
-    image = read_picture(path)
+    return decode_image(read_bytes(path), path, view)
+
+
+def decode_image(data: NDArray[np.uint8], path: Path, view: View) -> NDArray[np.uint8]:
+    """Decode the bytes of a view's image; `path` is for messages.
+
+    Raises:
+        ImageError: when that cannot be done.
+        ColmapEdgesError: when it is not of its camera's size.
+    """
+    image = decode(data, path)
     height, width = image.shape[:2]
     if (width, height) != (view.width, view.height):
         raise ColmapEdgesError(
@@ -78,12 +88,36 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     Raises:
         ImageError: when it cannot be read.
     """
+    return decode(read_bytes(path), path)
+
+
+def read_bytes(path: Path) -> NDArray[np.uint8]:
+    """Read an image file as it is.
+
+    Raises:
+        ImageError: when it cannot be read.
+    """
     try:
-        data = np.fromfile(path, np.uint8)
+        return np.fromfile(path, np.uint8)
+    except (OSError, MemoryError) as error:
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: Path, error: Exception) -> ImageError:
+    """Make the error for an image that cannot be read or decoded."""
+    return ImageError(f"cannot read image {path}: {' '.join(str(error).split())}")
+
+
+def decode(data: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
+    """Decode the bytes of an image file; `path` is for messages.
+
+    Raises:
+        ImageError: when that cannot be done.
+    """
+    try:
         image = cv2.imdecode(data, COLOR) if len(data) else None
-    except (OSError, MemoryError, cv2.error) as error:
-        reason = " ".join(str(error).split())
-        raise ImageError(f"cannot read image {path}: {reason}") from error
+    except (MemoryError, cv2.error) as error:
+        raise unreadable(path, error) from error
     if image is None:
         raise ImageError(f"cannot read image {path}: damaged, or no image format known here")
     return np.asarray(image, np.uint8)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
@@ -16,24 +16,29 @@ from typing import Any
 import numpy as np
 
 import colmap_edges
-from colmap_edges.detection import Chains, detect_chains
+from colmap_edges.cache import Cache, key_of
 from colmap_edges.diagnosis import Finding, diagnose, funnel
-from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
+from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
-from colmap_edges.edges import Edges3D
-from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.edges import Edges3D, arrays_of_edges, edges_from_arrays
+from colmap_edges.errors import ColmapEdgesError, ImageError, OptionError
+from colmap_edges.executors import Workers, cluster_workers, local_workers, run_all
 from colmap_edges.graph_store import GraphStore
-from colmap_edges.images import (
-    check_images_exist,
-    encoded,
-    gray_of,
-    path_of_image,
-    read_image,
-    sample_colors,
+from colmap_edges.image_graphs import (
+    DetectedEdges,
+    ImageCounts,
+    ImageRecord,
+    ImageWork,
+    Visitor,
+    load_graph,
+    work_in_cache,
+    work_on_image,
 )
+from colmap_edges.images import check_images_exist, encoded, path_of_image, sample_colors
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
     Model,
+    View,
     extend_reconstruction,
     load_model,
     model_from_reconstruction,
@@ -45,20 +50,24 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
 from colmap_edges.report import Contents, PictureTaker, write_report
-from colmap_edges.stages import Progress, Stages, no_progress, plain_counts
-
-# What a visitor of an image gets: its place among the views, its pixels, its chains, its graph.
-Visitor = Callable[[int, "np.ndarray[Any, Any]", Chains, EdgeGraph], None]
-
+from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
 
 logger = logging.getLogger(__name__)
 
-NO_CHAINS = Chains(
-    points=np.zeros((0, 2)),
-    normals=np.zeros((0, 2)),
-    sides=np.zeros((0, 2), np.uint8),
-    offsets=np.zeros(1, np.int64),
-)
+# Options on which traced edges do not depend, besides those of detection, which makes the graphs.
+NOT_OF_TRACING = {
+    "detection",
+    "edge_graph",
+    "bundle_adjustment",
+    "meshing",
+    "use_edges",
+    "report",
+    "refine_poses",
+    "output_type",
+    "mesh_type",
+    "num_threads",
+    "max_graph_memory_gb",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +78,13 @@ class Paths:
         image_path: folder of the images.
         input_path: folder of the COLMAP model.
         output_path: folder to make.
+        cache_path: folder of results that later runs find again; none are kept without it.
     """
 
     image_path: Path
     input_path: Path
     output_path: Path
+    cache_path: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +116,20 @@ def run(
     *,
     overwrite: bool = False,
     progress: Progress = no_progress,
+    scheduler: str = "",
 ) -> dict[str, Any]:
     """Run `detect`, `reconstruct` or `mesh` from folders to a folder.
 
     The output folder appears whole at the end, or not at all.
+
+    Args:
+        command: what to run.
+        paths: where to read and write.
+        options: every stage's options.
+        overwrite: replace an earlier output.
+        progress: told of every step.
+        scheduler: address of a dask.distributed scheduler whose workers share the work on images
+            and views; threads of this process when not given.
 
     Returns:
         The report, as written to report.json.
@@ -116,11 +137,16 @@ def run(
     Raises:
         ColmapEdgesError: on bad input or options.
     """
-    paths = Paths(**{name: path.resolve() for name, path in vars(paths).items()})
+    paths = Paths(**{name: path and path.resolve() for name, path in vars(paths).items()})
     check_paths(paths, overwrite)
+    if scheduler and paths.cache_path is None:
+        raise OptionError("a scheduler needs cache_path: through it graphs go to the workers")
     if command == "mesh":
         check_mesher()
-    with new_folder(paths.output_path) as folder:
+    with (
+        open_workers(options, paths.cache_path, scheduler) as workers,
+        new_folder(paths.output_path) as folder,
+    ):
         stages = Stages(progress)
         with stages.stage("read") as stage:
             model = load_model(paths.input_path)
@@ -131,7 +157,7 @@ def run(
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            contents = run_edges(command, model, paths.image_path, folder, options, stages)
+            contents = run_edges(command, model, paths.image_path, folder, options, stages, workers)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
@@ -148,14 +174,15 @@ def run_edges(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
+    workers: Workers,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
     if command == "detect":
-        detect_stage(model, image_path, options, stages, graph_writer(model, folder))
+        detect_stage(model, image_path, options, stages, GraphWriter(folder), workers)
         return Contents(model=model)
-    taker = PictureTaker(model) if options.report else None
-    graphs = detect_stage(model, image_path, options, stages, taker.take if taker else None)
-    model, edges = edge_stages(model, graphs, options, stages)
+    taker = PictureTaker(len(model.views)) if options.report else None
+    graphs = detect_stage(model, image_path, options, stages, taker, workers)
+    model, edges = edge_stages(model, graphs, options, stages, workers)
     extended = write_stage(model, edges, image_path, folder, options, stages)
     mesh = None
     if command == "mesh":
@@ -165,7 +192,10 @@ def run_edges(
 
 
 def reconstruct(
-    reconstruction: Any, image_path: Path | str, options: PipelineOptions | None = None
+    reconstruction: Any,
+    image_path: Path | str,
+    options: PipelineOptions | None = None,
+    cache_path: Path | str | None = None,
 ) -> EdgeReconstruction:
     """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
 
@@ -174,6 +204,8 @@ def reconstruct(
             cameras may be of any model, with distortion; images without poses are left out.
         image_path: folder of its images, as they were when the model was made.
         options: every stage's options, `preset("high")` for instance; defaults when not given.
+        cache_path: folder of edge graphs and edges that later calls find again; none are kept
+            when not given.
 
     Returns:
         The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
@@ -188,8 +220,9 @@ def reconstruct(
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_images_exist(model.views, image_path)
-    graphs = detect_stage(model, image_path, options, stages)
-    model, edges = edge_stages(model, graphs, options, stages)
+    with open_workers(options, Path(cache_path) if cache_path else None) as workers:
+        graphs = detect_stage(model, image_path, options, stages, None, workers)
+        model, edges = edge_stages(model, graphs, options, stages, workers)
     extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
     return EdgeReconstruction(
         edges=edges,
@@ -207,7 +240,10 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
         path = getattr(paths, name)
         if not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
-    check_output_path(paths.output_path, [paths.image_path, paths.input_path], overwrite)
+    sources = [paths.image_path, paths.input_path]
+    if paths.cache_path is not None:
+        sources.append(paths.cache_path)
+    check_output_path(paths.output_path, sources, overwrite)
 
 
 def check_mesher() -> None:
@@ -247,13 +283,28 @@ def thread_count(options: PipelineOptions) -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@contextmanager
+def open_workers(
+    options: PipelineOptions, cache_path: Path | None = None, scheduler: str = ""
+) -> Iterator[Workers]:
+    """The workers of a run: those of a cluster, or threads of this process."""
+    cache = Cache(cache_path) if cache_path else None
+    if scheduler and cache:
+        with cluster_workers(scheduler, cache) as workers:
+            yield workers
+    else:
+        with local_workers(thread_count(options), cache) as workers:
+            yield workers
+
+
 def detect_stage(
     model: Model,
     image_path: Path,
     options: PipelineOptions,
     stages: Stages,
-    visit: Visitor | None = None,
-) -> Sequence[EdgeGraph]:
+    visitor: Visitor | None = None,
+    workers: Workers | None = None,
+) -> GraphStore:
     """Detect the 2D edge graph of every view, in the views' order.
 
     As many images are in memory at once as there are threads. Damaged images are left out: they
@@ -262,49 +313,56 @@ def detect_stage(
     Raises:
         ColmapEdgesError: when fewer than two images can be read.
     """
+    if workers is None:
+        with open_workers(options) as workers:
+            return detect_stage(model, image_path, options, stages, visitor, workers)
+    work = ImageWork(
+        image_path=image_path,
+        detection=options.detection,
+        edge_graph=options.edge_graph,
+        cache=workers.cache,
+        visitor=visitor,
+    )
     with stages.stage("detect", len(model.views)) as stage:
-        damaged: dict[int, ImageError] = {}
-        # Tracing holds the same graphs in the kernels' form too, which takes as much again.
-        store = GraphStore(len(model.views), options.max_graph_memory_gb * 1e9 / 2)
-
-        def detect(index: int) -> ImageCounts:
-            view = model.views[index]
-            try:
-                image = read_image(view, image_path)
-            except ImageError as error:
-                damaged[index] = error
-                chains, graph = NO_CHAINS, build_edge_graph(NO_CHAINS, view, options.edge_graph)
-            else:
-                chains = detect_chains(gray_of(image), options.detection)
-                graph = build_edge_graph(chains, view, options.edge_graph)
-                if visit:
-                    visit(index, image, chains, graph)
-            stage.advance()
-            store.add(index, graph)
-            return ImageCounts(
-                chains=len(chains.offsets) - 1,
-                chain_pixels=len(chains.points),
-                polylines=graph.num_polylines,
-                closed_polylines=int(graph.closed.sum()),
-                edge_pixels=len(graph.points),
-            )
-
-        found = map_threads(detect, len(model.views), thread_count(options))
-        report_damaged(damaged, len(model.views))
-        names = [model.views[index].name for index in sorted(damaged)]
-        stage.counts = detection_counts(found, names)
+        store, records = find_graphs(work, model.views, options, workers, stage)
+        damaged = {i: r.damage for i, r in enumerate(records) if r.damage}
+        report_damaged(damaged, len(records))
+        names = [model.views[index].name for index in damaged]
+        stage.counts = detection_counts([record.counts for record in records], names)
+        if workers.cache:
+            stage.counts["images_reused"] = sum(record.reused for record in records)
     return store
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImageCounts:
-    """How much was detected in one image."""
+def find_graphs(
+    work: ImageWork,
+    views: Sequence[View],
+    options: PipelineOptions,
+    workers: Workers,
+    stage: Stage,
+) -> tuple[GraphStore, list[ImageRecord]]:
+    """Have the work on every image done; the graphs, and what is said of each image."""
+    # Tracing holds the same graphs in the kernels' form too, which takes as much again.
+    max_bytes = options.max_graph_memory_gb * 1e9 / 2
+    cache = workers.cache
+    if workers.remote and cache:
+        store = GraphStore(len(views), max_bytes, lambda i: load_graph(cache, store.keys[i]))
+        calls = [(work_in_cache, (work, i, view)) for i, view in enumerate(views)]
+        records = run_all(workers.images, calls, stage.advance)
+    else:
+        store = GraphStore(len(views), max_bytes)
 
-    chains: int
-    chain_pixels: int
-    polylines: int
-    closed_polylines: int
-    edge_pixels: int
+        def put(index: int, view: View) -> ImageRecord:
+            graph, record = work_on_image(work, index, view)
+            store.add(index, graph)
+            return record
+
+        records = run_all(workers.images, ((put, pair) for pair in enumerate(views)), stage.advance)
+    for index, record in enumerate(records):
+        if work.visitor and record.visited is not None:
+            work.visitor.collect(index, record.visited)
+    store.keys = [record.key for record in records if record.key]
+    return store, records
 
 
 def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[str, Any]:
@@ -332,46 +390,45 @@ def report_damaged(damaged: Mapping[int, ImageError], num_images: int) -> None:
         logger.warning("%s; it is left out", error)
 
 
-def map_threads(function: Callable[[int], Any], count: int, num_threads: int) -> list[Any]:
-    """Results of `function` on 0..count-1, in order; the first error stops the rest."""
-    executor = ThreadPoolExecutor(num_threads)
-    try:
-        return list(executor.map(function, range(count)))
-    finally:
-        executor.shutdown(cancel_futures=True)
+@dataclass(frozen=True)
+class GraphWriter:
+    """Writes each view's edge graph as .npz and overlay PNG into a folder."""
 
+    folder: Path
 
-def graph_writer(model: Model, folder: Path) -> Visitor:
-    """Make the visitor that writes each view's edge graph as .npz and overlay PNG."""
-
-    def write(index: int, image: np.ndarray[Any, Any], _chains: Chains, graph: EdgeGraph) -> None:
-        name = model.views[index].name
-        arrays = path_of_image(folder / "edge_graphs", name + ".npz")
-        picture = path_of_image(folder / "overlays", name + ".png")
+    def visit(self, _index: int, view: View, read: Callable[[], Any], found: DetectedEdges) -> None:
+        """Write the files of a view."""
+        arrays = path_of_image(self.folder / "edge_graphs", view.name + ".npz")
+        picture = path_of_image(self.folder / "overlays", view.name + ".png")
         for path in (arrays, picture):
             path.parent.mkdir(parents=True, exist_ok=True)
         packed = BytesIO()  # a .npz cut short on a full disk would complain when it is deleted
-        np.savez(packed, **vars(graph))
+        np.savez(packed, **vars(found.graph))
         arrays.write_bytes(packed.getvalue())
-        picture.write_bytes(encoded(".png", draw_edge_graph(image, graph)))
+        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph)))
 
-    return write
+    def collect(self, index: int, kept: None) -> None:
+        """Nothing is kept."""
 
 
 def edge_stages(
-    model: Model, graphs: Sequence[EdgeGraph], options: PipelineOptions, stages: Stages
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+    workers: Workers | None = None,
 ) -> tuple[Model, Edges3D]:
     """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
 
     Returns:
         The model that the edges belong to, and the edges.
     """
-    edges = trace_stage(model, graphs, options, stages)
+    edges = trace_stage(model, graphs, options, stages, workers=workers)
     if not options.refine_poses:
         return model, edges
     refined = refine_stage(model, edges, graphs, options, stages)
     if refined is not model:
-        edges = trace_stage(refined, graphs, options, stages, "trace again")
+        edges = trace_stage(refined, graphs, options, stages, "trace again", workers)
     return refined, edges
 
 
@@ -398,22 +455,57 @@ def trace_stage(
     options: PipelineOptions,
     stages: Stages,
     name: str = "trace",
+    workers: Workers | None = None,
 ) -> Edges3D:
-    """Reconstruct 3D edges from the 2D edge graphs."""
+    """Reconstruct 3D edges from the 2D edge graphs, unless the cache has them."""
+    if workers is None:
+        with open_workers(options) as workers:
+            return trace_stage(model, graphs, options, stages, name, workers)
+    keys = graphs.keys if isinstance(graphs, GraphStore) else []
+    cache = workers.cache if keys else None
+    key = key_of_edges(model, keys, options) if cache else ""
+    total = 1 if options.tracing.method == "paper" else 2 * len(graphs)
+    with stages.stage(name, total) as stage:
+        entry = cache.load("edges", key) if cache else None
+        if entry is None:
+            edges, stats = trace(model, graphs, options, stage.advance, workers)
+            details = plain_counts(stats)
+            if cache:
+                text = np.array(json.dumps(details))
+                cache.save("edges", key, arrays_of_edges(edges) | {"details": text})
+        else:
+            details = json.loads(str(entry.pop("details")))
+            edges = edges_from_arrays(entry)
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        if cache:
+            stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
+        stage.counts["details"] = details
+    return edges
+
+
+def trace(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    advance: Callable[[], None],
+    workers: Workers,
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Reconstruct 3D edges by the method that the options name."""
     from colmap_edges.paper_tracing import trace_edges_paper
     from colmap_edges.tracing import trace_edges
 
     threads = thread_count(options)
-    paper = options.tracing.method == "paper"
-    with stages.stage(name, 1 if paper else 2 * len(graphs)) as stage:
-        edges, stats = (
-            trace_edges_paper(model, graphs, options, threads)
-            if paper
-            else trace_edges(model, graphs, options, threads, stage.advance)
-        )
-        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
-        stage.counts["details"] = plain_counts(stats)
-    return edges
+    if options.tracing.method == "paper":
+        return trace_edges_paper(model, graphs, options, threads)
+    return trace_edges(model, graphs, options, threads, advance, workers)
+
+
+def key_of_edges(model: Model, graph_keys: list[str], options: PipelineOptions) -> str:
+    """The key of traced edges: of the graphs, the poses, the SfM points and the options."""
+    groups = {name: group for name, group in asdict(options).items() if name not in NOT_OF_TRACING}
+    poses = np.array([[*view.rotation.ravel(), *view.translation] for view in model.views])
+    tracks = (model.track_offsets, model.track_views, model.track_points2D)
+    return key_of("edges", graph_keys, groups, poses, model.points3D_xyz, *tracks)
 
 
 def write_stage(

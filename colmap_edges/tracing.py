@@ -6,12 +6,14 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from colmap_edges.chain_depths import (
     ChainDepths,
@@ -23,14 +25,17 @@ from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
+from colmap_edges.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.linking import link_edges
-from colmap_edges.model import Model, View
-from colmap_edges.options import PipelineOptions, TracingOptions
+from colmap_edges.model import Model, View, rows_by_view
+from colmap_edges.options import ChainDepthOptions, PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
+from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.view_selection import select_views
+from colmap_edges.view_graphs import NUM_KEPT, CachedEdgeViews, CachedGraphs, Some
+from colmap_edges.view_selection import DepthRange, Neighborhood, select_views
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -50,7 +55,7 @@ class Traced:
         sigmas: (N,) standard deviation along the driver's ray, world units.
         offsets: (E + 1,) CSR of the points by curve.
         views: (K + 1,) view of each column of `positions`, the driver first.
-        positions: (N, K + 1) positions on the views' chains; NaN where not observed.
+        positions: (N, K + 1) sparse positions on the views' chains, where they are observed.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
         residuals: (N,) median distance to the chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
@@ -63,7 +68,12 @@ class Traced:
     log_chances: FloatArray
     offsets: IntArray
     views: IntArray
-    positions: FloatArray
+    positions: csr_array
+
+    @property
+    def num_observations(self) -> IntArray:
+        """(N,) number of observations of each point."""
+        return np.asarray(np.diff(self.positions.indptr), np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,14 +86,41 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What tracing looks at: the model with its edge graphs in both forms, and who sees what."""
+    """What tracing looks at: the views with their edge graphs in both forms, and who sees what.
 
-    model: Model
+    Attributes:
+        views: the posed views.
+        graphs: their edge graphs.
+        edge_views: the same in the kernels' form.
+        neighbors: per view those that its depths come from.
+        witnesses: per view those in which its edges are looked for.
+        polyline_offsets: those of the graphs, which are always in memory.
+        covered: per view the points of its graph through which edges run already.
+    """
+
+    views: Sequence[View]
     graphs: Sequence[EdgeGraph]
     edge_views: Sequence[_kernels.EdgeView]
-    neighbors: tuple[IntArray, ...]
-    witnesses: tuple[IntArray, ...]
-    covered: list[BoolArray] = field(default_factory=list)
+    neighbors: Sequence[IntArray]
+    witnesses: Sequence[IntArray]
+    polyline_offsets: Sequence[IntArray]
+    covered: Sequence[BoolArray]
+
+    def part(self, view: int, others: IntArray, workers: Workers) -> Scene:
+        """What a task on a view and others needs: all, or what a worker elsewhere is sent."""
+        if not (workers.remote and workers.cache and isinstance(self.graphs, GraphStore)):
+            return self
+        keys = Some(self.graphs.keys, [view, *others])
+        views = Some(self.views, [view, *others])
+        return Scene(
+            views=views,
+            graphs=CachedGraphs(workers.cache, keys),
+            edge_views=CachedEdgeViews(workers.cache, keys, views),
+            neighbors=Some(self.neighbors, [view]),
+            witnesses=Some(self.witnesses, [view]),
+            polyline_offsets=Some(self.polyline_offsets, []),
+            covered=Some(self.covered, [view]),
+        )
 
 
 def trace_edges(
@@ -92,6 +129,7 @@ def trace_edges(
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None] = lambda: None,
+    workers: Workers | None = None,
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
@@ -101,48 +139,94 @@ def trace_edges(
         options: every step's parameters.
         num_threads: threads to use; the result does not depend on it.
         advance: called twice a view, when its depths are known and when its edges are.
+        workers: who does the work on the views; threads of this process when not given.
 
     Returns:
         The 3D edges and counts in, kept and dropped by reason.
     """
+    if workers is None:
+        with local_workers(num_threads) as workers:
+            return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
-    num_kept = graphs.num_kept if isinstance(graphs, GraphStore) else len(graphs)
-    edge_views = Recent(lambda v: make_edge_view(graphs[v], model.views[v]), len(graphs), num_kept)
+    scene = make_scene(model, graphs, near)
     chain_depth = options.chain_depth
     if chain_depth.max_side_difference < 0:
         learned = learn_side_difference(
-            near.neighbors, edge_views, graphs, near.ranges, chain_depth, num_threads
+            near.neighbors, scene.edge_views, graphs, near.ranges, chain_depth, num_threads
         )
         chain_depth = replace(chain_depth, max_side_difference=learned)
-    depths = [
-        compute_chain_depths(
-            v,
-            near.neighbors[v],
-            edge_views,
-            graphs[v],
-            near.ranges[v],
-            chain_depth,
-            num_threads,
-        )
-        for v in each_told(range(len(graphs)), advance)
-    ]
-    agreeing = [
-        count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
-        for v in range(len(graphs))
-    ]
+    order = local_order(near.neighbors)
+    depths = find_depths(scene, near, order, chain_depth, workers, advance)
+    agreeing = {
+        v: count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
+        for v in order.tolist()
+    }
+    counts = [agreeing[v] for v in range(len(graphs))]
     depths = [without_supports(found) for found in depths]
-    scene = Scene(
-        model=model,
-        graphs=graphs,
-        edge_views=edge_views,
-        neighbors=near.neighbors,
-        witnesses=near.witnesses,
-        covered=[np.zeros(len(graph.points), bool) for graph in graphs],
-    )
-    traced, in_runs = trace_views(scene, depths, agreeing, options, num_threads, advance)
+    traced, in_runs = trace_views(scene, depths, counts, options, workers, advance)
     edges, stats = gather(scene, traced, options)
     stats["max_side_difference"] = chain_depth.max_side_difference
-    return edges, count_samples(scene, depths, agreeing, in_runs) | stats
+    return edges, count_samples(scene, depths, counts, in_runs) | stats
+
+
+def make_scene(model: Model, graphs: Sequence[EdgeGraph], near: Neighborhood) -> Scene:
+    """What tracing looks at, nothing covered yet; as many edge views are kept as graphs."""
+    num_kept = max(graphs.num_kept, 1) if isinstance(graphs, GraphStore) else len(graphs)
+    make = partial(edge_view_of, graphs, model.views)
+    offsets = [graph.polyline_offsets for graph in graphs]
+    return Scene(
+        views=model.views,
+        graphs=graphs,
+        edge_views=Recent(make, len(graphs), num_kept),
+        neighbors=near.neighbors,
+        witnesses=near.witnesses,
+        polyline_offsets=offsets,
+        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
+    )
+
+
+def edge_view_of(graphs: Sequence[EdgeGraph], views: Sequence[View], view: int) -> Any:
+    """The kernels' form of one view's edge graph."""
+    return make_edge_view(graphs[view], views[view])
+
+
+def find_depths(
+    scene: Scene,
+    near: Neighborhood,
+    order: IntArray,
+    options: ChainDepthOptions,
+    workers: Workers,
+    advance: Callable[[], None],
+) -> list[ChainDepths]:
+    """Depths along the chains of every view, worked on in the given order."""
+
+    def calls() -> Iterator[Call]:
+        for view in order.tolist():
+            part = scene.part(view, near.neighbors[view], workers)
+            depth_range, threads = near.ranges[view], workers.threads_per_view
+            yield depths_of_view, (part, view, depth_range, options, threads)
+
+    found = run_all(workers.views, calls(), advance)
+    return [found[place] for place in np.argsort(order)]
+
+
+def depths_of_view(
+    scene: Scene,
+    view: int,
+    depth_range: DepthRange,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> ChainDepths:
+    """Depths along the chains of one view, by its neighbours."""
+    return compute_chain_depths(
+        view,
+        scene.neighbors[view],
+        scene.edge_views,
+        scene.graphs[view],
+        depth_range,
+        options,
+        num_threads,
+    )
 
 
 def trace_views(
@@ -150,29 +234,57 @@ def trace_views(
     depths: list[ChainDepths],
     agreeing: list[NDArray[np.int32]],
     options: PipelineOptions,
-    num_threads: int,
+    workers: Workers,
     advance: Callable[[], None],
 ) -> tuple[list[Traced], int]:
     """Curves of every view on what those before it left, the best view first.
 
+    Views that have no witness in common do not wait for each other.
+
     Returns:
         The curves of each view that has any, and how many samples are in sure runs.
     """
-    traced, in_runs = [], 0
-    views = scene.model.views
+    views = scene.views
     worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
     order = np.argsort([-worth for worth in worths], kind="stable")
-    for view in each_told(order, advance):
-        driver = int(view)
-        curves, indices, sure = curves_of_view(
-            scene, driver, depths[driver], agreeing[driver], options.tracing
-        )
-        in_runs += sure
-        if len(indices) == 0:
-            continue
-        traced.append(trace_view(scene, driver, curves, indices, options, num_threads))
-        mark_covered(scene, traced[-1], options.tracing)
-    return traced, in_runs
+    traced: dict[int, Traced] = {}
+    in_runs = np.zeros(len(order), np.int64)
+
+    def call(view: int) -> Call:
+        part = scene.part(view, scene.witnesses[view], workers)
+        found, threads = (depths[view], agreeing[view]), workers.threads_per_view
+        return curves_traced, (part, view, *found, options, threads)
+
+    def finish(view: int, result: tuple[Traced | None, int]) -> None:
+        found, in_runs[view] = result
+        if found is not None:
+            traced[view] = found
+            mark_covered(scene, found, options.tracing)
+        advance()
+
+    num_kept = scene.edge_views.num_kept if isinstance(scene.edge_views, Recent) else len(order)
+    schedule = Schedule(order, scene.witnesses, NUM_KEPT if workers.remote else num_kept)
+    run_scheduled(workers, schedule, call, finish)
+    return [traced[view] for view in order.tolist() if view in traced], int(in_runs.sum())
+
+
+def curves_traced(
+    scene: Scene,
+    view: int,
+    depths: ChainDepths,
+    agreeing: NDArray[np.int32],
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[Traced | None, int]:
+    """Curves of one view on what is not covered yet, refined and observed; None without any.
+
+    Returns:
+        The curves, and how many samples are in sure runs.
+    """
+    curves, indices, in_runs = curves_of_view(scene, view, depths, agreeing, options.tracing)
+    if len(indices) == 0:
+        return None, in_runs
+    return trace_view(scene, view, curves, indices, options, num_threads), in_runs
 
 
 def worth_of(view: View, depths: ChainDepths, agreeing: NDArray[np.int32]) -> float:
@@ -185,13 +297,6 @@ def without_supports(depths: ChainDepths) -> ChainDepths:
     return replace(
         depths, support_views=np.zeros(0, np.int32), support_positions=np.zeros(0, np.float64)
     )
-
-
-def each_told(items: Iterable[Any], advance: Callable[[], None]) -> Iterator[Any]:
-    """The items; `advance` is called when each is done with."""
-    for item in items:
-        yield item
-        advance()
 
 
 def count_samples(
@@ -355,8 +460,8 @@ def trace_view(
 ) -> Traced:
     """Refine the curves of one driver and find their observations."""
     witnesses = scene.witnesses[view]
-    driver = scene.model.views[view]
-    views = [scene.model.views[w] for w in witnesses]
+    driver = scene.views[view]
+    views = [scene.views[w] for w in witnesses]
     edge_views = [scene.edge_views[w] for w in witnesses]
     refined = refine_curves(driver, curves, views, edge_views, options.refinement, num_threads)
     observed = np.isfinite(refined.positions).sum(axis=1)
@@ -381,8 +486,15 @@ def trace_view(
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses[seeing]]),
-        positions=np.column_stack([indices.astype(np.float64), refined.positions[:, seeing]]),
+        positions=sparse(np.column_stack([indices, refined.positions[:, seeing]])),
     )
+
+
+def sparse(values: FloatArray) -> csr_array:
+    """The values that are not NaN, of (N, M), zeros among them."""
+    known = np.isfinite(values)
+    columns = np.nonzero(known)[1].astype(np.int32)
+    return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)
 
 
 def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
@@ -390,15 +502,16 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
 
     A point with too few observations will not last, so it covers nothing.
     """
-    lasting = np.isfinite(traced.positions).sum(axis=1) >= options.min_observations
+    lasting = traced.num_observations >= options.min_observations
+    observed = traced.positions[lasting].tocsc()
     for column, view in enumerate(traced.views):
-        positions = traced.positions[lasting, column]
-        at = positions[np.isfinite(positions)].astype(np.int64)
-        graph = scene.graphs[view]
-        polyline = graph.polyline_ids[at]
+        first, last = observed.indptr[column : column + 2]
+        at = observed.data[first:last].astype(np.int64)
+        offsets = scene.polyline_offsets[view]
+        polyline = np.searchsorted(offsets, at, "right") - 1
         reach = options.point_spacing_px
-        low = np.maximum(at - reach, graph.polyline_offsets[polyline])
-        high = np.minimum(at + reach + 1, graph.polyline_offsets[polyline + 1])
+        low = np.maximum(at - reach, offsets[polyline])
+        high = np.minimum(at + reach + 1, offsets[polyline + 1])
         lengths = high - low
         first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
         scene.covered[view][first + np.arange(len(first))] = True
@@ -444,8 +557,7 @@ def find_limits(
         The limits of a piece; (N,) whether a point, in the order of `traced`, has observations
         enough and is certain enough; and counts of points in and dropped by reason.
     """
-    counts = [np.isfinite(t.positions).sum(axis=1) for t in traced]
-    every = np.concatenate([np.zeros(0, int), *counts])
+    every = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
     enough = every >= options.min_observations
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
     sure = enough & (uncertain <= options.max_sigma_ratio * median_of(uncertain[enough]))
@@ -528,31 +640,37 @@ def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
 
 def make_edges(scene: Scene, parts: list[Traced]) -> Edges3D:
     """Put the curves of all drivers together as 3D edges with tracks."""
-    points, sigmas, lengths, track_lengths, track_views, track_points = [], [], [], [], [], []
+    points, sigmas, lengths, track_lengths, track_views, positions = [], [], [], [], [], []
     for part in parts:
-        seen = np.isfinite(part.positions)
-        rows, columns = np.nonzero(seen)
-        pixels = np.zeros((len(rows), 2))
-        for column, view in enumerate(part.views):
-            chosen = columns == column
-            pixels[chosen] = image_points(scene.graphs[view], part.positions[rows[chosen], column])
         points.append(part.points)
         sigmas.append(part.sigmas)
         lengths.append(np.diff(part.offsets))
-        track_lengths.append(seen.sum(axis=1))
-        track_views.append(part.views[columns])
-        track_points.append(pixels)
+        track_lengths.append(part.num_observations)
+        track_views.append(part.views[part.positions.indices])
+        positions.append(part.positions.data)
+    views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
     num_edges = int(sum(len(length) for length in lengths))
     return Edges3D(
         points=np.concatenate([np.zeros((0, 3)), *points]),
         edge_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *lengths])),
         closed=np.zeros(num_edges, bool),
         track_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths])),
-        track_views=np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32),
-        track_points2D=np.concatenate([np.zeros((0, 2)), *track_points]),
+        track_views=views,
+        track_points2D=observed_pixels(scene, views, np.concatenate([np.zeros(0), *positions])),
         sigmas=np.concatenate([np.zeros(0), *sigmas]),
         end_nodes=np.full((num_edges, 2), -1, np.int32),
     )
+
+
+def observed_pixels(
+    scene: Scene, track_views: NDArray[np.int32], positions: FloatArray
+) -> FloatArray:
+    """(T, 2) image pixels of observations at (T,) positions on the chains of (T,) views."""
+    pixels = np.zeros((len(positions), 2))
+    for view, rows in enumerate(rows_by_view(track_views, len(scene.views))):
+        if len(rows):
+            pixels[rows] = image_points(scene.graphs[view], positions[rows])
+    return pixels
 
 
 def image_points(graph: EdgeGraph, positions: FloatArray) -> FloatArray:

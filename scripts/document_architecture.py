@@ -16,14 +16,17 @@ TARGET = ROOT / "docs" / "architecture.md"
 
 # In the order in which they may import each other.
 ROOMS = {
-    "ground": ("errors", "csr", "joining", "options", "edges", "stages", "kernels"),
+    "ground": (
+        "errors", "csr", "joining", "options", "edges", "stages", "kernels", "cache", "scheduling",
+        "executors",
+    ),
     "COLMAP and pictures": (
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
-    "2D edges": ("detection", "edge_graph", "graph_store"),
+    "2D edges": ("detection", "edge_graph", "graph_store", "image_graphs"),
     "3D edges by chains": (
-        "view_selection", "chain_depths", "cross_check", "refinement", "significance", "linking",
-        "tracing",
+        "view_selection", "chain_depths", "view_graphs", "cross_check", "refinement",
+        "significance", "linking", "tracing",
     ),
     "3D edges by the paper": (
         "edge_field", "matching", "correspondences", "following", "visibility", "paper_tracing",
@@ -55,6 +58,7 @@ LIBRARIES = {
     "pymeshlab": ("meshing", "evaluation.clouds"),
     "click": ("flags", "cli"),
     "rich": ("cli",),
+    "distributed": ("executors",),
     "matplotlib": (),
 }
 

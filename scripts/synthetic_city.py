@@ -32,16 +32,17 @@ from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import build_edge_graph
 from colmap_edges.edge_io import write_json, write_ply
 from colmap_edges.edges import Edges3D
+from colmap_edges.executors import run_all
 from colmap_edges.flags import make_flags, normalize, options_from_flags
 from colmap_edges.graph_store import GraphStore
 from colmap_edges.model import Model, View, load_model, observation_residuals, write_model
 from colmap_edges.options import PipelineOptions
-from colmap_edges.pipeline import map_threads, model_counts, thread_count, trace_stage
+from colmap_edges.pipeline import model_counts, open_workers, trace_stage
 from colmap_edges.stages import Stages
 
 FloatArray = NDArray[np.float64]
 
-WIDTH, HEIGHT, FOCAL = 800, 600, 700.0
+FOCAL_RATIO = 0.875  # focal length in widths of an image
 FLIGHT_HEIGHT, FLIGHT_STEP, TILT = 2.4, 0.6, np.radians(25)  # in sides of a block
 REACH = 2.2  # radius around where a camera looks within which it may see, in sides of a block
 MARGIN = 3  # blocks around the cameras
@@ -62,6 +63,7 @@ class City:
         point_normals: (N, 3) of their faces.
         poses: (V, 3, 4) cam_from_world.
         targets: (V, 2) ground points at which the cameras look.
+        size: width and height of an image, pixels.
     """
 
     curves: FloatArray
@@ -71,10 +73,13 @@ class City:
     point_normals: FloatArray
     poses: FloatArray
     targets: FloatArray
+    size: tuple[int, int]
 
 
-def make_city(num_views: int, points_per_view: int, seed: int = 0) -> City:
-    """Make the city that `num_views` cameras fly over."""
+def make_city(
+    num_views: int, points_per_view: int, size: tuple[int, int], windows: int, seed: int = 0
+) -> City:
+    """Make the city that `num_views` cameras fly over; `windows` a row and column of a wall."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(num_views)))
     blocks = np.arange(-MARGIN, int(np.ceil(side * FLIGHT_STEP)) + MARGIN)
@@ -84,7 +89,7 @@ def make_city(num_views: int, points_per_view: int, seed: int = 0) -> City:
             faces = building(np.array([x, y, 0.0]), rng)
             walls += faces
             for face in faces:
-                drawn, fronts = face_curves(face, faces)
+                drawn, fronts = face_curves(face, faces, windows)
                 curves += drawn
                 normals += fronts
     dark = rng.integers(10, 120, len(curves))
@@ -101,6 +106,7 @@ def make_city(num_views: int, points_per_view: int, seed: int = 0) -> City:
         point_normals=point_normals,
         poses=poses,
         targets=targets,
+        size=size,
     )
 
 
@@ -114,10 +120,12 @@ def building(corner: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
     return [*walls, top]
 
 
-def face_curves(face: FloatArray, faces: list[FloatArray]) -> tuple[list[Any], list[Any]]:
+def face_curves(
+    face: FloatArray, faces: list[FloatArray], windows: int
+) -> tuple[list[Any], list[Any]]:
     """Curves of one face with the normals of the faces they border.
 
-    A wall has its left edge and four windows, a roof its outline and two circles.
+    A wall has its left edge and its windows, a roof its outline and two circles.
     """
     curves, fronts = [], []
     normal = face_normal(face)
@@ -134,15 +142,14 @@ def face_curves(face: FloatArray, faces: list[FloatArray]) -> tuple[list[Any], l
         return curves, fronts
     curves.append(straight(face[0], face[3]))
     fronts.append((normal, face_normal_before(face, faces)))
-    for column in (0.15, 0.6):
-        for row in (0.15, 0.6):
-            window = [face[0] + (column + a) * u + (row + b) * v for a, b in SQUARE]
+    step = 0.9 / windows
+    for column in 0.15 + step * np.arange(windows):
+        for row in 0.15 + step * np.arange(windows):
+            corners = ((0, 0), (step / 1.8, 0), (step / 1.8, step / 1.8), (0, step / 1.8))
+            window = [face[0] + (column + a) * u + (row + b) * v for a, b in corners]
             curves += [straight(a, b) for a, b in pairwise([*window, window[0]])]
             fronts += [(normal, normal)] * 4
     return curves, fronts
-
-
-SQUARE = ((0, 0), (0.25, 0), (0.25, 0.25), (0, 0.25))
 
 
 def straight(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -195,7 +202,9 @@ def flight(num_views: int, side: int, rng: np.random.Generator) -> tuple[FloatAr
 def write_city(city: City, folder: Path, seed: int = 0) -> None:
     """Write the model with its SfM points, binary."""
     empty = pycolmap.Reconstruction()
-    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", FOCAL, WIDTH, HEIGHT)
+    camera = pycolmap.Camera.create_from_model_name(
+        1, "SIMPLE_PINHOLE", FOCAL_RATIO * city.size[0], *city.size
+    )
     empty.add_camera_with_trivial_rig(camera)
     for index, pose in enumerate(city.poses):
         image = pycolmap.Image(f"view_{index:05d}.png", [], 1, index + 1)
@@ -235,7 +244,7 @@ def observations(
         toward = -rotation.T @ translation - city.points[near]
         near = near[np.einsum("ij,ij->i", toward, city.point_normals[near]) > 0]
         seen = np.asarray(camera.img_from_cam(city.points[near] @ rotation.T + translation))
-        inside = (seen > 0).all(axis=1) & (seen < (WIDTH, HEIGHT)).all(axis=1)
+        inside = (seen > 0).all(axis=1) & (seen < city.size).all(axis=1)
         owners.append(near[inside])
         images.append(np.full(inside.sum(), index + 1))
         pixels.append(seen[inside] + rng.normal(0, 0.5, (inside.sum(), 2)))
@@ -263,7 +272,7 @@ def see_city(city: City, view: View, seed: int = 0) -> Chains:
     noise = rng.normal(0, CURVE_NOISE_PX, len(near))[own]
     points += (noise + rng.normal(0, POINT_NOISE_PX, len(own)))[:, None] * left
     gray = city.sides[near[own]] + rng.integers(-3, 4, (len(own), 2))
-    inside = (points > 2).all(axis=1) & (points < (WIDTH - 2, HEIGHT - 2)).all(axis=1)
+    inside = (points > 2).all(axis=1) & (points < np.array(city.size) - 2).all(axis=1)
     broken = np.ones(len(own), bool)
     broken[1:] = (own[1:] != own[:-1]) | (inside[1:] != inside[:-1])
     runs = np.cumsum(broken) - 1
@@ -286,17 +295,15 @@ def curve_at(curves: FloatArray, t: FloatArray | float) -> FloatArray:
     return np.asarray(np.einsum("wc,cwk->ck", weights, curves))
 
 
-def reconstruct_city(num_views: int, folder: Path, options: PipelineOptions) -> Stages:
-    """Run the stages on the city whose model is in `folder`."""
+def reconstruct_city(city: City, folder: Path, options: PipelineOptions) -> Stages:
+    """Run the stages on a city whose model is in `folder`."""
     stages = Stages()
-    city = make_city(num_views, points_per_view=0)  # those of the model are in its files
     with stages.stage("read") as stage:
         model = load_model(folder / "input")
         stage.counts = model_counts(model)
     with stages.stage("make edge graphs") as stage:
         graphs, num_pixels = make_graphs(city, model, options)
         stage.counts = {"edge_pixels": num_pixels}
-    del city
     edges = trace_stage(model, graphs, options, stages)
     with stages.stage("write") as stage:
         write_results(model, edges, folder)
@@ -313,7 +320,8 @@ def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[Gra
         store.add(index, graph)
         return len(graph.points)
 
-    return store, sum(map_threads(make, len(model.views), thread_count(options)))
+    with open_workers(options) as workers:
+        return store, sum(run_all(workers.images, ((make, (v,)) for v in range(len(model.views)))))
 
 
 def write_results(model: Model, edges: Edges3D, folder: Path) -> None:
@@ -338,6 +346,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--num_views", type=int, required=True)
     parser.add_argument("--points_per_view", type=int, default=650)
+    parser.add_argument("--size", type=int, nargs=2, default=(800, 600), help="of an image")
+    parser.add_argument("--windows", type=int, default=2, help="a row and column of a wall")
     parser.add_argument("--folder", type=Path, help="keeps the model and the results")
     parser.add_argument("--only_write", action="store_true", help="make the model, no more")
     parser.add_argument("--report", type=Path, help="JSON file to write; else printed")
@@ -348,13 +358,14 @@ def main() -> None:
         sys.exit(f"error: {error.format_message()}")
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.folder or Path(temporary)
+        look = (tuple(arguments.size), arguments.windows)
         if not (folder / "input").is_dir():
-            city = make_city(arguments.num_views, arguments.points_per_view)
+            city = make_city(arguments.num_views, arguments.points_per_view, *look)
             write_city(city, folder / "input")
-            del city
         if arguments.only_write:
             return
-        stages = reconstruct_city(arguments.num_views, folder, options)
+        city = make_city(arguments.num_views, 0, *look)  # the model's points are in its files
+        stages = reconstruct_city(city, folder, options)
     text = json.dumps({"stages": stages.records()}, indent=2, default=str) + "\n"
     if arguments.report:
         arguments.report.write_text(text, encoding="utf-8")

@@ -3,8 +3,6 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import cv2
@@ -20,7 +18,7 @@ from colmap_edges.model import extend_reconstruction, load_model
 from colmap_edges.options import PipelineOptions
 from colmap_edges.output import check_output_path, new_folder
 from colmap_edges.overlay import draw_edges
-from colmap_edges.pipeline import Paths, map_threads, run, thread_count, write_stage
+from colmap_edges.pipeline import Paths, run, thread_count, write_stage
 from colmap_edges.stages import Stages
 
 
@@ -218,37 +216,6 @@ def test_output_moved_aside_by_a_killed_run_comes_back(tmp_path):
     with pytest.raises(RuntimeError), new_folder(tmp_path / "out"):
         raise RuntimeError
     assert (tmp_path / "out" / "a").read_text() == "old"
-
-
-def test_first_error_in_threads_stops_the_rest():
-    begun = []
-
-    def work(index):
-        begun.append(index)
-        if index == 1:
-            raise ColmapEdgesError("one")
-        time.sleep(0.02)
-
-    with pytest.raises(ColmapEdgesError, match="one"):
-        map_threads(work, 200, 2)
-    assert len(begun) < 100
-
-
-def test_threads_bound_the_images_at_once():
-    at_once, most, lock = 0, 0, threading.Lock()
-
-    def work(index):
-        nonlocal at_once, most
-        with lock:
-            at_once += 1
-            most = max(most, at_once)
-        time.sleep(0.005)
-        with lock:
-            at_once -= 1
-        return index
-
-    assert map_threads(work, 30, 3) == list(range(30))
-    assert most <= 3
 
 
 def test_edges_are_drawn_where_they_are_seen(scene, scene_model):

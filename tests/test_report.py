@@ -11,12 +11,12 @@ import pytest
 from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
+from colmap_edges.image_graphs import DetectedEdges, dropped_points
 from colmap_edges.model import load_model
 from colmap_edges.options import EdgeGraphOptions, PipelineOptions
 from colmap_edges.pipeline import Paths, run
 from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.report.page import script_json
-from colmap_edges.report.pictures import dropped_points
 from colmap_edges.report.tracks import residual_per_edge, views_per_edge
 
 RECORD = {
@@ -103,7 +103,7 @@ def test_dropped_points_are_those_the_graph_has_not():
     points = np.array([[1, 2], [3, 4], [5, 6], [7, 8.5]])
     chains = chains_of(points)
     graph = graph_of(points[[3, 1]], [0, 2])
-    assert dropped_points(chains, graph)[:, 0].tolist() == [[1, 2], [5, 6]]
+    assert dropped_points(chains, graph).tolist() == [[1, 2], [5, 6]]
     assert len(dropped_points(chains, graph_of(points, [0, 4]))) == 0
 
 
@@ -151,11 +151,11 @@ def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_
     )
     model = dataclasses.replace(scene_model, views=views)
     rng = np.random.default_rng(0)
-    taker, graph = PictureTaker(model), graph_of(rng.uniform(0, 360, (20_000, 2)), [0, 20_000])
-    chains = chains_of(graph.points)
+    taker, graph = PictureTaker(100), graph_of(rng.uniform(0, 360, (20_000, 2)), [0, 20_000])
+    found = DetectedEdges(graph=graph, dropped=np.zeros((0, 2)), num_chains=1, num_chain_pixels=0)
     noise = rng.integers(0, 255, (1500, 2000, 3), np.uint8)
-    for index in range(100):
-        taker.take(index, noise, chains, graph)
+    for index, view in enumerate(views):
+        taker.collect(index, taker.visit(index, view, lambda: noise, found))
     edges = many_edges(model, count=5000, per_edge=20, views_each=8)
     contents = Contents(model=model, pictures=taker.pictures(), edges=edges)
     started = time.perf_counter()

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
+from colmap_edges.image_graphs import DetectedEdges
 from colmap_edges.images import encoded
 from colmap_edges.model import Model, View
 from colmap_edges.overlay import SHIFT, fixed_point
@@ -34,30 +35,37 @@ DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255,
 class PictureTaker:
     """Takes small pictures while images are in memory, of as many views as a page can hold."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, num_views: int) -> None:
         """Choose views, evenly spread, and the size of their pictures."""
-        self.model = model
-        self.chosen = set(spread(len(model.views), MAX_PICTURES).tolist())
+        self.chosen = set(spread(num_views, MAX_PICTURES).tolist())
         side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
         self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
         self.taken: dict[int, ImagePicture] = {}
 
-    def take(self, index: int, image: Picture, chains: Chains, graph: EdgeGraph) -> None:
-        """Take the picture of a view, its longer side at most `side_px`; from any thread."""
+    def visit(
+        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+    ) -> ImagePicture | None:
+        """Take the picture of a view, its longer side at most `side_px`; None of one not chosen."""
         if index not in self.chosen:
-            return
+            return None
+        image = read()
         height, width = image.shape[:2]
         scale = min(self.side_px / max(width, height), 1.0)
         size = max(round(width * scale), 1), max(round(height * scale), 1)
         photo = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        dropped, shape = dropped_points(chains, graph), (size[1], size[0])
-        self.taken[index] = ImagePicture(
+        dots, shape = np.repeat(found.dropped[:, None], 2, axis=1), (size[1], size[0])
+        return ImagePicture(
             view=index,
             photo=encoded(".jpg", photo, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]),
-            detected=layer(graph_lines(graph, scale), scale, shape, DETECTED_BGR),
-            dropped=layer([dropped], scale, shape, DROPPED_BGR) if len(dropped) else None,
+            detected=layer(graph_lines(found.graph, scale), scale, shape, DETECTED_BGR),
+            dropped=layer([dots], scale, shape, DROPPED_BGR) if len(dots) else None,
             shape=shape,
         )
+
+    def collect(self, index: int, kept: ImagePicture | None) -> None:
+        """Keep a picture."""
+        if kept is not None:
+            self.taken[index] = kept
 
     def pictures(self) -> list[ImagePicture]:
         """The pictures in the order of the views, of as many as fit into `MAX_BYTES`."""
@@ -65,16 +73,6 @@ class PictureTaker:
         while sum(picture.num_bytes for picture in pictures) > MAX_BYTES and len(pictures) > 1:
             pictures = pictures[::2]
         return pictures
-
-
-def dropped_points(chains: Chains, graph: EdgeGraph) -> FloatArray:
-    """(K, 2, 2) points of chains that the graph has not, as lines without length."""
-    if len(chains.points) == len(graph.points):
-        return np.zeros((0, 2, 2))
-    kind = np.dtype([("x", np.float64), ("y", np.float64)])
-    found, kept = (np.ascontiguousarray(p).view(kind)[:, 0] for p in (chains.points, graph.points))
-    points = chains.points[~np.isin(found, kept)]
-    return np.repeat(points[:, None], 2, axis=1)
 
 
 def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None) -> bytes:

@@ -1,0 +1,167 @@
+"""Results of earlier runs in a folder, found by what they were made from.
+
+An entry's name is a digest of all that its content depends on: images, poses, options, this
+package's code and the libraries it computes with. So nothing in the folder is ever out of date;
+entries that no longer fit are not found, and the folder can be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import time
+from dataclasses import asdict, is_dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.errors import ColmapEdgesError
+
+Arrays = dict[str, NDArray[Any]]
+
+logger = logging.getLogger(__name__)
+
+LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap", "networkx")
+DIGEST_BYTES = hashlib.sha256().digest_size
+FORGOTTEN_S = 24 * 3600  # age from which no living run writes to an unfinished file
+
+
+class Cache:
+    """Arrays in a folder, by kind and key; any number of processes may use it at once."""
+
+    def __init__(self, folder: Path) -> None:
+        """Use `folder`, made when missing.
+
+        Raises:
+            ColmapEdgesError: when it cannot be made.
+        """
+        self.folder = folder
+        self.unfinished = folder / "unfinished"
+        try:
+            self.unfinished.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
+        remove_forgotten(self.unfinished)
+
+    def path(self, kind: str, key: str) -> Path:
+        """Where an entry is."""
+        return self.folder / kind / key[:2] / f"{key}.entry"
+
+    def load(self, kind: str, key: str) -> Arrays | None:
+        """The arrays of an entry; None when there is none, or it is damaged."""
+        path = self.path(kind, key)
+        try:
+            data = path.read_bytes()
+            os.utime(path)  # tells which entries are of use
+        except OSError:
+            return None
+        packed = memoryview(data)[DIGEST_BYTES:]
+        if seal(kind, key, packed) == data[:DIGEST_BYTES]:
+            try:
+                with np.load(BytesIO(packed), allow_pickle=False) as arrays:
+                    return dict(arrays)
+            except ValueError:
+                pass  # no arrays: somebody else's work
+        logger.warning("cache entry %s is damaged; it is made again", path)
+        return None
+
+    def save(self, kind: str, key: str, arrays: Arrays) -> bool:
+        """Keep arrays as an entry; False, with a warning, where that cannot be done.
+
+        The entry appears whole or not at all.
+        """
+        packed = BytesIO()
+        np.savez(packed, allow_pickle=False, **arrays)
+        path = self.path(kind, key)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor, name = tempfile.mkstemp(dir=self.unfinished)
+        except OSError as error:
+            return not_kept(path, error)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(seal(kind, key, packed.getbuffer()))
+                file.write(packed.getbuffer())
+            Path(name).replace(path)
+        except OSError as error:
+            Path(name).unlink(missing_ok=True)
+            return not_kept(path, error)
+        return True
+
+
+def not_kept(path: Path, error: OSError) -> bool:
+    """Warn that an entry could not be written."""
+    logger.warning("cannot write cache entry %s (%s); go on without", path, error.strerror)
+    return False
+
+
+def seal(kind: str, key: str, packed: memoryview) -> bytes:
+    """The digest that starts an entry, by which damage shows."""
+    found = hashlib.sha256(f"{kind} {key} ".encode())
+    found.update(packed)
+    return found.digest()
+
+
+def remove_forgotten(folder: Path) -> None:
+    """Remove what killed runs left unfinished."""
+    for path in folder.iterdir():
+        try:
+            if time.time() - path.stat().st_mtime > FORGOTTEN_S:
+                path.unlink()
+        except OSError:
+            continue  # another run was faster
+
+
+def key_of(*parts: Any) -> str:
+    """The key of what is made from `parts` by this version of the code.
+
+    Args:
+        parts: bytes, arrays, dataclasses of options, and what JSON can hold.
+    """
+    found = hashlib.sha256(code_version().encode())
+    for part in parts:
+        kind, data = described(part)
+        found.update(f"{kind} {len(data)}\n".encode())
+        found.update(data)
+    return found.hexdigest()
+
+
+def described(part: Any) -> tuple[str, bytes]:
+    """What kind of thing a part of a key is, and its bytes."""
+    if isinstance(part, bytes):
+        return "bytes", part
+    if isinstance(part, np.ndarray):
+        return f"{part.dtype.str} {part.shape}", part.tobytes()
+    plain = asdict(part) if is_dataclass(part) and not isinstance(part, type) else part
+    return "json", json.dumps(plain, sort_keys=True).encode()
+
+
+@cache
+def code_version() -> str:
+    """Digest of this package's code and the versions of what it computes with.
+
+    Any change of the code counts, as none can be told to leave results alone.
+    """
+    package = Path(__file__).parent
+    found = hashlib.sha256()
+    for path in sorted([*package.glob("*.py"), *package.glob("kernels/_kernels*")]):
+        found.update(f"{path.name} ".encode() + hashlib.sha256(path.read_bytes()).digest())
+    for name in LIBRARIES:
+        found.update(f"{name} {library_version(name)}\n".encode())
+    return found.hexdigest()
+
+
+def library_version(name: str) -> str:
+    """Version of a library, or nothing when it is not there."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
