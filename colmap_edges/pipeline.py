@@ -495,12 +495,13 @@ def trace(
     workers: Workers,
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct 3D edges by the method that the options name."""
-    from colmap_edges.paper_tracing import trace_edges_paper
-    from colmap_edges.tracing import trace_edges
-
     threads = thread_count(options)
     if options.tracing.method == "paper":
+        from colmap_edges.paper_tracing import trace_edges_paper
+
         return trace_edges_paper(model, graphs, options, threads)
+    from colmap_edges.tracing import trace_edges
+
     return trace_edges(model, graphs, options, threads, advance, workers)
 
 
