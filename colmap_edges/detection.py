@@ -62,12 +62,13 @@ def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains
         Chains at sub-pixel positions, in the detector's order.
     """
     pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
-    blurred = cv2.GaussianBlur(image, (0, 0), options.sigma_px).astype(np.float32)
-    gradient_x = cv2.Sobel(blurred, cv2.CV_32F, 1, 0)
-    gradient_y = cv2.Sobel(blurred, cv2.CV_32F, 0, 1)
+    blurred = cv2.GaussianBlur(image, (0, 0), options.sigma_px)
+    gradient_x = cv2.Sobel(blurred, cv2.CV_16S, 1, 0)
+    gradient_y = cv2.Sobel(blurred, cv2.CV_16S, 0, 1)
     points, normals = _kernels.refine_subpixel(gradient_x, gradient_y, pixels)
+    gray = blurred.astype(np.float32)  # bytes would be sampled less exactly
     dark, bright = (
-        sample_gray(blurred, points + distance * normals)
+        sample_gray(gray, points + distance * normals)
         for distance in (-SIDE_DISTANCE_PX, SIDE_DISTANCE_PX)
     )
     return Chains(

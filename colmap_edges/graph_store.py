@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import shutil
 import tempfile
 import weakref
@@ -18,6 +19,19 @@ from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.errors import ColmapEdgesError
 
 T = TypeVar("T")
+
+TRIM_EVERY = 64  # graphs dropped from memory
+
+
+def return_freed_memory() -> None:
+    """Have the C library return what was freed to the system, where it can (glibc).
+
+    It keeps what one thread freed for that thread alone: graphs of the threads that detected them
+    would be in memory twice, once as nothing.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 class Recent(Sequence[T], Generic[T]):
@@ -75,6 +89,7 @@ class GraphStore(Sequence[EdgeGraph]):
         self.num_bytes = 0
         self.kept: OrderedDict[int, EdgeGraph] = OrderedDict()
         self.written: set[int] = set()
+        self.num_dropped = 0
         self.folder: Path | None = None
         self.lock = Lock()
 
@@ -110,9 +125,13 @@ class GraphStore(Sequence[EdgeGraph]):
         while self.num_bytes > self.max_bytes and len(self.kept) > 1:
             old, dropped = self.kept.popitem(last=False)
             self.num_bytes -= graph_bytes(dropped)
+            self.num_dropped += 1
             if old not in self.written and self.elsewhere is None:
                 write_graph(dropped, self.path(old))
                 self.written.add(old)
+            del dropped
+            if self.num_dropped % TRIM_EVERY == 0:
+                return_freed_memory()
 
     def path(self, index: int) -> Path:
         """Where the graph of a view waits."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from colmap_edges.cross_check import lift
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -58,8 +58,9 @@ def chance_of_observations(
     hits = np.bincount(ids, weights=seen, minlength=count)
     trials = np.bincount(ids, weights=visible, minlength=count)
     rates = np.minimum((hits + 1) / (trials + PRIOR_TRIALS), 0.9)
+    trials_each = np.maximum(visible, observed).astype(np.int64)
     with np.errstate(divide="ignore"):
-        logs = np.log10(binom.sf(observed - 1, np.maximum(visible, observed), rates[ids]))
+        logs = np.log10(bdtrc(observed - 1, trials_each, rates[ids]))
     result: FloatArray = np.maximum(logs, MIN_LOG)
     return result
 

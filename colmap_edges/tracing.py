@@ -447,6 +447,8 @@ def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray
     last = (values[-1] - values[-2]) / (known[-1] - known[-2])
     result[before] = values[0] + first * (at[before] - known[0])
     result[after] = values[-1] + last * (at[after] - known[-1])
+    if (result > 0).all():
+        return np.asarray(result, np.float64)
     return np.where(result > 0, result, np.interp(at, known, values))
 
 

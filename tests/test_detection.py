@@ -110,7 +110,7 @@ def refine_reference(gradient_x, gradient_y, pixels):
 @pytest.mark.parametrize("seed", range(5))
 def test_refinement_equals_the_reference_on_random_gradients(seed):
     rng = np.random.default_rng(seed)
-    gradient_x, gradient_y = rng.normal(size=(2, 23, 31)).astype(np.float32)
+    gradient_x, gradient_y = rng.integers(-1020, 1021, (2, 23, 31)).astype(np.int16)
     pixels = np.concatenate(
         [
             rng.integers(0, (31, 23), (300, 2)).astype(float),
@@ -126,7 +126,7 @@ def test_refinement_equals_the_reference_on_random_gradients(seed):
 
 
 def test_refinement_leaves_flat_places_and_refuses_unlike_images():
-    flat = np.zeros((5, 6), np.float32)
+    flat = np.zeros((5, 6), np.int16)
     points, normals = _kernels.refine_subpixel(flat, flat, np.array([[2.0, 3.0]]))
     np.testing.assert_array_equal(points, [[2, 3]])
     np.testing.assert_array_equal(normals, [[0, 0]])

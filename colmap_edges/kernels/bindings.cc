@@ -14,11 +14,11 @@
 namespace colmap_edges {
 namespace {
 
-using Image = InArray<float, nb::ndim<2>>;
+using Gradient = InArray<int16_t, nb::ndim<2>>;
 using Points2D = InArray<double, nb::shape<-1, 2>>;
 using Offsets = InArray<int64_t, nb::ndim<1>>;
 
-nb::tuple RefineSubpixelArrays(Image gradient_x, Image gradient_y, Points2D pixels) {
+nb::tuple RefineSubpixelArrays(Gradient gradient_x, Gradient gradient_y, Points2D pixels) {
   if (gradient_x.shape(0) != gradient_y.shape(0) || gradient_x.shape(1) != gradient_y.shape(1)) {
     throw std::invalid_argument("gradient_x and gradient_y differ in shape");
   }
@@ -28,8 +28,9 @@ nb::tuple RefineSubpixelArrays(Image gradient_x, Image gradient_y, Points2D pixe
   {
     nb::gil_scoped_release release;
     const int64_t height = gradient_x.shape(0), width = gradient_x.shape(1);
-    RefineSubpixel({gradient_x.data(), height, width}, {gradient_y.data(), height, width},
-                   pixels.data(), count, points.data(), normals.data());
+    const ImageView<int16_t> x{gradient_x.data(), height, width},
+        y{gradient_y.data(), height, width};
+    RefineSubpixel(x, y, pixels.data(), count, points.data(), normals.data());
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(normals), {count, 2}));

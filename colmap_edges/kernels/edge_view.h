@@ -248,8 +248,9 @@ void EdgeView::VisitNear(const Vec2& center, double radius, const Visit& visit) 
         const bool at_end = stretch.count > 0 && end < num_points() && Next(end) < 0;
         for (int64_t i = stretch.first; i < end + (at_end || stretch.count == 0); ++i) {
           const Vec2& p = point(i);
-          if (Column(p[0]) == c && Row(p[1]) == r && std::abs(p[0] - center[0]) <= radius &&
-              std::abs(p[1] - center[1]) <= radius) {
+          // Few points are near; to find the cell of one takes longer.
+          if (std::abs(p[0] - center[0]) <= radius && std::abs(p[1] - center[1]) <= radius &&
+              Column(p[0]) == c && Row(p[1]) == r) {
             visit(i);
           }
         }

@@ -7,9 +7,10 @@
 
 namespace colmap_edges {
 
-// A single-channel float image, row major, first pixel centred at (0, 0).
+// A single-channel image, row major, first pixel centred at (0, 0).
+template <typename Value>
 struct ImageView {
-  const float* data;
+  const Value* data;
   int64_t height, width;
 
   // Bilinear value; positions outside are clamped to the border.
@@ -28,9 +29,9 @@ struct ImageView {
 
 // Moves each pixel to the maximum of a parabola through the gradient along its direction at -1, 0
 // and 1 px; at most 1 px. Writes the points and the unit gradient directions.
-inline void RefineSubpixel(const ImageView& gradient_x, const ImageView& gradient_y,
-                           const double* pixels, int64_t num_pixels, double* points,
-                           double* normals) {
+template <typename Value>
+void RefineSubpixel(const ImageView<Value>& gradient_x, const ImageView<Value>& gradient_y,
+                    const double* pixels, int64_t num_pixels, double* points, double* normals) {
   const auto magnitude = [&](double x, double y, double nx, double ny) {
     return std::abs(gradient_x.At(x, y) * nx + gradient_y.At(x, y) * ny);
   };

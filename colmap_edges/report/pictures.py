@@ -87,13 +87,13 @@ def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None
 def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     """The polylines of a graph, image pixels, thinned to what is seen at `scale`."""
     step = max(int(0.7 / scale), 1)
-    lines = []
-    for first, last, closed in zip(
-        graph.polyline_offsets[:-1], graph.polyline_offsets[1:], graph.closed, strict=True
-    ):
-        end = first if closed else last - 1
-        lines.append(graph.points[np.append(np.arange(first, last, step), end)])
-    return lines
+    first, last = graph.polyline_offsets[:-1], graph.polyline_offsets[1:]
+    counts = -(-(last - first) // step) + 1  # each step's first point, then the end
+    ends = np.cumsum(counts)
+    rank = np.arange(counts.sum()) - np.repeat(ends - counts, counts)
+    index = np.repeat(first, counts) + step * rank
+    index[ends - 1] = np.where(graph.closed, first, last - 1)
+    return np.split(graph.points[index], ends[:-1]) if len(ends) else []
 
 
 def observed_segments(
@@ -113,10 +113,11 @@ def layer(
 ) -> bytes:
     """Lines, image pixels, drawn in one colour on a transparent PNG of `shape`."""
     mask = np.zeros(shape, np.uint8)
+    pairs = lines and lines[0].ndim == 3
     drawn: list[Any] = []
-    for part in lines:
-        fixed = fixed_point(part * scale)
-        drawn += list(fixed) if part.ndim == 3 else [fixed]
+    if lines:
+        fixed = fixed_point(np.concatenate(lines) * scale)
+        drawn = list(fixed) if pairs else np.split(fixed, np.cumsum([len(p) for p in lines])[:-1])
     cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
     mask &= 0xE0  # fewer shades compress better
     bgra = np.empty((*shape, 4), np.uint8)
