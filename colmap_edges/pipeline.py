@@ -34,7 +34,13 @@ from colmap_edges.image_graphs import (
     work_in_cache,
     work_on_image,
 )
-from colmap_edges.images import check_images_exist, encoded, path_of_image, sample_colors
+from colmap_edges.images import (
+    check_images_exist,
+    encoded,
+    path_of_image,
+    sample_colors,
+    single_threaded_opencv,
+)
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
     Model,
@@ -332,20 +338,6 @@ def detect_stage(
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
     return store
-
-
-@contextmanager
-def single_threaded_opencv() -> Iterator[None]:
-    """Keep OpenCV from using threads of its own: with an image a thread they wait for each other.
-
-    Their waiting costs a tenth of detection's processor time.
-    """
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def find_graphs(
