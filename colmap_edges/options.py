@@ -197,6 +197,9 @@ class TracingOptions(Options):
     min_observations: int = option(
         3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
     )
+    occlusion_radius_px: float = option(
+        10.0, "How far around a point nearer ones hide it, in pixels; 0 hides nothing", ge=0
+    )
     max_sigma_ratio: float = option(
         8.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )

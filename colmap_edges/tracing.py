@@ -30,6 +30,7 @@ from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.linking import link_edges
 from colmap_edges.model import Model, View, rows_by_view
+from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import ChainDepthOptions, PipelineOptions, TracingOptions
 from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.scheduling import Schedule, local_order
@@ -164,7 +165,9 @@ def trace_edges(
     counts = [agreeing[v] for v in range(len(graphs))]
     depths = [without_supports(found) for found in depths]
     traced, in_runs = trace_views(scene, depths, counts, options, workers, advance)
+    traced, hidden = without_hidden(model, traced, options.tracing, num_threads)
     edges, stats = gather(scene, traced, options)
+    stats["observations_hidden"] = hidden
     stats["max_side_difference"] = chain_depth.max_side_difference
     return edges, count_samples(scene, depths, counts, in_runs) | stats
 
@@ -517,6 +520,38 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
         lengths = high - low
         first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
         scene.covered[view][first + np.arange(len(first))] = True
+
+
+def without_hidden(
+    model: Model, traced: list[Traced], options: TracingOptions, num_threads: int
+) -> tuple[list[Traced], int]:
+    """The curves without observations of points that nearer ones hide, and how many those are."""
+    if not traced or options.occlusion_radius_px == 0:
+        return traced, 0
+    owners = [owners_of(t.positions.indptr) for t in traced]
+    points = offsets_of(np.array([len(t.points) for t in traced]))
+    curves = offsets_of(np.array([len(t.offsets) - 1 for t in traced]))
+    hidden = find_hidden(
+        model,
+        np.concatenate([t.points for t in traced]),
+        np.concatenate([t.sigmas for t in traced]),
+        np.concatenate([owners_of(t.offsets) + curves[i] for i, t in enumerate(traced)]),
+        np.concatenate([own + points[i] for i, own in enumerate(owners)]),
+        np.concatenate([t.views[t.positions.indices] for t in traced]),
+        options.occlusion_radius_px,
+        num_threads,
+    )
+    parts = np.split(~hidden, np.cumsum([len(own) for own in owners])[:-1])
+    kept = [observed_at(*of) for of in zip(traced, owners, parts, strict=True)]
+    return kept, int(hidden.sum())
+
+
+def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
+    """The curves with those of their (T,) observations, of (T,) points, where `keep` is true."""
+    positions = traced.positions
+    counts = np.bincount(owners[keep], minlength=len(traced.points))
+    rest = (positions.data[keep], positions.indices[keep], offsets_of(counts))
+    return replace(traced, positions=csr_array(rest, shape=positions.shape))
 
 
 def gather(

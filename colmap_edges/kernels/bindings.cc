@@ -1,12 +1,14 @@
 // Python face of the kernels: converts arrays, releases the GIL, calls the core, converts back.
 #include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <stdexcept>
 
 #include "arrays.h"
 #include "association.h"
 #include "chain_depths.h"
 #include "edge_view.h"
+#include "occlusion.h"
 #include "polyline.h"
 #include "subpixel.h"
 #include "tracing_bindings.h"
@@ -141,6 +143,30 @@ OutArray<double> AssociateArrays(const EdgeView& view, Points3D points, Points3D
   return ToArray(std::move(positions), {count});
 }
 
+nb::tuple CountAroundArrays(Points2D pixels, InArray<double, nb::ndim<1>> depths,
+                            InArray<double, nb::ndim<1>> margins, Offsets curves, double radius_px,
+                            double slope, int num_threads) {
+  const size_t count = pixels.shape(0);
+  if (depths.size() != count || margins.size() != count || curves.size() != count) {
+    throw std::invalid_argument("pixels, depths, margins and curves differ in length");
+  }
+  if (!(radius_px > 0)) throw std::invalid_argument("the radius must be positive");
+  std::vector<SeenPoint> points(count);
+  for (size_t i = 0; i < count; ++i) {
+    if (!(std::abs(pixels(i, 0)) < 1e9 * radius_px && std::abs(pixels(i, 1)) < 1e9 * radius_px)) {
+      throw std::invalid_argument("a pixel is not finite or too far away");
+    }
+    points[i] = {{pixels(i, 0), pixels(i, 1)}, depths(i), margins(i), curves(i)};
+  }
+  Crowd crowd;
+  {
+    nb::gil_scoped_release release;
+    crowd = CountAround(points, radius_px, slope, num_threads);
+  }
+  return nb::make_tuple(ToArray(std::move(crowd.nearer), {count}),
+                        ToArray(std::move(crowd.agreeing), {count}));
+}
+
 nb::tuple ChainPointsArrays(const EdgeView& view, InArray<double, nb::ndim<1>> positions) {
   const size_t count = positions.size();
   std::vector<double> points(2 * count), tangents(2 * count);
@@ -181,6 +207,9 @@ NB_MODULE(_kernels, m) {
   m.def("associate", &colmap_edges::AssociateArrays, "view"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
         "(N,) positions on the view's chains that observe the 3D points, -1 where none.");
+  m.def("count_around", &colmap_edges::CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a,
+        "curves"_a, "radius_px"_a, "slope"_a, "num_threads"_a,
+        "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");
   m.def("chain_points", &colmap_edges::ChainPointsArrays, "view"_a, "positions"_a,
         "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
   colmap_edges::BindTracing(m);
