@@ -100,6 +100,13 @@ def quality_flag() -> click.Option:
     )
 
 
+def recording_target(value: str) -> str:
+    """Take what --rerun says: 0, 1 or the name of a recording."""
+    if value in ("0", "1") or value.lower().endswith(".rrd"):
+        return value
+    raise click.BadParameter(f"{value!r} is neither 0, 1 nor a FILE.rrd")
+
+
 def run_flags(names: set[str]) -> list[click.Parameter]:
     """Make the flags of a command that runs stages."""
     return [
@@ -127,6 +134,13 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             expose_value=False,
             callback=load_config,
             help="TOML file with flags as keys, groups as tables; flags given here go before",
+        ),
+        click.Option(
+            ["--rerun"],
+            type=recording_target,
+            metavar="0|1|FILE.rrd",
+            default="0",
+            help="Show the run in rerun's viewer as it goes, or record it for the viewer [0]",
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
         click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
@@ -156,21 +170,26 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     """Run one command with the values of its flags and print the summary."""
     options = options_from_flags(values)
     from colmap_edges.pipeline import Paths, run  # heavy imports, after parsing
+    from colmap_edges.viewer import open_viewer
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
     paths = Paths(**paths_from_flags(values), cache_path=values["cache_path"])
-    with progress_bars() as progress:
+    target, overwrite = values["rerun"], values["overwrite"]
+    with open_viewer(target, paths.output_path, overwrite) as viewer, progress_bars() as progress:
         report = run(
             name,
             paths,
             options,
-            overwrite=values["overwrite"],
+            overwrite=overwrite,
             progress=progress,
             scheduler=values["scheduler"],
+            viewer=viewer,
         )
     click.echo(summary(report, paths.output_path, time.perf_counter() - started))
+    if target not in ("0", "1"):
+        click.echo(f"The recording in {target} opens in rerun's viewer: rerun {target}")
 
 
 def paths_from_flags(values: dict[str, Any]) -> dict[str, Path]:

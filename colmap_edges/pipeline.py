@@ -57,6 +57,7 @@ from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
 from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
+from colmap_edges.viewer import NO_VIEWER, Viewer
 
 logger = logging.getLogger(__name__)
 
@@ -123,6 +124,7 @@ def run(
     overwrite: bool = False,
     progress: Progress = no_progress,
     scheduler: str = "",
+    viewer: Viewer = NO_VIEWER,
 ) -> dict[str, Any]:
     """Run `detect`, `reconstruct` or `mesh` from folders to a folder.
 
@@ -158,12 +160,16 @@ def run(
             model = load_model(paths.input_path)
             check_model(model, str(paths.input_path))
             stage.counts = model_counts(model)
+        viewer.show_model(model)
         if command == "mesh" and not options.use_edges:
             mesh = mesh_stage(model, None, model, folder, options, stages)
+            viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            contents = run_edges(command, model, paths.image_path, folder, options, stages, workers)
+            contents = run_edges(
+                command, model, paths.image_path, folder, options, stages, workers, viewer
+            )
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
@@ -181,19 +187,28 @@ def run_edges(
     options: PipelineOptions,
     stages: Stages,
     workers: Workers,
+    viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
     if command == "detect":
         detect_stage(model, image_path, options, stages, GraphWriter(folder), workers)
         return Contents(model=model)
-    taker = PictureTaker(len(model.views)) if options.report else None
+    wanted = options.report or viewer is not NO_VIEWER
+    taker = PictureTaker(len(model.views)) if wanted else None
     graphs = detect_stage(model, image_path, options, stages, taker, workers)
+    pictures = taker.pictures() if taker else ()
+    for picture in pictures:
+        viewer.show_picture(model.views[picture.view], picture)
+    given = model
     model, edges = edge_stages(model, graphs, options, stages, workers)
+    if model is not given:
+        viewer.show_model(model)
+    viewer.show_edges(edges, len(model.views))
     extended = write_stage(model, edges, image_path, folder, options, stages)
     mesh = None
     if command == "mesh":
         mesh = mesh_stage(model, edges, extended, folder, options, stages)
-    pictures = taker.pictures() if taker else ()
+        viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
 

@@ -78,20 +78,30 @@ def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
 
 def cameras_trace(model: Model, size: float) -> Trace:
     """Every camera as a pyramid towards what it sees."""
-    centers = model.camera_centers
-    gaps = cKDTree(centers).query(centers, k=2)[0][:, 1]
-    depth = min(0.5 * float(np.median(gaps)), 0.04 * size)
-    lines = np.concatenate([pyramid(view, max(depth, 0.005 * size)) for view in model.views])
+    depth = pyramid_depth(model, size)
+    lines = np.concatenate([pyramid(view, depth) for view in model.views])
     names = [html.escape(view.name) for view in model.views]
     return {
         "type": "scatter3d",
         "mode": "lines",
-        "name": f"cameras ({len(centers)})",
+        "name": f"cameras ({len(model.views)})",
         "line": {"color": "#d9534f", "width": 1.5},
         "text": [name for name in names for _ in range(len(lines) // len(names))],
         "hovertemplate": "%{text}<extra></extra>",
         **xyz(lines),
     }
+
+
+def pyramid_depth(model: Model, size: float) -> float:
+    """How deep cameras are drawn, world units, so that neighbours are told apart.
+
+    Args:
+        model: has the cameras.
+        size: diagonal of the box that is shown, world units.
+    """
+    centers = model.camera_centers
+    gaps = cKDTree(centers).query(centers, k=2)[0][:, 1]
+    return max(min(0.5 * float(np.median(gaps)), 0.04 * size), 0.005 * size)
 
 
 def pyramid(view: View, depth: float) -> FloatArray:
@@ -215,7 +225,7 @@ def layout(model: Model, edges: Edges3D | None, low: FloatArray, high: FloatArra
     reach = np.percentile(np.linalg.norm(subject - focus, axis=1), 90)
     outward = model.camera_centers.mean(axis=0) - focus
     outward /= max(float(np.linalg.norm(outward)), 1e-12)
-    up = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
+    up = up_direction(model)
     center = (focus - (low + high) / 2) / scale
     eye = center + outward * max(2.6 * float(reach) / scale, 0.05)
     axes = {f"{a}axis": {**HIDDEN_AXIS, "range": [low[i], high[i]]} for i, a in enumerate("xyz")}
@@ -233,6 +243,12 @@ def layout(model: Model, edges: Edges3D | None, low: FloatArray, high: FloatArra
         "font": {"color": "#e8e8e8"},
         "uirevision": "kept",
     }
+
+
+def up_direction(model: Model) -> FloatArray:
+    """(3,) direction in the world that is upwards in the images on average."""
+    up: FloatArray = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
+    return up
 
 
 def vector(values: Any) -> dict[str, float]:
