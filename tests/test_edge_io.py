@@ -102,7 +102,7 @@ def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
     lines, rgba = read_glb_lines(tmp_path / "edges.glb")
     np.testing.assert_array_equal(lines, square_and_line.points[edge_segments(square_and_line)])
     assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]
-    scene = trimesh.load_scene(tmp_path / "edges.glb")
+    scene = trimesh.load(tmp_path / "edges.glb")
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [2, 3, 3]])
 
 
