@@ -184,9 +184,9 @@ def mesh_points(
 ) -> Mesh:
     """Mesh points that cameras see.
 
-    Points with coordinates that are not finite are left out; coinciding points become one that
-    all their cameras see. The result does not depend on the order of points and rays, nor on the
-    number of threads.
+    Points with coordinates that are not finite are left out; coinciding points, and nearly
+    coinciding ones of edges, become one that all their cameras see. The result does not depend on
+    the order of points and rays, nor on the number of threads.
 
     Args:
         points: (N, 3) float64.
@@ -220,6 +220,7 @@ def mesh_points(
         edge_solid_weight=options.edge_solid_weight,
         vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
         vote_threshold=options.vote_threshold,
+        merge_factor=options.merge_factor,
         min_segment_factor=options.min_segment_factor,
         long_facet_factor=options.long_facet_factor,
         min_component_faces=options.min_component_faces,

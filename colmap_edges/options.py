@@ -358,6 +358,12 @@ class MeshingOptions(Options):
     vote_near: float = option(0.2, "carve, manifold: vote for the cells around (w2)", ge=0)
     vote_far: float = option(0.0, "carve, manifold: vote for the cells around those (w3)", ge=0)
     vote_threshold: float = option(1.0, "carve, manifold: votes that make a cell free", gt=0)
+    merge_factor: float = option(
+        0.05,
+        "Make edge points one that are closer than this, in typical distances of neighbours on an "
+        "edge as the cameras see them; 0 keeps all",
+        ge=0,
+    )
     min_segment_factor: float = option(
         0.25,
         "Split 3D edges until they are edges of the mesh, down to this length in medians of their "

@@ -50,12 +50,13 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
                      const Vector<std::int64_t>& polyline_offsets, const Vector<Index>& polylines,
                      const std::string& method, double sigma_factor, double quality_weight,
                      double edge_solid_weight, const std::array<double, 3>& vote_weights,
-                     double vote_threshold, double min_segment_factor, double long_facet_factor,
-                     int min_component_faces, int num_threads) {
+                     double vote_threshold, double merge_factor, double min_segment_factor,
+                     double long_facet_factor, int min_component_faces, int num_threads) {
   const mesher::MesherInput input{ToPoints(points), ToRows(offsets, cameras), ToPoints(centers),
                                   ToRows(polyline_offsets, polylines)};
   mesher::MesherOptions options;
   options.method = method;
+  options.merge_factor = merge_factor;
   options.min_segment_factor = min_segment_factor;
   options.visibility = {sigma_factor, quality_weight, edge_solid_weight, num_threads};
   options.votes = {vote_weights, vote_threshold, num_threads};
@@ -77,6 +78,6 @@ NB_MODULE(_mesher, m) {
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, nb::kw_only(), "method"_a,
         "sigma_factor"_a, "quality_weight"_a, "edge_solid_weight"_a, "vote_weights"_a,
-        "vote_threshold"_a, "min_segment_factor"_a, "long_facet_factor"_a, "min_component_faces"_a,
-        "num_threads"_a);
+        "vote_threshold"_a, "merge_factor"_a, "min_segment_factor"_a, "long_facet_factor"_a,
+        "min_component_faces"_a, "num_threads"_a);
 }

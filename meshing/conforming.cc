@@ -22,8 +22,8 @@ std::vector<Segment> SegmentsOf(const Rows& polylines) {
 
 class Splitter {
  public:
-  Splitter(double min_length, DelaunayBuilder& builder, Rows& rays)
-      : min_length_(min_length), builder_(builder), rays_(rays) {}
+  Splitter(double min_length, std::vector<double> radii, DelaunayBuilder& builder, Rows& rays)
+      : min_length_(min_length), radii_(std::move(radii)), builder_(builder), rays_(rays) {}
 
   // Splits until nothing is left to split; insertions may break edges that were there before, so
   // all pieces are looked at again until none has changed.
@@ -54,14 +54,31 @@ class Splitter {
       ++missing_;
       return false;
     }
-    const Index middle = builder_.Insert(0.5 * at_a + 0.5 * at_b, a);
+    const Index middle = Middle(a, b);
     const bool is_new = middle == before;
-    if (is_new) AddRays(a, b);
     if (middle != a && middle != b) {
       SplitOne({a, middle}, pieces);
       SplitOne({middle, b}, pieces);
     }
     return is_new;
+  }
+
+  // The vertex at the middle between two, or one of a polyline that is as good as there.
+  Index Middle(Index a, Index b) {
+    const Vec3 middle = 0.5 * builder_.points()[a] + 0.5 * builder_.points()[b];
+    const double radius = std::min(radii_[a], radii_[b]);
+    if (radius > 0) {
+      const Index nearest = builder_.Nearest(middle, a);
+      const bool is_near = Norm(builder_.points()[nearest] - middle) <= radius;
+      if (is_near && radii_[nearest] > 0 && nearest != a && nearest != b) return nearest;
+    }
+    const Index before = builder_.num_vertices();
+    const Index added = builder_.Insert(middle, a);
+    if (added == before) {
+      radii_.push_back(radius);
+      AddRays(a, b);
+    }
+    return added;
   }
 
   void AddRays(Index a, Index b) {
@@ -72,6 +89,7 @@ class Splitter {
   }
 
   const double min_length_;
+  std::vector<double> radii_;
   DelaunayBuilder& builder_;
   Rows& rays_;
   Index missing_ = 0;
@@ -79,13 +97,14 @@ class Splitter {
 
 }  // namespace
 
-ConformingStats Conform(const Rows& polylines, double min_length, DelaunayBuilder& builder,
-                        Rows& rays) {
+ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
+                        DelaunayBuilder& builder, Rows& rays) {
   std::vector<Segment> segments = SegmentsOf(polylines);
   ConformingStats stats;
   stats.segments = static_cast<Index>(segments.size());
   const Index before = builder.num_vertices();
-  stats.segments_missing = Splitter(min_length, builder, rays).Split(std::move(segments));
+  stats.segments_missing =
+      Splitter(min_length, std::move(radii), builder, rays).Split(std::move(segments));
   stats.points_added = builder.num_vertices() - before;
   return stats;
 }

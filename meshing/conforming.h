@@ -16,9 +16,10 @@ struct ConformingStats {
 
 // Splits segments of `polylines` (rows of vertices) that are not edges of the triangulation at
 // their middle, and again, until all pieces are edges or shorter than `min_length`. A new point is
-// appended to `rays` with the cameras that see both ends of the piece it splits.
-ConformingStats Conform(const Rows& polylines, double min_length, DelaunayBuilder& builder,
-                        Rows& rays);
+// appended to `rays` with the cameras that see both ends of the piece it splits. Where a vertex of
+// a polyline is nearer to the middle than the radii of both ends, it takes the middle's place.
+ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
+                        DelaunayBuilder& builder, Rows& rays);
 
 // Median length of the segments of `polylines`; 0 without any.
 double TypicalSegmentLength(const Rows& polylines, const std::vector<Vec3>& points);

@@ -8,6 +8,7 @@
 
 #include "conforming.h"
 #include "manifold_growth.h"
+#include "merging.h"
 #include "min_cut.h"
 
 namespace mesher {
@@ -85,6 +86,7 @@ struct Scene {
   Rows rays;
   std::vector<Vec3> cameras;
   Rows polylines;
+  std::vector<double> radii;  // within which points of polylines are taken for one
 };
 
 // Polylines of vertices, interrupted at points that were dropped.
@@ -113,7 +115,7 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   }
   const UnitFrame frame(points);
   for (Vec3& p : points) p = frame(p);
-  Scene scene{frame, {}, {}, {}, {}, {}};
+  Scene scene{frame, {}, {}, {}, {}, {}, {}};
   std::vector<Index> vertex_of(input.points.size(), kNone);
   for (const Vec3& camera : input.cameras) scene.cameras.push_back(frame(camera));
 
@@ -148,6 +150,45 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   return scene;
 }
 
+// Sorted union of rows.
+std::vector<Index> United(const Rows& rows, const std::vector<Index>& chosen) {
+  std::vector<Index> values;
+  for (const Index row : chosen) values.insert(values.end(), rows.begin(row), rows.end(row));
+  std::sort(values.begin(), values.end());
+  values.erase(std::unique(values.begin(), values.end()), values.end());
+  return values;
+}
+
+// The scene with nearly coinciding points of polylines made one, which all their cameras see.
+Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>& stats) {
+  const auto radii = MergeRadii(scene.points, scene.rays, scene.cameras, scene.polylines, factor);
+  const auto representatives = Representatives(scene.points, radii);
+  std::vector<Index> place_of(scene.points.size());
+  std::vector<std::vector<Index>> members;
+  Scene merged{scene.frame, {}, {}, {}, std::move(scene.cameras), std::move(scene.polylines), {}};
+  for (Index v = 0; v < static_cast<Index>(scene.points.size()); ++v) {
+    if (representatives[v] == v) {
+      place_of[v] = static_cast<Index>(members.size());
+      members.emplace_back();
+      merged.points.push_back(scene.points[v]);
+      merged.sources.push_back(scene.sources[v]);
+      merged.radii.push_back(radii[v]);
+    } else {
+      place_of[v] = place_of[representatives[v]];
+    }
+    members[place_of[v]].push_back(v);
+  }
+  for (const auto& same : members) {
+    const auto cameras = United(scene.rays, same);
+    merged.rays.values.insert(merged.rays.values.end(), cameras.begin(), cameras.end());
+    merged.rays.offsets.push_back(static_cast<std::int64_t>(merged.rays.values.size()));
+  }
+  for (Index& v : merged.polylines.values) v = place_of[v];
+  stats["points_merged"] = static_cast<double>(scene.points.size() - merged.points.size());
+  stats["rays"] = static_cast<double>(merged.rays.values.size());
+  return merged;
+}
+
 // Without any cell if the points span no volume. Adds the rays of points that it adds.
 Triangulation Triangulate(const MesherOptions& options, Scene& scene,
                           std::map<std::string, double>& stats) {
@@ -156,7 +197,8 @@ Triangulation Triangulate(const MesherOptions& options, Scene& scene,
   if (options.min_segment_factor > 0) {
     const double min_length =
         options.min_segment_factor * TypicalSegmentLength(scene.polylines, scene.points);
-    const ConformingStats conforming = Conform(scene.polylines, min_length, builder, scene.rays);
+    const ConformingStats conforming =
+        Conform(scene.polylines, min_length, scene.radii, builder, scene.rays);
     stats["edge_segments"] = conforming.segments;
     stats["edge_segments_missing"] = conforming.segments_missing;
     stats["edge_points_added"] = conforming.points_added;
@@ -235,7 +277,8 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
     throw std::invalid_argument("unknown meshing method " + options.method);
   MesherResult result;
   Stopwatch watch(result.stats);
-  Scene scene = MakeScene(input, result.stats);
+  Scene scene =
+      WithMergedPoints(MakeScene(input, result.stats), options.merge_factor, result.stats);
   watch.Lap("sorting");
   const Triangulation triangulation = Triangulate(options, scene, result.stats);
   result.stats["cells"] = triangulation.num_cells();

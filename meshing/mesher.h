@@ -23,6 +23,8 @@ struct MesherInput {
 
 struct MesherOptions {
   std::string method = "graphcut";  // or "carve" or "manifold"
+  // Points of polylines closer than this are one, in typical segments at their distance.
+  double merge_factor = 0.05;
   // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
   double min_segment_factor = 0.25;
   VisibilityOptions visibility;  // of graphcut

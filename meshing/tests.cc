@@ -16,6 +16,7 @@
 
 #include "free_space.h"
 #include "manifold_growth.h"
+#include "merging.h"
 #include "mesher.h"
 #include "min_cut.h"
 #include "ray_walker.h"
@@ -292,6 +293,31 @@ void TestGrowthIsRegularAndMaximal() {
   }
 }
 
+void TestRepresentativesEqualBruteForce() {
+  for (int round = 0; round < 60; ++round) {
+    Random random(round);
+    std::uniform_real_distribution<double> factor(0, 3);
+    std::vector<Vec3> points = round % 2 ? GridPoints(6) : RandomPoints(300, random);
+    for (Vec3& p : points) p = 0.2 * p;
+    std::vector<double> radii(points.size());
+    for (double& radius : radii) radius = random() % 5 ? 0.1 * factor(random) : 0;
+    const auto representatives = Representatives(points, radii);
+    for (Index v = 0; v < Index(points.size()); ++v) {
+      Index expected = v;
+      for (Index other = 0; other < v && radii[v] > 0; ++other) {
+        const double low = std::min(radii[v], radii[other]),
+                     high = std::max(radii[v], radii[other]);
+        if (representatives[other] == other && high <= 2 * low &&
+            Norm(points[v] - points[other]) <= low) {
+          expected = other;
+          break;
+        }
+      }
+      Check(representatives[v] == expected, "a point has the wrong representative", round);
+    }
+  }
+}
+
 void TestAllMethodsOnHardInput() {
   for (int round = 0; round < 60; ++round) {
     Random random(round);
@@ -326,6 +352,7 @@ int main() {
   mesher::TestCutEqualsBoost();
   mesher::TestSurfaceOfRandomLabels();
   mesher::TestGrowthIsRegularAndMaximal();
+  mesher::TestRepresentativesEqualBruteForce();
   mesher::TestAllMethodsOnHardInput();
   std::puts("all passed");
   return 0;

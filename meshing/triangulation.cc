@@ -62,6 +62,10 @@ bool DelaunayBuilder::IsEdge(Index a, Index b) const {
   return impl_->delaunay.is_edge(impl_->handles[a], impl_->handles[b], cell, i, j);
 }
 
+Index DelaunayBuilder::Nearest(const Vec3& point, Index near) const {
+  return impl_->delaunay.nearest_vertex(ToPoint(point), impl_->handles[near]->cell())->info();
+}
+
 Index DelaunayBuilder::Insert(const Vec3& point, Index near) {
   const std::size_t before = impl_->delaunay.number_of_vertices();
   auto vertex = impl_->delaunay.insert(ToPoint(point), impl_->handles[near]);

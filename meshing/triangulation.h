@@ -52,6 +52,9 @@ class DelaunayBuilder {
   const std::vector<Vec3>& points() const { return points_; }
   bool IsEdge(Index a, Index b) const;
 
+  // The vertex nearest to `point`, starting the search at vertex `near`.
+  Index Nearest(const Vec3& point, Index near) const;
+
   // Inserts `point`, starting the search at vertex `near`; returns its index, or that of the vertex
   // that is already there.
   Index Insert(const Vec3& point, Index near);

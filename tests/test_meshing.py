@@ -185,6 +185,44 @@ def test_duplicates_unite_their_cameras():
     assert split.stats["points_duplicate"] == len(points)
 
 
+def wound_ring(turns, jitter=1e-4):
+    """The sphere, and an edge that runs many times round it, each time a hair beside itself."""
+    points, offsets, cameras, centers = sphere_scene()
+    angles = np.linspace(0, 2 * np.pi * turns, 100 * turns, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
+    ring += np.random.default_rng(0).normal(0, jitter, ring.shape)
+    seen = [np.flatnonzero(centers @ p > 1) for p in ring]
+    offsets = np.concatenate([offsets, offsets[-1] + np.cumsum([len(row) for row in seen])])
+    cameras = np.concatenate([cameras, *seen]).astype(np.int32)
+    indices = np.arange(len(points), len(points) + len(ring), dtype=np.int32)
+    lines = meshing.Polylines(indices, np.array([0, len(ring)]), np.zeros(1, bool))
+    return (np.concatenate([points, ring]), offsets, cameras, centers), lines
+
+
+def test_edges_that_run_beside_themselves_become_one():
+    once = meshing.mesh_points(*wound_ring(1)[0], OPTIONS, wound_ring(1)[1])
+    scene, lines = wound_ring(60)
+    often = meshing.mesh_points(*scene, OPTIONS, lines)
+    kept = meshing.mesh_points(*scene, replace(OPTIONS, merge_factor=0), lines)
+    assert once.stats["points_merged"] == kept.stats["points_merged"] == 0
+    assert often.stats["points_merged"] == 59 * 100
+    assert often.stats["cells"] < 1.1 * once.stats["cells"] < 0.5 * kept.stats["cells"]
+    assert len(often.vertices) == pytest.approx(len(once.vertices), abs=3)
+    assert_manifold(often)
+    assert as_trimesh(often).volume == pytest.approx(as_trimesh(once).volume, rel=1e-3)
+
+
+def test_merging_does_not_depend_on_order_and_scale():
+    scene, lines = wound_ring(10, jitter=2e-3)
+    mesh = meshing.mesh_points(*scene, OPTIONS, lines)
+    assert 0 < mesh.stats["points_merged"] < 9 * 100
+    points, offsets, cameras, centers = scene
+    larger = meshing.mesh_points(1e5 * points, offsets, cameras, 1e5 * centers, OPTIONS, lines)
+    assert larger.stats["points_merged"] == mesh.stats["points_merged"]
+    backwards = lines._replace(point_indices=lines.point_indices[::-1])
+    np.testing.assert_array_equal(meshing.mesh_points(*scene, OPTIONS, backwards).faces, mesh.faces)
+
+
 def test_points_that_are_not_finite_are_dropped_and_counted():
     points, offsets, cameras, centers = sphere_scene()
     reference = meshing.mesh_points(points, offsets, cameras, centers, OPTIONS)
