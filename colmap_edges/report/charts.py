@@ -26,7 +26,7 @@ def edge_charts(
     if len(num_views) == 0:
         return []
     finite = residuals[np.isfinite(residuals)]
-    views: FloatArray = np.arange(num_views.min(), num_views.max() + 2) - 0.5
+    views = np.arange(num_views.min(), num_views.max() + 2, dtype=np.float64) - 0.5
     limit = max(float(np.percentile(finite, 99.5)), 1e-3) if len(finite) else 1.0
     low, high = max(lengths.min(), 1e-12), max(lengths.max(), 1e-12)
     logs = np.logspace(np.log10(low) - 0.01, np.log10(high) + 0.01, 41)
