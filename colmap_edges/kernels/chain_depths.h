@@ -68,6 +68,22 @@ inline Vec2 ImageDirection(const Vec3& d, const Vec2& x, double focal) {
   return {focal * d[0] - x[0] * d[2], focal * d[1] - x[1] * d[2]};
 }
 
+// The range with what is beside it on the epipolar line, so long that the crossings there tell how
+// dense they are; in a range of few pixels, as near an epipole, there is hardly any but the true
+// one. At an inverse depth rho the line is at z = a + rho b and moves by speed / z^2 pixels.
+inline DepthRange WithNeighborhood(const DepthRange& range, double a, double b, double speed) {
+  constexpr double kLengthPx = 64, kMostTimes = 16;
+  const double middle = 0.5 * (range.low + range.high), z = a + middle * b;
+  // Where the whole range is hardly a pixel, agreement tells nothing of depth and shall not count.
+  const double extent = range.high - range.low;
+  const double lacking = 0.5 * (std::min(kLengthPx * z * z / speed, kMostTimes * extent) - extent);
+  if (!(z > 0) || lacking <= 0) return range;
+  DepthRange wide{std::max(range.low - lacking, 0.0), range.high + lacking};
+  // Not to where the depth in the neighbour goes to nothing.
+  if (b < 0) wide.high = std::max(range.high, std::min(wide.high, middle - 0.5 * z / b));
+  return wide;
+}
+
 // What the crossings with one neighbour say of chance.
 struct Seen {
   bool visible = false;
@@ -158,19 +174,21 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   if (!(speed > 0)) return;
   const Vec2 u = {gradient[0] / speed, gradient[1] / speed};
   const auto [low, high] = range;
+  const auto [wide_low, wide_high] = WithNeighborhood(range, a[2], b[2], speed);
   const size_t before = hypotheses.size();
   int64_t count = 0;
-  double nearest = high, farthest = low;
+  double nearest = wide_high, farthest = wide_low;
   const bool wide = std::abs(u[0]) > std::abs(u[1]);
-  indexes_[neighbor].VisitCrossings(a, low, high, &crossed_, [&](int64_t s, double t) {
+  indexes_[neighbor].VisitCrossings(a, wide_low, wide_high, &crossed_, [&](int64_t s, double t) {
     const double sin = std::abs(Cross(u, view.tangent(s)));
     if (sin < p_.min_angle_sin || !LookAlike(sides0, view.sides(s))) return;
     const int k = wide ? 0 : 1;
     const double q = view.point(s)[k], at = q + t * (view.point(view.Next(s))[k] - q);
     const double rho = (at * a[2] - f * a[k]) / (f * b[k] - at * b[2]);
-    if (!(rho >= low && rho <= high)) return;
+    if (!(rho >= wide_low && rho <= wide_high)) return;
     ++count;
     nearest = std::min(nearest, rho), farthest = std::max(farthest, rho);
+    if (!(rho >= low && rho <= high)) return;
     constexpr double kSure = 0.1;  // nearer to the epipolar line the sign is noise
     // The direction from the source's centre to the neighbour's is that of -u.
     const double polarity = -Dot(view.normal(s), u);
@@ -187,7 +205,8 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   // What n crossings span is (n - 1) / (n + 1) of where they may be: the part of the range that
   // the neighbour sees. Half of them have the wrong polarity.
   const double span = (farthest - nearest) * double(count + 1) / std::max(double(count - 1), 0.1);
-  seen.density = 0.5 * double(count) / std::clamp(span, 0.05 * (high - low), high - low);
+  seen.density =
+      0.5 * double(count) / std::clamp(span, 0.05 * (wide_high - wide_low), wide_high - wide_low);
 }
 
 // What agrees with hypothesis u: of each neighbour the nearest hypothesis within reach, in agree_.
