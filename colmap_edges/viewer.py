@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import socket
@@ -26,8 +27,11 @@ from colmap_edges.report.tracks import views_per_edge
 
 APPLICATION = "colmap-edges"
 PORT = 9876  # rerun's own
+FLUSH_S = 60.0  # what a viewer may take to get the last of a run
 POINT_SIZE, LINE_WIDTH = 1.5, 1.0  # on the screen
 REMEDY = "run: pip install 'colmap-edges[rerun]'"
+
+logger = logging.getLogger(__name__)
 
 
 class Viewer:
@@ -154,7 +158,10 @@ def open_viewer(target: str, output: Path, overwrite: bool) -> Iterator[Viewer]:
     if target == "1":
         spawn(rerun, stream)
         yield RerunViewer(rerun, stream)
-        stream.flush()
+        try:
+            stream.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:  # someone closed it: no harm to the run
+            logger.warning("rerun's viewer has not got all: %s", error)
     else:
         # Kept in memory: rerun itself says nothing when a disk is full.
         recording = stream.binary_stream()

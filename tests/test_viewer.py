@@ -93,8 +93,9 @@ def flat(rows):
     return np.array(row, float)
 
 
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_viewer_that_listens_is_shown_the_run(rerun, scene_model, tmp_path, monkeypatch):
+@pytest.fixture
+def receiver(rerun, tmp_path, monkeypatch):
+    """The process of a viewer that saves what it is shown, at `tmp_path`/received.rrd."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -102,15 +103,34 @@ def test_viewer_that_listens_is_shown_the_run(rerun, scene_model, tmp_path, monk
     target = tmp_path / "received.rrd"
     command = [sys.executable, "-m", "rerun", "--save", str(target), "--port", str(port)]
     output = subprocess.DEVNULL
-    receiver = subprocess.Popen(command, stdout=output, stderr=output, start_new_session=True)
+    process = subprocess.Popen(command, stdout=output, stderr=output, start_new_session=True)
     try:
         wait_until(lambda: viewer.is_listening(port))
-        with open_viewer("1", NO_OUTPUT, False) as shown:
-            shown.show_model(scene_model)
-        wait_until(lambda: "/points" in paths_so_far(rerun, target))
+        yield process
     finally:
-        os.killpg(receiver.pid, signal.SIGKILL)  # it starts a process of its own
-        receiver.wait()
+        end(process)
+
+
+def end(process):
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)  # it has started a process of its own
+        process.wait()
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_viewer_that_listens_is_shown_the_run(rerun, receiver, scene_model, tmp_path):
+    with open_viewer("1", NO_OUTPUT, False) as shown:
+        shown.show_model(scene_model)
+    wait_until(lambda: "/points" in paths_so_far(rerun, tmp_path / "received.rrd"))
+
+
+def test_closing_the_viewer_ends_no_run(receiver, scene_model, caplog):
+    with open_viewer("1", NO_OUTPUT, False) as shown:
+        shown.show_model(scene_model)
+        end(receiver)
+        wait_until(lambda: not viewer.is_listening(viewer.PORT))
+        shown.show_model(scene_model)
+    assert "rerun's viewer has not got all" in caplog.text
 
 
 def paths_so_far(rerun, path):
