@@ -138,6 +138,7 @@ def run(
         progress: told of every step.
         scheduler: address of a dask.distributed scheduler whose workers share the work on images
             and views; threads of this process when not given.
+        viewer: is shown what the run makes.
 
     Returns:
         The report, as written to report.json.

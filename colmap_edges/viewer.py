@@ -21,7 +21,7 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.meshing import Mesh, current_umask
 from colmap_edges.model import Model, View
-from colmap_edges.report.pictures import ImagePicture
+from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.scene3d import bounds, pyramid_depth, up_direction
 from colmap_edges.report.tracks import views_per_edge
 

@@ -35,7 +35,7 @@ ROOMS = {
     "files and mesh": ("edge_io", "meshing", "overlay"),
     "report": (
         "diagnosis", "report", "report.contents", "report.charts", "report.page",
-        "report.pictures", "report.scene3d", "report.tracks",
+        "report.pictures", "report.scene3d", "report.tracks", "viewer",
     ),
     "run": ("pipeline",),
     "evaluation": (
@@ -51,7 +51,7 @@ ROOMS = {
 # Modules that may import a library that others must do without.
 LIBRARIES = {
     "pycolmap": ("model", "triangulation", "evaluation.poses"),
-    "cv2": ("detection", "images", "overlay", "report.pictures", "evaluation.pictures"),
+    "cv2": ("detection", "images", "overlay", "report.pictures", "viewer", "evaluation.pictures"),
     "networkx": ("matching",),
     "ezdxf": ("edge_io",),
     "plotly": ("report.page",),
@@ -59,6 +59,7 @@ LIBRARIES = {
     "click": ("flags", "cli"),
     "rich": ("cli",),
     "distributed": ("executors",),
+    "rerun": ("viewer",),
     "matplotlib": (),
 }
 
