@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import curves
+import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -308,8 +309,9 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
     for robust in (False, True):
         alone = pycolmap.Reconstruction(start)
         adjust(alone, poses=True, robust=robust)
-        # OpenCV 5.0's chains give 0.43, OpenCV 4.10's 0.59; by the noise's seed it is up to 0.60.
-        assert max(np.divide(after, pose_errors(alone, truth))) < 2 / 3
+        # OpenCV 5.0's chains give 0.43, OpenCV 4.10's 0.59.
+        limit = 1 / 2 if int(cv2.__version__.split(".")[0]) >= 5 else 2 / 3
+        assert max(np.divide(after, pose_errors(alone, truth))) < limit
 
 
 def test_true_poses_are_kept(demo_part):
