@@ -11,7 +11,6 @@ import hashlib
 import json
 import logging
 import os
-import tempfile
 import time
 from dataclasses import asdict, is_dataclass
 from functools import cache
@@ -19,6 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,18 +81,15 @@ class Cache:
         packed = BytesIO()
         np.savez(packed, allow_pickle=False, **arrays)
         path = self.path(kind, key)
+        unfinished = self.unfinished / uuid4().hex
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, name = tempfile.mkstemp(dir=self.unfinished)
-        except OSError as error:
-            return not_kept(path, error)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
+            with unfinished.open("xb") as file:
                 file.write(seal(kind, key, packed.getbuffer()))
                 file.write(packed.getbuffer())
-            Path(name).replace(path)
+            unfinished.replace(path)
         except OSError as error:
-            Path(name).unlink(missing_ok=True)
+            unfinished.unlink(missing_ok=True)
             return not_kept(path, error)
         return True
 
