@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import curves
-import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -291,9 +290,9 @@ def test_run_writes_refined_poses_and_leaves_the_input(scene, scene_paths, tmp_p
 
 @pytest.fixture(scope="module")
 def demo_part():
-    """The demo's true cameras of one arc, with their edge graphs."""
+    """Every other of the demo's true cameras, with their edge graphs."""
     truth = load_true_cameras(DEMO / "true_cameras.json")
-    names = [f"view{index:02d}.jpg" for index in range(11)]
+    names = [f"view{index:02d}.jpg" for index in range(0, 24, 2)]
     true = at_true_cameras(pycolmap.Reconstruction(DEMO / "sparse"), truth, names)
     options = PipelineOptions(refine_poses=True)
     graphs = detect_stage(model_from_reconstruction(true), DEMO / "images", options, Stages())
@@ -302,16 +301,17 @@ def demo_part():
 
 def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
     truth, true, graphs, options = demo_part
-    start = with_pose_noise(true, 0.2, 0)
-    refined, _ = edge_stages(model_from_reconstruction(start), graphs, options, Stages())
-    before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
-    assert max(np.divide(after, before)) < 0.8
+    remaining = []
+    for seed in range(3):
+        start = with_pose_noise(true, 0.2, seed)
+        refined, _ = edge_stages(model_from_reconstruction(start), graphs, options, Stages())
+        before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
+        assert max(np.divide(after, before)) < 0.8
+        remaining.append(after)
     for robust in (False, True):
         alone = pycolmap.Reconstruction(start)
         adjust(alone, poses=True, robust=robust)
-        # OpenCV 5.0's chains give 0.43, OpenCV 4.10's 0.59.
-        limit = 1 / 2 if int(cv2.__version__.split(".")[0]) >= 5 else 2 / 3
-        assert max(np.divide(after, pose_errors(alone, truth))) < limit
+        assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < 1 / 2
 
 
 def test_true_poses_are_kept(demo_part):
