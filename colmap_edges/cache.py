@@ -79,7 +79,7 @@ class Cache:
         The entry appears whole or not at all.
         """
         packed = BytesIO()
-        np.savez(packed, allow_pickle=False, **arrays)
+        np.savez(packed, **arrays)
         path = self.path(kind, key)
         unfinished = self.unfinished / uuid4().hex
         try:
