@@ -79,7 +79,7 @@ class Cache:
         The entry appears whole or not at all.
         """
         packed = BytesIO()
-        np.savez(packed, **arrays)
+        np.savez(packed, **arrays)  # type: ignore[arg-type]
         path = self.path(kind, key)
         unfinished = self.unfinished / uuid4().hex
         try:
