@@ -227,13 +227,8 @@ def mesh_points(
         num_threads=num_threads or os.cpu_count() or 1,
     )
     check_volume(stats, len(points))
-    return Mesh(
-        vertices=vertices,
-        faces=faces,
-        point3D_ids=sources[:, 0].astype(np.int64),
-        colors=np.zeros((len(vertices), 3), np.uint8),
-        stats=stats,
-    )
+    ids, black = sources[:, 0].astype(np.int64), np.zeros((len(vertices), 3), np.uint8)
+    return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
 
 
 def check_volume(stats: Mapping[str, float], num_points: int) -> None:

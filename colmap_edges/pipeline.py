@@ -136,8 +136,7 @@ def run(
         options: every stage's options.
         overwrite: replace an earlier output.
         progress: told of every step.
-        scheduler: address of a dask.distributed scheduler whose workers share the work on images
-            and views; threads of this process when not given.
+        scheduler: address of a dask.distributed scheduler whose workers share the work.
         viewer: is shown what the run makes.
 
     Returns:
@@ -168,9 +167,8 @@ def run(
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            contents = run_edges(
-                command, model, paths.image_path, folder, options, stages, workers, viewer
-            )
+            given = (paths.image_path, folder, options, stages, workers, viewer)
+            contents = run_edges(command, model, *given)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
