@@ -11,7 +11,7 @@ from colmap_edges.cross_check import lift
 from colmap_edges.edge_graph import offsets_of
 from colmap_edges.options import RefinementOptions
 from colmap_edges.refinement import Curves, refine_curves
-from colmap_edges.tracing import group_medians, row_medians
+from colmap_edges.sorting import group_medians, row_medians
 
 
 def curve_on(view, curve, *, shift_px=0.0, depth_factor=1.0):

@@ -1,0 +1,161 @@
+"""Samples with sure depths -> runs -> curves on the chains of one view (paper: following)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.chain_depths import ChainDepths
+from colmap_edges.csr import offsets_of
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import TracingOptions
+from colmap_edges.refinement import Curves
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def find_curves(
+    graph: EdgeGraph,
+    edge_view: _kernels.EdgeView,
+    covered: BoolArray,
+    depths: ChainDepths,
+    agreeing: NDArray[np.int32],
+    options: TracingOptions,
+) -> tuple[Curves, IntArray, int]:
+    """Curves on the chains of one view that are not covered yet.
+
+    Args:
+        graph: the view's edge graph of P points.
+        edge_view: the kernels' form of it.
+        covered: (P,) the points through which edges run already.
+        depths: depths of S samples on its chains.
+        agreeing: (S,) number of other views that found the same.
+        options: what makes a run, and the distance of edge points.
+
+    Returns:
+        The curves, (N,) the points of the graph that they run through, and how many samples are
+        in sure runs.
+    """
+    rows = np.flatnonzero(depths.found & (agreeing >= 1))
+    sizes, sure = sure_runs(link_samples(graph, depths, rows, options), agreeing[rows], options)
+    indices, inverse, runs = densify(graph, depths, rows, sizes, sure, options)
+    free = ~covered[indices]
+    indices, inverse, runs = indices[free], inverse[free], runs[free]
+    # A covered stretch ends a curve as the end of its run does.
+    broken = np.ones(len(indices), bool)
+    broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.point_spacing_px)
+    ids = np.cumsum(broken) - 1
+    long = np.bincount(ids, minlength=1)[ids] >= options.min_curve_points
+    indices, inverse, ids = indices[long], inverse[long], ids[long]
+    lengths = np.unique(ids, return_counts=True)[1]
+    tangent = _kernels.chain_points(edge_view, indices.astype(np.float64))[1]
+    normal = graph.normals[indices]
+    sides = np.where(tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0] >= 0, 1, -1)
+    curves = Curves(
+        ideal=graph.ideal[indices],
+        inverse_depths=inverse,
+        offsets=offsets_of(lengths),
+        sides=sides.astype(np.int8),
+    )
+    return curves, indices, int(sizes[sure].sum())
+
+
+def link_samples(
+    graph: EdgeGraph, depths: ChainDepths, rows: IntArray, options: TracingOptions
+) -> BoolArray:
+    """(n - 1,) whether sample rows[i] and rows[i + 1] belong to one curve.
+
+    They do when depth changes between them by less than a pixel of disparity a pixel of chain,
+    and no sample is missing, or at least two other views see both on one chain.
+    """
+    if len(rows) < 2:
+        return np.zeros(0, bool)
+    left, right = rows[:-1], rows[1:]
+    polylines = graph.polyline_ids[depths.samples[rows]]
+    steps = depths.samples[right] - depths.samples[left]
+    counts = np.diff(depths.support_offsets)
+    sigma = np.maximum(depths.sigmas[left], depths.sigmas[right]) * np.sqrt(counts[left])
+    change = np.abs(depths.inverse_depths[right] - depths.inverse_depths[left])
+    smooth = change <= options.max_disparity_gradient * steps * sigma
+    bridged = steps <= options.max_bridge_px
+    linked: BoolArray = (polylines[1:] == polylines[:-1]) & smooth
+    linked &= (right - left == 1) | bridged
+    return linked
+
+
+def densify(
+    graph: EdgeGraph,
+    depths: ChainDepths,
+    rows: IntArray,
+    sizes: IntArray,
+    sure: BoolArray,
+    options: TracingOptions,
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Points along the sure runs of samples, inverse depths linear between samples.
+
+    Args:
+        graph: of the view.
+        depths: of its samples.
+        rows: (n,) the samples of all runs, one run after the other.
+        sizes: (R,) samples of each run.
+        sure: (R,) whether the run is.
+        options: spacing of the points, and how far they go beyond a run's ends.
+
+    Returns:
+        (N,) points of the graph, (N,) inverse depths, (N,) run of each.
+    """
+    spacing = options.point_spacing_px
+    indices, inverse, ids = [], [], []
+    starts = offsets_of(sizes)
+    for run in np.flatnonzero(sure):
+        at = rows[starts[run] : starts[run + 1]]
+        polyline = graph.polyline_ids[depths.samples[at[0]]]
+        low = max(depths.samples[at[0]] - options.extension_px, graph.polyline_offsets[polyline])
+        high = min(
+            depths.samples[at[-1]] + options.extension_px, graph.polyline_offsets[polyline + 1] - 1
+        )
+        points = np.arange(low, high + 1, spacing)
+        indices.append(points)
+        inverse.append(extrapolate(points, depths.samples[at], depths.inverse_depths[at]))
+        ids.append(np.full(len(points), run))
+    if not indices:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
+    return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
+
+
+def sure_runs(
+    linked: BoolArray, agreeing: NDArray[np.int32], options: TracingOptions
+) -> tuple[IntArray, BoolArray]:
+    """Runs of linked samples that are long enough and confirmed by enough views.
+
+    Args:
+        linked: (n - 1,) whether a sample belongs with the one before.
+        agreeing: (n,) views that confirm each sample.
+        options: gives how many samples and views are enough.
+
+    Returns:
+        (R,) samples of each run, (R,) whether the run is kept.
+    """
+    if len(agreeing) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, bool)
+    runs = np.concatenate([[0], np.cumsum(~linked)])
+    sizes = np.bincount(runs)
+    sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
+    kept = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
+    return sizes, kept
+
+
+def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
+    """Values at `at`, linear between the known places and beyond the first and last two."""
+    result = np.interp(at, known, values)
+    before, after = at < known[0], at > known[-1]
+    first = (values[1] - values[0]) / (known[1] - known[0])
+    last = (values[-1] - values[-2]) / (known[-1] - known[-2])
+    result[before] = values[0] + first * (at[before] - known[0])
+    result[after] = values[-1] + last * (at[after] - known[-1])
+    if (result > 0).all():
+        return np.asarray(result, np.float64)
+    return np.where(result > 0, result, np.interp(at, known, values))

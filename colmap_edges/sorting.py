@@ -1,0 +1,285 @@
+"""Traced curves of all views -> edges and outlines; hidden, uncertain and chance ones dropped.
+
+(paper: Visibility refinement and outliers filtering)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from colmap_edges.csr import offsets_of, owners_of
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edges import Edges3D
+from colmap_edges.linking import link_edges
+from colmap_edges.model import Model, rows_by_view
+from colmap_edges.occlusion import find_hidden
+from colmap_edges.options import PipelineOptions, TracingOptions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+TESTS_PER_CURVE = 30  # depths that a chain could have had
+MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
+INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traced:
+    """Curves of one driver with their observations.
+
+    Attributes:
+        points: (N, 3) world points.
+        sigmas: (N,) standard deviation along the driver's ray, world units.
+        offsets: (E + 1,) CSR of the points by curve.
+        views: (K + 1,) view of each column of `positions`, the driver first.
+        positions: (N, K + 1) sparse positions on the views' chains, where they are observed.
+        uncertainties: (N,) the same standard deviation in pixels of the driver.
+        residuals: (N,) median distance to the chains that observe it, in pixels.
+        log_chances: (N,) log10 of the chance of as many observations.
+    """
+
+    points: FloatArray
+    sigmas: FloatArray
+    uncertainties: FloatArray
+    residuals: FloatArray
+    log_chances: FloatArray
+    offsets: IntArray
+    views: IntArray
+    positions: csr_array
+
+    @property
+    def num_observations(self) -> IntArray:
+        """(N,) number of observations of each point."""
+        return np.asarray(np.diff(self.positions.indptr), np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a piece of a curve may have at most: residual in pixels, log10 of its chance."""
+
+    residual_px: float
+    log_chance: float
+
+
+def sort_out(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    traced: list[Traced],
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Filter observations, points and pieces, link what is left to edges and outlines, and count.
+
+    Args:
+        model: the views, and SfM points, which hide edge points as these hide each other.
+        graphs: the edge graph of each view.
+        traced: the curves of every driver.
+        options: limits, and how pieces are linked.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The edges with their outlines, and counts of what was dropped by reason.
+    """
+    traced, hidden = without_hidden(model, traced, options.tracing, num_threads)
+    limits, sure, stats = find_limits(traced, options.tracing)
+    fixed, moving, start = [], [], 0
+    for each in traced:
+        end = start + len(each.points)
+        kept, scatters = sort_pieces(each, sure[start:end], limits, options.tracing)
+        fixed.append(kept)
+        moving.append(scatters)
+        start = end
+    pieces, outlines = make_edges(graphs, fixed), make_edges(graphs, moving)
+    edges = link_edges(pieces, options.linking)
+    if outlines.num_edges:
+        edges = replace(edges, outlines=link_edges(outlines, options.linking))
+    stats |= {
+        "observations_hidden": hidden,
+        "points_dropped_chance": int(sure.sum()) - pieces.num_points - outlines.num_points,
+        "points_of_curves": pieces.num_points + outlines.num_points,
+        "points_of_outlines": outlines.num_points,
+        "pieces": pieces.num_edges,
+        "edges_closed": int(edges.closed.sum()),
+        "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
+    }
+    return edges, stats
+
+
+def without_hidden(
+    model: Model, traced: list[Traced], options: TracingOptions, num_threads: int
+) -> tuple[list[Traced], int]:
+    """The curves without observations of points that nearer ones hide, and how many those are."""
+    if not traced or options.occlusion_radius_px == 0:
+        return traced, 0
+    owners = [owners_of(t.positions.indptr) for t in traced]
+    points = offsets_of(np.array([len(t.points) for t in traced]))
+    curves = offsets_of(np.array([len(t.offsets) - 1 for t in traced]))
+    hidden = find_hidden(
+        model,
+        np.concatenate([t.points for t in traced]),
+        np.concatenate([t.sigmas for t in traced]),
+        np.concatenate([owners_of(t.offsets) + curves[i] for i, t in enumerate(traced)]),
+        np.concatenate([own + points[i] for i, own in enumerate(owners)]),
+        np.concatenate([t.views[t.positions.indices] for t in traced]),
+        options.occlusion_radius_px,
+        num_threads,
+    )
+    parts = np.split(~hidden, np.cumsum([len(own) for own in owners])[:-1])
+    kept = [observed_at(*of) for of in zip(traced, owners, parts, strict=True)]
+    return kept, int(hidden.sum())
+
+
+def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
+    """The curves with those of their (T,) observations, of (T,) points, where `keep` is true."""
+    positions = traced.positions
+    counts = np.bincount(owners[keep], minlength=len(traced.points))
+    rest = (positions.data[keep], positions.indices[keep], offsets_of(counts))
+    return replace(traced, positions=csr_array(rest, shape=positions.shape))
+
+
+def find_limits(
+    traced: list[Traced], options: TracingOptions
+) -> tuple[Limits, BoolArray, dict[str, Any]]:
+    """What pieces may have, by the scene's own medians, and which points are good.
+
+    Args:
+        traced: the curves of all drivers, N points together.
+        options: how many observations are enough, and ratios to the medians.
+
+    Returns:
+        The limits of a piece; (N,) whether a point, in the order of `traced`, has observations
+        enough and is certain enough; and counts of points in and dropped by reason.
+    """
+    every = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
+    enough = every >= options.min_observations
+    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
+    sure = enough & (uncertain <= options.max_sigma_ratio * median_of(uncertain[enough]))
+    scatter = np.concatenate([np.zeros(0), *(t.residuals for t in traced)])
+    tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
+    limits = Limits(
+        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
+        log_chance=np.log10(options.max_false_edges / max(tests, 1)),
+    )
+    stats = {
+        "points_traced": len(every),
+        "points_observed_enough": int(enough.sum()),
+        "points_dropped_few_observations": int((~enough).sum()),
+        "points_dropped_uncertain": int((enough & ~sure).sum()),
+    }
+    return limits, sure, stats
+
+
+def median_of(values: FloatArray) -> float:
+    """The median; 0 of nothing."""
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def row_medians(values: FloatArray) -> FloatArray:
+    """(N,) median of the finite values in each row of (N, K), the lower of two; 0 of none."""
+    count = np.isfinite(values).sum(axis=1)
+    if values.shape[1] == 0:
+        return np.zeros(len(values))
+    middle = np.sort(values, axis=1)[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    return np.where(count > 0, middle, 0.0)
+
+
+def group_medians(values: FloatArray, groups: IntArray, count: int) -> FloatArray:
+    """(count,) median of the (N,) values of each group, the lower of two; groups ascend."""
+    ordered = values[np.lexsort((values, groups))]
+    sizes = np.bincount(groups, minlength=count)
+    medians: FloatArray = ordered[np.cumsum(sizes) - sizes + np.maximum(sizes - 1, 0) // 2]
+    return medians
+
+
+def sort_pieces(
+    traced: Traced, keep: BoolArray, limits: Limits, options: TracingOptions
+) -> tuple[Traced, Traced]:
+    """Split curves where points are dropped; short pieces and those that chance makes go with them.
+
+    Returns:
+        The pieces that are edges, and those that scatter around any fixed curve: what moves over a
+        body from view to view, as its outline and reflections do.
+    """
+    ids = owners_of(traced.offsets)
+    broken = np.ones(len(ids), bool)
+    broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
+    pieces = np.cumsum(broken) - 1
+    sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
+    # Points nearer to each other than that are not independent evidence.
+    share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
+    logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
+    good = (sizes >= options.min_curve_points) & (logs <= limits.log_chance)
+    fixed = group_medians(traced.residuals, pieces, len(sizes)) <= limits.residual_px
+    return (
+        chosen(traced, pieces, keep & (good & fixed)[pieces]),
+        chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
+    )
+
+
+def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
+    """The points where `keep` is true, as curves of their (N,) pieces."""
+    lengths = np.unique(pieces[keep], return_counts=True)[1]
+    return Traced(
+        points=traced.points[keep],
+        sigmas=traced.sigmas[keep],
+        uncertainties=traced.uncertainties[keep],
+        residuals=traced.residuals[keep],
+        log_chances=traced.log_chances[keep],
+        offsets=offsets_of(lengths),
+        views=traced.views,
+        positions=traced.positions[keep],
+    )
+
+
+def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
+    """Put the curves of all drivers together as 3D edges with tracks."""
+    points, sigmas, lengths, track_lengths, track_views, positions = [], [], [], [], [], []
+    for part in parts:
+        points.append(part.points)
+        sigmas.append(part.sigmas)
+        lengths.append(np.diff(part.offsets))
+        track_lengths.append(part.num_observations)
+        track_views.append(part.views[part.positions.indices])
+        positions.append(part.positions.data)
+    views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
+    num_edges = int(sum(len(length) for length in lengths))
+    return Edges3D(
+        points=np.concatenate([np.zeros((0, 3)), *points]),
+        edge_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *lengths])),
+        closed=np.zeros(num_edges, bool),
+        track_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths])),
+        track_views=views,
+        track_points2D=observed_pixels(graphs, views, np.concatenate([np.zeros(0), *positions])),
+        sigmas=np.concatenate([np.zeros(0), *sigmas]),
+        end_nodes=np.full((num_edges, 2), -1, np.int32),
+    )
+
+
+def observed_pixels(
+    graphs: Sequence[EdgeGraph], track_views: NDArray[np.int32], positions: FloatArray
+) -> FloatArray:
+    """(T, 2) image pixels of observations at (T,) positions on the chains of (T,) views."""
+    pixels = np.zeros((len(positions), 2))
+    for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
+        if len(rows):
+            pixels[rows] = image_points(graphs[view], positions[rows])
+    return pixels
+
+
+def image_points(graph: EdgeGraph, positions: FloatArray) -> FloatArray:
+    """(N, 2) image pixels at fractional positions on the chains of a graph."""
+    low = positions.astype(np.int64)
+    polyline = graph.polyline_ids[low]
+    last = graph.polyline_offsets[polyline + 1] - 1
+    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
+    high = np.where(low < last, low + 1, wrapped)
+    weight = (positions - low)[:, None]
+    points: FloatArray = (1 - weight) * graph.points[low] + weight * graph.points[high]
+    return points
