@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
+from colmap_edges.output import write_whole
 
 if TYPE_CHECKING:
     from colmap_edges.edges import Edges3D
@@ -333,18 +333,4 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
         mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False, validate=False
     ).export(file_type=path.suffix.lower()[1:])
     data = exported.encode() if isinstance(exported, str) else exported
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(data)
-        temporary.chmod(0o666 & ~current_umask())
-        temporary.replace(path)
-    except OSError as error:
-        raise ColmapEdgesError(f"cannot write the mesh to {path}: {error}") from error
-
-
-def current_umask() -> int:
-    """The process's umask, which can only be read by setting it."""
-    umask = os.umask(0o022)
-    os.umask(umask)
-    return umask
+    write_whole(path, data, "mesh")

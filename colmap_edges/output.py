@@ -1,10 +1,11 @@
-"""Output folders that appear whole or not at all."""
+"""Output folders and files that appear whole or not at all."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -119,3 +120,35 @@ def replace(output: Path, partial: Path, previous: Path) -> None:
         output.rename(previous)
     partial.rename(output)
     shutil.rmtree(previous, ignore_errors=True)
+
+
+def write_whole(path: Path, data: bytes, what: str) -> None:
+    """Write the whole file or none.
+
+    Args:
+        path: the file.
+        data: all of it.
+        what: names it in errors.
+
+    Raises:
+        ColmapEdgesError: when it cannot be written.
+    """
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", delete=False) as file:
+            temporary = Path(file.name)
+            file.write(data)
+        temporary.chmod(0o666 & ~current_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise ColmapEdgesError(f"cannot write the {what} to {path}: {error}") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def current_umask() -> int:
+    """The process's umask, which can only be read by setting it."""
+    umask = os.umask(0o022)
+    os.umask(umask)
+    return umask

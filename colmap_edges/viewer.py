@@ -7,7 +7,6 @@ import os
 import shutil
 import socket
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,10 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.edge_io import polyline_indices
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.meshing import Mesh, current_umask
+from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model, View
+from colmap_edges.output import write_whole
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.scene3d import bounds, pyramid_depth, up_direction
 from colmap_edges.report.tracks import views_per_edge
@@ -166,7 +167,7 @@ def open_viewer(target: str, output: Path, overwrite: bool) -> Iterator[Viewer]:
         # Kept in memory: rerun itself says nothing when a disk is full.
         recording = stream.binary_stream()
         yield RerunViewer(rerun, stream)
-        write_whole(Path(target), recording.read())
+        write_whole(Path(target), recording.read(), "recording")
 
 
 def load_rerun() -> Any:
@@ -229,26 +230,6 @@ def check_recording_path(path: Path, output: Path, overwrite: bool) -> None:
         raise ColmapEdgesError(f"{path} is there already; choose another or add --overwrite")
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write the whole file or none.
-
-    Raises:
-        ColmapEdgesError: when it cannot be written.
-    """
-    temporary = None
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", delete=False) as file:
-            temporary = Path(file.name)
-            file.write(data)
-        temporary.chmod(0o666 & ~current_umask())
-        temporary.replace(path)
-    except OSError as error:
-        raise ColmapEdgesError(f"cannot write the recording to {path}: {error}") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-
-
 def up_axis(model: Model) -> str:
     """Rerun's name of the world's axis that is nearest to upwards."""
     up = up_direction(model)
@@ -258,11 +239,7 @@ def up_axis(model: Model) -> str:
 
 def strips(edges: Edges3D) -> list[NDArray[np.float64]]:
     """The points of each edge, the first again at the end of closed ones."""
-    offsets = edges.edge_offsets
-    return [
-        edges.points[[*range(first, last), first]] if closed else edges.points[first:last]
-        for first, last, closed in zip(offsets[:-1], offsets[1:], edges.closed, strict=True)
-    ]
+    return [edges.points[indices] for indices in polyline_indices(edges)]
 
 
 def colors_of(counts: NDArray[np.int64]) -> NDArray[np.uint8]:
