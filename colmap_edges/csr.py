@@ -24,8 +24,7 @@ def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
     """Indices of the entries of the chosen (m,) rows of (n + 1,) offsets, in the rows' order."""
     starts = offsets[rows]
     lengths = offsets[rows + 1] - starts
-    first = starts - np.cumsum(lengths) + lengths
-    entries: IntArray = np.arange(lengths.sum()) + np.repeat(first, lengths)
+    entries: IntArray = np.repeat(starts, lengths) + ranks_of(lengths)
     return entries
 
 

@@ -22,7 +22,7 @@ from colmap_edges.chain_depths import (
     make_edge_view,
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
-from colmap_edges.csr import offsets_of
+from colmap_edges.csr import offsets_of, ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.executors import Call, Workers, local_workers, run_all, run_scheduled
@@ -345,5 +345,4 @@ def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
         low = np.maximum(at - reach, offsets[polyline])
         high = np.minimum(at + reach + 1, offsets[polyline + 1])
         lengths = high - low
-        first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
-        scene.covered[view][first + np.arange(len(first))] = True
+        scene.covered[view][np.repeat(low, lengths) + ranks_of(lengths)] = True

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.csr import ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
@@ -90,8 +91,7 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     first, last = graph.polyline_offsets[:-1], graph.polyline_offsets[1:]
     counts = -(-(last - first) // step) + 1  # each step's first point, then the end
     ends = np.cumsum(counts)
-    rank = np.arange(counts.sum()) - np.repeat(ends - counts, counts)
-    index = np.repeat(first, counts) + step * rank
+    index = np.repeat(first, counts) + step * ranks_of(counts)
     index[ends - 1] = np.where(graph.closed, first, last - 1)
     return np.split(graph.points[index], ends[:-1]) if len(ends) else []
 
