@@ -156,10 +156,7 @@ def run(
         new_folder(paths.output_path) as folder,
     ):
         stages = Stages(progress)
-        with stages.stage("read") as stage:
-            model = load_model(paths.input_path)
-            check_model(model, str(paths.input_path))
-            stage.counts = model_counts(model)
+        model = read_stage(paths.input_path, stages)
         viewer.show_model(model)
         if command == "mesh" and not options.use_edges:
             mesh = mesh_stage(model, None, model, folder, options, stages)
@@ -167,8 +164,9 @@ def run(
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            given = (paths.image_path, folder, options, stages, workers, viewer)
-            contents = run_edges(command, model, *given)
+            contents = run_edges(
+                command, model, paths.image_path, folder, options, stages, workers, viewer
+            )
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
@@ -176,6 +174,19 @@ def run(
         text = json.dumps(report, indent=2, default=str) + "\n"
         (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     return report
+
+
+def read_stage(input_path: Path, stages: Stages) -> Model:
+    """Read the model.
+
+    Raises:
+        ColmapEdgesError: when it cannot be read or has fewer than two posed images.
+    """
+    with stages.stage("read") as stage:
+        model = load_model(input_path)
+        check_model(model, str(input_path))
+        stage.counts = model_counts(model)
+    return model
 
 
 def run_edges(
