@@ -62,7 +62,8 @@ class Linearization:
     Attributes:
         residuals: signed distance across the chain in pixels; NaN where not observed.
         slopes: change of the residual with inverse depth.
-        across: change of the residual with a shift of the driver's pixel across its chain.
+        across: change of the residual with a shift of the driver's pixel along given directions;
+            NaN without any.
         speeds: change of the projection with inverse depth in pixels, along and across.
     """
 
@@ -129,11 +130,20 @@ def linearize(
     views: list[View],
     edge_views: list[_kernels.EdgeView],
     positions: FloatArray,
+    directions: FloatArray | None = None,
 ) -> Linearization:
-    """Residuals across the observed chains and their slopes at the present depths."""
+    """Residuals across the observed chains and their slopes at the present depths.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points.
+        views: the K views.
+        edge_views: their chains.
+        positions: (N, K) positions on the chains that observe the points; NaN where none.
+        directions: (N, 2) unit directions in the driver's image in which points may move, if any.
+    """
     shape = positions.shape
     residuals, slopes, across, speeds = (np.full(shape, np.nan) for _ in range(4))
-    shifts = np.column_stack([curves.normals / driver.focal_px, np.zeros(len(curves.ideal))])
     rays = np.column_stack([curves.ideal / driver.focal_px, np.ones(len(curves.ideal))])
     for k, (view, edge_view) in enumerate(zip(views, edge_views, strict=True)):
         rows = np.flatnonzero(np.isfinite(positions[:, k]))
@@ -145,13 +155,14 @@ def linearize(
         depth = local[:, 2:]
         projected = view.focal_px * local[:, :2] / depth
         moving = (view.focal_px * translation[:2] - projected * translation[2]) / depth
-        turned = shifts[rows] @ rotation.T
-        shifted = (view.focal_px * turned[:, :2] - projected * turned[:, 2:]) / depth
         at, tangent = _kernels.chain_points(edge_view, np.ascontiguousarray(positions[rows, k]))
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
         residuals[rows, k] = np.einsum("ij,ij->i", projected - at, normal)
         slopes[rows, k] = np.einsum("ij,ij->i", moving, normal)
-        across[rows, k] = np.einsum("ij,ij->i", shifted, normal)
+        if directions is not None:
+            turned = directions[rows] / driver.focal_px @ rotation[:, :2].T
+            shifted = (view.focal_px * turned[:, :2] - projected * turned[:, 2:]) / depth
+            across[rows, k] = np.einsum("ij,ij->i", shifted, normal)
         speeds[rows, k] = np.linalg.norm(moving, axis=1)
     return Linearization(residuals=residuals, slopes=slopes, across=across, speeds=speeds)
 
@@ -269,9 +280,10 @@ def refine_curves(
             changes = depth_step(curves, linear, options)
             curves = replace_depths(curves, curves.inverse_depths + changes)
     # Once more, now that observations are sure: earlier, wrong ones would pull points away.
-    linear = linearize(driver, curves, views, edge_views, positions)
+    normals = curves.normals
+    linear = linearize(driver, curves, views, edge_views, positions, normals)
     changes, shifts = joint_step(curves, linear, options)
-    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * curves.normals)
+    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
     positions = associate(
         driver,
