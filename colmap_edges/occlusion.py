@@ -19,6 +19,7 @@ BoolArray = NDArray[np.bool_]
 MAX_SLOPE = 3.0  # tangent of the angle between surface and image plane that neighbours may span
 MIN_GAP = 0.002  # share of the depth by which nothing is told to be nearer
 MARGIN_SIGMAS = 3.0  # what a point's depth may be wrong by
+FARTHEST_PX = 1e6  # from the principal point; no image shows what is there
 NEARER_SHARE = 0.5  # nearer neighbours for each at the same depth from which a point is hidden
 
 
@@ -74,10 +75,11 @@ def count_around(
 ) -> tuple[IntArray, IntArray]:
     """How many neighbours of each of (N, 3) points in an image are nearer, and as far as it is.
 
-    Points behind the camera have no neighbours and are none.
+    Points behind the camera or beside it have no neighbours and are none.
     """
     ideal, depths = view.project_ideal(points)
-    ahead = np.flatnonzero((depths > 0) & np.isfinite(ideal).all(axis=1))
+    with np.errstate(invalid="ignore"):
+        ahead = np.flatnonzero((depths > 0) & (np.abs(ideal) < FARTHEST_PX).all(axis=1))
     counts = _kernels.count_around(
         ideal[ahead],
         depths[ahead],

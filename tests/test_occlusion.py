@@ -121,6 +121,14 @@ def test_points_behind_the_camera_neither_hide_nor_are_hidden():
     assert not hidden.any()
 
 
+@pytest.mark.parametrize("depth", [1e-300, 1e-14, 1e-7])
+def test_points_beside_the_camera_neither_hide_nor_are_hidden(depth):
+    views = known.row(2, step=0.1)
+    beside = np.array([[1.0, 0.5, depth - 5.0], [1.0, 0.5, np.nextafter(-5.0, 0.0)]])
+    points = np.concatenate([lattice(0.0), beside])
+    assert not hidden_points(known.model_of(views, beside), points).any()
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_scale_does_not_matter(scale):
     points = np.concatenate([lattice(0.0), lattice(1.0, step=0.1, half=0.2)])
