@@ -204,7 +204,7 @@ class TracingOptions(Options):
         8.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )
     max_residual_ratio: float = option(
-        1.5, "Largest scatter of a 3D edge's observations around it, in medians of all", gt=1
+        1.5, "Largest median residual of a 3D edge's observations, in medians of all", gt=1
     )
     max_false_edges: float = option(
         0.1, "Number of 3D edges that chance may make in the whole scene", gt=0
