@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <utility>
@@ -26,33 +27,56 @@ struct Crowd {
 // The points of an image by square cells, those of a row of cells side by side.
 class PointCells {
  public:
-  PointCells(const std::vector<SeenPoint>& points, double size) : size_(size) {
-    for (size_t i = 0; i < points.size(); ++i) {
-      cells_.push_back({{Cell(points[i].pixel.y), Cell(points[i].pixel.x)}, int64_t(i)});
-    }
-    std::sort(cells_.begin(), cells_.end());
-  }
+  struct Range {
+    int64_t begin, end;  // of the points in order
+  };
 
-  // Calls visit(j) for the points in the cell of x and the eight around it.
-  template <typename Visit>
-  void VisitNear(const Vec2& x, const Visit& visit) const {
-    for (int64_t row = Cell(x.y) - 1; row <= Cell(x.y) + 1; ++row) {
-      const Entry first = {{row, Cell(x.x) - 1}, -1};
-      auto it = std::lower_bound(cells_.begin(), cells_.end(), first);
-      for (; it != cells_.end() && it->first.first == row; ++it) {
-        if (it->first.second > Cell(x.x) + 1) break;
-        visit(it->second);
+  // No pixel may be farther than 1e9 cells away.
+  PointCells(const std::vector<SeenPoint>& points, double size) : order_(points.size()) {
+    std::vector<std::pair<int64_t, int64_t>> sorted(points.size());
+    for (size_t i = 0; i < points.size(); ++i) {
+      const double row = std::floor(points[i].pixel.y / size);
+      sorted[i] = {int64_t(row) * kRow + int64_t(std::floor(points[i].pixel.x / size)), int64_t(i)};
+    }
+    std::sort(sorted.begin(), sorted.end());
+    points_.reserve(points.size());
+    for (size_t k = 0; k < sorted.size(); ++k) {
+      order_[k] = sorted[k].second;
+      points_.push_back(points[order_[k]]);
+      if (cells_.empty() || cells_.back() != sorted[k].first) {
+        cells_.push_back(sorted[k].first), starts_.push_back(int64_t(k));
       }
     }
+    starts_.push_back(int64_t(points.size()));
   }
 
+  int64_t num_cells() const { return int64_t(cells_.size()); }
+  Range InCell(int64_t cell) const { return {starts_[cell], starts_[cell + 1]}; }
+
+  // The points in a cell and the eight around it, a row each.
+  std::array<Range, 3> Around(int64_t cell) const {
+    std::array<Range, 3> ranges;
+    for (int64_t k = 0; k < 3; ++k) {
+      const int64_t beside = cells_[cell] + (k - 1) * kRow;
+      ranges[k] = {Start(beside - 1), Start(beside + 2)};
+    }
+    return ranges;
+  }
+
+  const SeenPoint& point(int64_t k) const { return points_[k]; }  // in order
+  int64_t index(int64_t k) const { return order_[k]; }            // as they were given
+
  private:
-  using Entry = std::pair<std::pair<int64_t, int64_t>, int64_t>;
+  static constexpr int64_t kRow = int64_t(1) << 32;  // cells by row, in a row by column
 
-  int64_t Cell(double coordinate) const { return int64_t(std::floor(coordinate / size_)); }
+  // The first point of this cell or those after it.
+  int64_t Start(int64_t cell) const {
+    return starts_[std::lower_bound(cells_.begin(), cells_.end(), cell) - cells_.begin()];
+  }
 
-  double size_;
-  std::vector<Entry> cells_;
+  std::vector<SeenPoint> points_;
+  std::vector<int64_t> order_;
+  std::vector<int64_t> cells_, starts_;  // cells that hold any points, ascending, and their first
 };
 
 // How many points of other curves within `radius_px` of each are nearer to the camera than one
@@ -60,20 +84,27 @@ class PointCells {
 // itself a pixel.
 inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px, double slope,
                          int num_threads) {
-  const int64_t count = int64_t(points.size());
   const PointCells cells(points, radius_px);
-  Crowd crowd{std::vector<int32_t>(count), std::vector<int32_t>(count)};
-  ParallelBlocks(count, num_threads, 1024, [&](int64_t i) {
-    const SeenPoint& own = points[i];
-    cells.VisitNear(own.pixel, [&](int64_t j) {
-      const SeenPoint& other = points[j];
-      const double distance = Norm(other.pixel - own.pixel);
-      if (distance > radius_px || other.curve == own.curve) return;
-      const double gap = own.depth - other.depth;
-      const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
-      crowd.nearer[i] += gap > limit;
-      crowd.agreeing[i] += std::abs(gap) <= limit;
-    });
+  Crowd crowd{std::vector<int32_t>(points.size()), std::vector<int32_t>(points.size())};
+  ParallelBlocks(cells.num_cells(), num_threads, 64, [&](int64_t cell) {
+    const auto around = cells.Around(cell);
+    for (int64_t k = cells.InCell(cell).begin; k < cells.InCell(cell).end; ++k) {
+      const SeenPoint& own = cells.point(k);
+      int32_t nearer = 0, agreeing = 0;
+      for (const PointCells::Range& range : around) {
+        for (int64_t j = range.begin; j < range.end; ++j) {
+          const SeenPoint& other = cells.point(j);
+          if (other.curve == own.curve) continue;
+          const double distance = Norm(other.pixel - own.pixel);
+          if (distance > radius_px) continue;
+          const double gap = own.depth - other.depth;
+          const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
+          nearer += gap > limit;
+          agreeing += std::abs(gap) <= limit;
+        }
+      }
+      crowd.nearer[cells.index(k)] = nearer, crowd.agreeing[cells.index(k)] = agreeing;
+    }
   });
   return crowd;
 }
