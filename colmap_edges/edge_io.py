@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,14 @@ property int vertex1
 property int vertex2
 end_header
 """
+GLB_HEAD = struct.Struct("<4sII")  # magic, version, length of all
+GLB_CHUNK = struct.Struct("<I4s")  # length, kind
+# Groups of a code and its value, a line each.
+DXF_START = "0\nSECTION\n2\nENTITIES\n"
+DXF_POLYLINE = "0\nPOLYLINE\n8\nEDGES\n66\n1\n70\n{}\n"  # 70: 8 is 3D, 1 closed
+DXF_VERTEX = "0\nVERTEX\n8\nEDGES\n70\n32\n10\n{}\n20\n{}\n30\n{}\n"
+DXF_END_OF_POLYLINE = "0\nSEQEND\n"
+DXF_END = "0\nENDSEC\n0\nEOF\n"
 
 
 def edge_segments(edges: Edges3D) -> NDArray[np.int32]:
@@ -95,29 +104,70 @@ def write_glb(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
         colors: (N, 3) uint8 RGB of the points.
         path: file to write.
     """
-    from trimesh import Scene
-    from trimesh.path import Path3D
-    from trimesh.path.entities import Line
-
     if edges.num_edges == 0:
         return
-    lines = []
-    for indices in polyline_indices(edges):
-        mean = np.rint(colors[indices].mean(axis=0)).astype(np.uint8)
-        lines.append(Line(indices, color=np.append(mean, 255).astype(np.uint8)))
-    drawing = Path3D(entities=lines, vertices=edges.points, process=False)
-    path.write_bytes(Scene({"edges": drawing}).export(file_type="glb"))
+    ids, segments = edges.edge_ids, edge_segments(edges)
+    sums = np.column_stack([np.bincount(ids, channel, edges.num_edges) for channel in colors.T])
+    rgba = np.full((edges.num_edges, 4), 255, np.uint8)
+    rgba[:, :3] = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None])
+    corners = edges.points.astype("<f4")[segments.ravel()]
+    shades = np.repeat(rgba[ids[segments[:, 0]]], 2, axis=0)
+    head = json.dumps(glb_document(corners, shades), separators=(",", ":")).encode()
+    head += b" " * (-len(head) % 4)
+    body = corners.tobytes() + shades.tobytes()
+    length = GLB_HEAD.size + 2 * GLB_CHUNK.size + len(head) + len(body)
+    chunks = [GLB_CHUNK.pack(len(head), b"JSON"), head, GLB_CHUNK.pack(len(body), b"BIN\0"), body]
+    path.write_bytes(GLB_HEAD.pack(b"glTF", 2, length) + b"".join(chunks))
+
+
+def glb_document(corners: NDArray[np.float32], shades: NDArray[np.uint8]) -> dict[str, Any]:
+    """What a glTF says of (2S, 3) ends of lines and their (2S, 4) RGBA, which follow it."""
+    sizes = (corners.nbytes, shades.nbytes)
+    positions = {
+        "bufferView": 0,
+        "componentType": 5126,  # float32
+        "type": "VEC3",
+        "count": len(corners),
+        "min": corners.min(axis=0).tolist(),
+        "max": corners.max(axis=0).tolist(),
+    }
+    colors = {
+        "bufferView": 1,
+        "componentType": 5121,  # unsigned byte
+        "normalized": True,
+        "type": "VEC4",
+        "count": len(shades),
+    }
+    lines = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "mode": 1, "material": 0}
+    plain = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
+    return {
+        "asset": {"version": "2.0", "generator": "colmap-edges"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "edges", "mesh": 0}],
+        "meshes": [{"name": "edges", "primitives": [lines]}],
+        "materials": [{"pbrMetallicRoughness": plain}],
+        "accessors": [positions, colors],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": sizes[0]},
+            {"buffer": 0, "byteOffset": sizes[0], "byteLength": sizes[1]},
+        ],
+        "buffers": [{"byteLength": sum(sizes)}],
+    }
 
 
 def write_dxf(edges: Edges3D, path: Path) -> None:
     """Write a DXF (R12, which every CAD program reads) with one 3D polyline an edge."""
-    from ezdxf.addons.r12writer import r12writer
-
-    with path.open("w", encoding="ascii") as file, r12writer(file) as drawing:
-        for indices in polyline_indices(edges):
-            closed = len(indices) > 1 and indices[0] == indices[-1]
-            points = edges.points[indices[:-1] if closed else indices].tolist()
-            drawing.add_polyline(points, layer="EDGES", closed=bool(closed))
+    bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
+    points = edges.points.tolist()
+    with path.open("w", encoding="ascii") as file:
+        file.write(DXF_START)
+        for first, last, closed in bounds:
+            file.write(DXF_POLYLINE.format(8 + closed))
+            for x, y, z in points[first:last]:
+                file.write(DXF_VERTEX.format(round(x, 6), round(y, 6), round(z, 6)))
+            file.write(DXF_END_OF_POLYLINE)
+        file.write(DXF_END)
 
 
 def write_json(

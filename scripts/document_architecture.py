@@ -53,7 +53,6 @@ LIBRARIES = {
     "pycolmap": ("model", "triangulation", "evaluation.poses"),
     "cv2": ("detection", "images", "overlay", "report.pictures", "viewer", "evaluation.pictures"),
     "networkx": ("matching",),
-    "ezdxf": ("edge_io",),
     "plotly": ("report.page",),
     "pymeshlab": ("meshing", "evaluation.clouds"),
     "click": ("flags", "cli"),
