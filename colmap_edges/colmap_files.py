@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.csr import owners_of, ranks_of
+from colmap_edges.csr import order_of, ranks_of
 from colmap_edges.errors import ColmapEdgesError
 
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
@@ -277,7 +277,7 @@ def append_points2D(path: Path, points: NewPoints) -> NDArray[np.int64]:
     data = path.read_bytes()
     owners = np.repeat(points.ids, np.diff(points.track_offsets))
     indices = np.empty(len(owners), np.int64)
-    order = np.argsort(points.track_image_ids, kind="stable")
+    order = order_of(points.track_image_ids, int(points.track_image_ids.max(initial=0)) + 1)
     sorted_ids = points.track_image_ids[order]
     with path.open("wb") as file:
         file.write(data[: COUNT.size])
@@ -302,13 +302,12 @@ def append_points3D(path: Path, points: NewPoints, point2D_indices: NDArray[np.i
     heads["error"], heads["track_length"] = points.errors, np.diff(points.track_offsets)
     elements = np.empty(len(point2D_indices), TRACK_ELEMENT)
     elements["image_id"], elements["point2D_idx"] = points.track_image_ids, point2D_indices
-    head, element = POINT3D.itemsize, TRACK_ELEMENT.itemsize
-    raw = np.empty(len(heads) * head + len(elements) * element, np.uint8)
-    starts = np.arange(len(heads)) * head + points.track_offsets[:-1] * element
-    raw[starts[:, None] + np.arange(head)] = heads.view(np.uint8).reshape(-1, head)
-    owners = owners_of(points.track_offsets)
-    at = (owners + 1) * head + np.arange(len(elements)) * element
-    raw[at[:, None] + np.arange(element)] = elements.view(np.uint8).reshape(-1, element)
+    # A head, its track, the next head: parts of so many bytes in turn.
+    parts = np.full((len(heads), 2), POINT3D.itemsize)
+    parts[:, 1] = np.diff(points.track_offsets) * TRACK_ELEMENT.itemsize
+    of_head = np.repeat(np.tile([True, False], len(heads)), parts.ravel())
+    raw = np.empty(len(of_head), np.uint8)
+    raw[of_head], raw[~of_head] = heads.view(np.uint8), elements.view(np.uint8)
     with path.open("r+b") as file:
         count = COUNT.unpack(file.read(COUNT.size))[0]
         file.seek(0)

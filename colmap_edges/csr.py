@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,15 @@ def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
     offsets = np.zeros(len(lengths) + 1, np.int64)
     np.cumsum(lengths, out=offsets[1:])
     return offsets
+
+
+def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:
+    """(n,) the stable order of (n,) integers from 0 to below `limit`.
+
+    Those that fit 16 bits numpy sorts by their digits, ten times as fast as others.
+    """
+    fits = limit <= np.iinfo(np.uint16).max + 1
+    return np.argsort(keys.astype(np.uint16) if fits else keys, kind="stable")
 
 
 def owners_of(offsets: IntArray) -> IntArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, View, views_with_rows
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
@@ -153,23 +154,11 @@ def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.
     for view, rows in views_with_rows(model.views, edges.track_views):
         if len(rows):
             image = read_image(view, image_path)
-            np.add.at(sums, owners[rows], bilinear(image, edges.track_points2D[rows] - 0.5))
+            values = _kernels.bilinear(image, edges.track_points2D[rows] - 0.5)
+            np.add.at(sums, owners[rows], values)
     counts = np.maximum(np.diff(edges.track_offsets), 1)
     colors: NDArray[np.uint8] = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
     return colors
-
-
-def bilinear(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values (N, C) of `image` (H, W, C) at `points` (N, 2), centre of first pixel (0, 0)."""
-    limits = np.array(image.shape[1::-1]) - 1
-    clipped = np.clip(points, 0, limits)
-    low = np.minimum(clipped.astype(np.int64), np.maximum(limits - 1, 0))
-    high = np.minimum(low + 1, limits)
-    fx, fy = (clipped - low).T[:, :, None]
-    top = image[low[:, 1], low[:, 0]] * (1 - fx) + image[low[:, 1], high[:, 0]] * fx
-    bottom = image[high[:, 1], low[:, 0]] * (1 - fx) + image[high[:, 1], high[:, 0]] * fx
-    values: NDArray[np.float64] = top * (1 - fy) + bottom * fy
-    return values
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from colmap_edges.colmap_files import (
     check_model_files,
     check_text_files,
 )
-from colmap_edges.csr import offsets_of, owners_of
+from colmap_edges.csr import offsets_of, order_of, owners_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -255,7 +255,7 @@ def tracks_by_point(
 
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:
     """Of each view the rows, ascending, of the (T,) views of observations that are its own."""
-    order = np.argsort(track_views, kind="stable")
+    order = order_of(track_views, num_views)
     return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
 
 
@@ -327,6 +327,7 @@ def write_model(
     path: Path | str,
     output_type: str = "BIN",
     colors: NDArray[np.uint8] | None = None,
+    residuals: FloatArray | None = None,
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
 
@@ -339,13 +340,14 @@ def write_model(
         path: folder to write to; made when missing.
         output_type: BIN or TXT.
         colors: (N, 3) uint8 RGB of the edge points; black when not given.
+        residuals: (T,) those of `observation_residuals`, where they are known already.
 
     Returns:
         (N,) ids of the edge points in the written model.
     """
     path = Path(path)
     path.mkdir(exist_ok=True)
-    points = new_points(model, edges, colors)
+    points = new_points(model, edges, colors, residuals)
     try:
         if output_type == "BIN":
             model.reconstruction.write_binary(str(path))
@@ -368,14 +370,17 @@ def write_text(reconstruction: Any, path: Path) -> None:
 
 
 def extend_reconstruction(
-    model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None = None
+    model: Model,
+    edges: Edges3D,
+    colors: NDArray[np.uint8] | None = None,
+    residuals: FloatArray | None = None,
 ) -> tuple[Any, IntArray]:
     """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
 
     Returns:
         The reconstruction and the (N,) ids of the edge points in it.
     """
-    points = new_points(model, edges, colors)
+    points = new_points(model, edges, colors, residuals)
     return with_points(model.reconstruction, points), points.ids
 
 
@@ -388,12 +393,18 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
         return pycolmap.Reconstruction(folder)
 
 
-def new_points(model: Model, edges: Edges3D, colors: NDArray[np.uint8] | None) -> NewPoints:
+def new_points(
+    model: Model,
+    edges: Edges3D,
+    colors: NDArray[np.uint8] | None,
+    residuals: FloatArray | None,
+) -> NewPoints:
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
+    if residuals is None:
+        residuals = observation_residuals(model, edges)
     first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
     lengths = np.diff(edges.track_offsets)
-    owners = edges.track_points
-    sums = np.bincount(owners, observation_residuals(model, edges), edges.num_points)
+    sums = np.bincount(edges.track_points, residuals, edges.num_points)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     return NewPoints(
         ids=first_id + np.arange(edges.num_points, dtype=np.int64),

@@ -254,12 +254,13 @@ def reconstruct(
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         graphs = detect_stage(model, image_path, options, stages, None, workers)
         model, edges = edge_stages(model, graphs, options, stages, workers)
-    extended, ids = extend_reconstruction(model, edges, sample_colors(edges, model, image_path))
+    colors, residuals = sample_colors(edges, model, image_path), observation_residuals(model, edges)
+    extended, ids = extend_reconstruction(model, edges, colors, residuals)
     return EdgeReconstruction(
         edges=edges,
         point3D_ids=ids,
         reconstruction=extended,
-        residuals_px=observation_residuals(model, edges),
+        residuals_px=residuals,
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
@@ -555,8 +556,9 @@ def write_stage(
     """
     with stages.stage("write") as stage:
         colors = sample_colors(edges, model, image_path)
-        ids = write_model(model, edges, folder / "sparse", options.output_type, colors)
         residuals = observation_residuals(model, edges)
+        sparse = folder / "sparse"
+        ids = write_model(model, edges, sparse, options.output_type, colors, residuals)
         write_ply(edges, colors, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
         write_glb(edges, colors, folder / "edges.glb")

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 import colmap_edges
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images import bilinear, sample_colors
+from colmap_edges.images import sample_colors
 from colmap_edges.model import extend_reconstruction, load_model
 from colmap_edges.options import PipelineOptions
 from colmap_edges.output import check_output_path, new_folder
@@ -322,13 +322,6 @@ def test_every_public_name_can_be_imported():
         assert getattr(colmap_edges, name)
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = colmap_edges.no_such_name
-
-
-def test_bilinear_by_hand():
-    image = np.array([[[0], [100]], [[50], [250]]], np.uint8)
-    points = np.array([[0, 0], [1, 1], [0.5, 0], [0.5, 0.5], [-3, 9]])
-    assert bilinear(image, points).ravel().tolist() == [0, 250, 50, 100, 50]
-    assert bilinear(image[:1, :1], np.array([[0.4, 0.7]])).tolist() == [[0]]
 
 
 def test_colors_are_colmaps_own(scene_model, scene_paths, scene_edges):

@@ -38,6 +38,23 @@ nb::tuple RefineSubpixelArrays(Gradient gradient_x, Gradient gradient_y, Points2
                         ToArray(std::move(normals), {count, 2}));
 }
 
+using Colors = InArray<uint8_t, nb::shape<-1, -1, 3>>;
+
+OutArray<double> BilinearArrays(Colors image, Points2D points) {
+  const size_t count = points.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  std::vector<double> values(3 * count);
+  {
+    nb::gil_scoped_release release;
+    const ImageView<uint8_t, 3> view{image.data(), int64_t(image.shape(0)),
+                                     int64_t(image.shape(1))};
+    for (size_t i = 0; i < count; ++i) {
+      for (int c = 0; c < 3; ++c) values[3 * i + c] = view.At(points(i, 0), points(i, 1), c);
+    }
+  }
+  return ToArray(std::move(values), {count, 3});
+}
+
 void CheckOffsets(const Offsets& offsets, size_t count) {
   if (offsets.size() == 0 || offsets(0) != 0 || offsets(offsets.size() - 1) != int64_t(count)) {
     throw std::invalid_argument("offsets must start at 0 and end at the number of points");
@@ -193,6 +210,8 @@ NB_MODULE(_kernels, m) {
   m.def("refine_subpixel", &colmap_edges::RefineSubpixelArrays, "gradient_x"_a, "gradient_y"_a,
         "pixels"_a,
         "(N, 2) pixels moved to the gradient maximum along the normal, and (N, 2) unit normals.");
+  m.def("bilinear", &colmap_edges::BilinearArrays, "image"_a, "points"_a,
+        "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,
         "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");

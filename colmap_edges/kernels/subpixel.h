@@ -7,22 +7,25 @@
 
 namespace colmap_edges {
 
-// A single-channel image, row major, first pixel centred at (0, 0).
-template <typename Value>
+// An image, row major, channels of a pixel side by side, first pixel centred at (0, 0).
+template <typename Value, int kChannels = 1>
 struct ImageView {
   const Value* data;
   int64_t height, width;
 
   // Bilinear value; positions outside are clamped to the border.
-  double At(double x, double y) const {
+  double At(double x, double y, int channel = 0) const {
     x = std::clamp(x, 0.0, double(width - 1));
     y = std::clamp(y, 0.0, double(height - 1));
     const int64_t x0 = std::min<int64_t>(int64_t(x), std::max<int64_t>(width - 2, 0));
     const int64_t y0 = std::min<int64_t>(int64_t(y), std::max<int64_t>(height - 2, 0));
     const int64_t x1 = std::min(x0 + 1, width - 1), y1 = std::min(y0 + 1, height - 1);
     const double fx = x - x0, fy = y - y0;
-    const double top = data[y0 * width + x0] * (1 - fx) + data[y0 * width + x1] * fx;
-    const double bottom = data[y1 * width + x0] * (1 - fx) + data[y1 * width + x1] * fx;
+    const auto value = [&](int64_t column, int64_t row) {
+      return data[(row * width + column) * kChannels + channel];
+    };
+    const double top = value(x0, y0) * (1 - fx) + value(x1, y0) * fx;
+    const double bottom = value(x0, y1) * (1 - fx) + value(x1, y1) * fx;
     return top * (1 - fy) + bottom * fy;
   }
 };
