@@ -40,19 +40,18 @@ inline double Associate(const EdgeView& view, const Vec3& world, const Vec3& tan
   const double scale = view.focal() / local[2];
   const Vec2 x = {scale * local[0], scale * local[1]};
   const Vec3 turned = Multiply(view.rotation(), tangent);
-  double tx = turned[0] * local[2] - local[0] * turned[2];
-  double ty = turned[1] * local[2] - local[1] * turned[2];
-  const double norm = std::hypot(tx, ty);
+  const double tx = turned[0] * local[2] - local[0] * turned[2];
+  const double ty = turned[1] * local[2] - local[1] * turned[2];
+  const double norm = std::sqrt(tx * tx + ty * ty);
   if (!(norm > 0)) return -1;
-  tx /= norm, ty /= norm;
+  const double min_along = parameters.min_cosine * norm;
   double best = parameters.max_distance_px * parameters.max_distance_px;
   int64_t nearest = -1;
-  view.VisitNear(x, parameters.max_distance_px, [&](int64_t i) {
-    const Vec2& p = view.point(i);
-    const double dx = p[0] - x[0], dy = p[1] - x[1], distance2 = dx * dx + dy * dy;
+  view.VisitNear(x, parameters.max_distance_px, [&](int64_t i, double dx, double dy) {
+    const double distance2 = dx * dx + dy * dy;
     if (distance2 > best || (distance2 == best && nearest >= 0)) return;
     const Vec2& t = view.tangent(i);
-    if (std::abs(t[0] * tx + t[1] * ty) < parameters.min_cosine) return;
+    if (std::abs(t[0] * tx + t[1] * ty) < min_along) return;
     const Vec2& n = view.normal(i);
     if (side != 0 && (tx * n[1] - ty * n[0]) * side < 0) return;
     best = distance2, nearest = i;

@@ -112,22 +112,17 @@ class EdgeView {
   struct Stretch {
     float ax, ay, bx, by;
     int32_t first, count;
-
-    // Whether the chord comes into the box around `center`, or may: judged by its own box.
-    bool Within(const Vec2& center, double radius) const {
-      return std::min(ax, bx) <= center[0] + radius && std::max(ax, bx) >= center[0] - radius &&
-             std::min(ay, by) <= center[1] + radius && std::max(ay, by) >= center[1] - radius;
-    }
   };
   const std::vector<Stretch>& stretches() const { return stretches_; }
 
-  // Calls visit(i) for each point within the square of half-width `radius` around `center`.
+  // Calls visit(i, dx, dy) for each point i, seen from `center`, that is within the square of
+  // half-width `radius` around it.
   template <typename Visit>
   void VisitNear(const Vec2& center, double radius, const Visit& visit) const;
 
  private:
-  static constexpr double kCell = 16;            // pixels
-  static constexpr int64_t kMaxStretch = 16;     // points; keeps a stretch within few cells
+  static constexpr double kCell = 8;             // pixels
+  static constexpr int64_t kMaxStretch = 16;     // points; keeps it within few bins of angles
   static constexpr double kStretchDistance = 1;  // pixels between a stretch and its chord
   static constexpr int64_t kTangentReach = 3;    // points to both sides that make a tangent
 
@@ -144,6 +139,7 @@ class EdgeView {
   int64_t Row(double y) const {
     return std::clamp<int64_t>(int64_t((y - low_[1]) / kCell), 0, rows_ - 1);
   }
+  int64_t CellOf(const Vec2& x) const { return Row(x[1]) * columns_ + Column(x[0]); }
 
   std::vector<Stretch> MakeStretches() const;
   void BuildGrid();
@@ -155,6 +151,10 @@ class EdgeView {
     int32_t polyline;
     Sides sides;
     bool last;  // of its polyline
+  };
+  struct CellPoint {
+    Vec2f xy;
+    int32_t index;
   };
   static Vec2 Widened(const Vec2f& v) { return {v[0], v[1]}; }
   static Vec2f Narrowed(const Vec2& v) { return {float(v[0]), float(v[1])}; }
@@ -168,8 +168,8 @@ class EdgeView {
   Vec2 low_{0, 0}, high_{0, 0};
   int64_t columns_ = 1, rows_ = 1;
   std::vector<Stretch> stretches_;
-  std::vector<int64_t> cell_offsets_;
-  std::vector<Stretch> cell_stretches_;  // a stretch is in every cell that its box touches
+  std::vector<int32_t> cell_offsets_;
+  std::vector<CellPoint> cell_points_;  // by cell, ascending
 };
 
 inline std::vector<EdgeView::Stretch> EdgeView::MakeStretches() const {
@@ -209,26 +209,15 @@ inline void EdgeView::BuildGrid() {
   }
   columns_ = int64_t((high_[0] - low_[0]) / kCell) + 1;
   rows_ = int64_t((high_[1] - low_[1]) / kCell) + 1;
-  cell_offsets_.assign(columns_ * rows_ + 1, 0);
   stretches_ = MakeStretches();
-  const auto for_cells = [&](const Stretch& stretch, const auto& use) {
-    Vec2 low = point(stretch.first), high = low;
-    for (int64_t k = 1, i = stretch.first; k <= stretch.count; ++k) {
-      i = Next(i);
-      for (int d = 0; d < 2; ++d) {
-        low[d] = std::min(low[d], point(i)[d]), high[d] = std::max(high[d], point(i)[d]);
-      }
-    }
-    for (int64_t r = Row(low[1]); r <= Row(high[1]); ++r) {
-      for (int64_t c = Column(low[0]); c <= Column(high[0]); ++c) use(r * columns_ + c);
-    }
-  };
-  for (const Stretch& s : stretches_) for_cells(s, [&](int64_t c) { ++cell_offsets_[c + 1]; });
+  cell_offsets_.assign(columns_ * rows_ + 1, 0);
+  for (int64_t i = 0; i < num_points(); ++i) ++cell_offsets_[CellOf(point(i)) + 1];
   for (size_t c = 1; c < cell_offsets_.size(); ++c) cell_offsets_[c] += cell_offsets_[c - 1];
-  cell_stretches_.resize(cell_offsets_.back());
-  std::vector<int64_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
-  for (const Stretch& s : stretches_)
-    for_cells(s, [&](int64_t c) { cell_stretches_[fill[c]++] = s; });
+  cell_points_.resize(points_.size());
+  std::vector<int32_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
+  for (int64_t i = 0; i < num_points(); ++i) {
+    cell_points_[fill[CellOf(point(i))]++] = {points_[i].xy, int32_t(i)};
+  }
 }
 
 template <typename Visit>
@@ -237,24 +226,13 @@ void EdgeView::VisitNear(const Vec2& center, double radius, const Visit& visit) 
       center[1] + radius < low_[1] || center[1] - radius > high_[1]) {
     return;
   }
+  const int64_t left = Column(center[0] - radius), right = Column(center[0] + radius);
   for (int64_t r = Row(center[1] - radius); r <= Row(center[1] + radius); ++r) {
-    for (int64_t c = Column(center[0] - radius); c <= Column(center[0] + radius); ++c) {
-      const int64_t cell = r * columns_ + c;
-      for (int64_t k = cell_offsets_[cell]; k < cell_offsets_[cell + 1]; ++k) {
-        const Stretch& stretch = cell_stretches_[k];
-        if (!stretch.Within(center, radius + kStretchDistance)) continue;
-        // The last point of a stretch is the first of the next, or the open end of its polyline.
-        const int64_t end = stretch.first + stretch.count;
-        const bool at_end = stretch.count > 0 && end < num_points() && Next(end) < 0;
-        for (int64_t i = stretch.first; i < end + (at_end || stretch.count == 0); ++i) {
-          const Vec2& p = point(i);
-          // Few points are near; to find the cell of one takes longer.
-          if (std::abs(p[0] - center[0]) <= radius && std::abs(p[1] - center[1]) <= radius &&
-              Column(p[0]) == c && Row(p[1]) == r) {
-            visit(i);
-          }
-        }
-      }
+    const int32_t end = cell_offsets_[r * columns_ + right + 1];
+    for (int32_t k = cell_offsets_[r * columns_ + left]; k < end; ++k) {
+      const CellPoint& p = cell_points_[k];
+      const double dx = p.xy[0] - center[0], dy = p.xy[1] - center[1];
+      if (std::abs(dx) <= radius && std::abs(dy) <= radius) visit(int64_t(p.index), dx, dy);
     }
   }
 }
