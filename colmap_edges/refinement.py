@@ -10,7 +10,7 @@ views it carries depth in from the ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,21 +56,30 @@ class Curves:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Linearization:
-    """Residuals of all observations and how they change with inverse depth, (N, K) each.
+class Sums:
+    """Sums over the observations of N points, weighted by how well they fit, (N,) each.
+
+    An observation has a residual, its signed distance across the chain in pixels, a slope, by
+    which that changes with inverse depth, and one across, by which it changes with a shift of the
+    driver's pixel along a given direction.
 
     Attributes:
-        residuals: signed distance across the chain in pixels; NaN where not observed.
-        slopes: change of the residual with inverse depth.
-        across: change of the residual with a shift of the driver's pixel along given directions;
-            NaN without any.
-        speeds: change of the projection with inverse depth in pixels, along and across.
+        slope_slope: squared slopes.
+        slope_residual: slopes times residuals.
+        slope_across: slopes times those across.
+        across_across: squared slopes across.
+        across_residual: slopes across times residuals.
+        speed2: squared change of the projection with inverse depth, px^2, without weights.
+        count: observations.
     """
 
-    residuals: FloatArray
-    slopes: FloatArray
-    across: FloatArray
-    speeds: FloatArray
+    slope_slope: FloatArray
+    slope_residual: FloatArray
+    slope_across: FloatArray
+    across_across: FloatArray
+    across_residual: FloatArray
+    speed2: FloatArray
+    count: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,77 +122,55 @@ def associate(
     points = lift(driver, curves.ideal, curves.inverse_depths)
     tangents = curve_tangents(points, curves.offsets)
     cosine = float(np.cos(np.radians(max_angle_deg)))
-    columns = [
-        _kernels.associate(
-            view, points, tangents, curves.sides, max_distance_px, cosine, num_threads
-        )
-        for view in edge_views
-    ]
-    positions = np.column_stack(columns) if columns else np.zeros((len(points), 0))
+    positions: FloatArray = _kernels.associate(
+        edge_views, points, tangents, curves.sides, max_distance_px, cosine, num_threads
+    )
     positions[positions < 0] = np.nan
     return positions
 
 
-def linearize(
+def sum_observations(
     driver: View,
     curves: Curves,
-    views: list[View],
     edge_views: list[_kernels.EdgeView],
     positions: FloatArray,
-    directions: FloatArray | None = None,
-) -> Linearization:
-    """Residuals across the observed chains and their slopes at the present depths.
+    directions: FloatArray,
+    robust_scale_px: float,
+    num_threads: int,
+) -> Sums:
+    """Sums over the observations of every point at the present depths.
 
     Args:
         driver: the view on whose chains the curves are.
         curves: the curves, N points.
-        views: the K views.
-        edge_views: their chains.
+        edge_views: the chains of K views.
         positions: (N, K) positions on the chains that observe the points; NaN where none.
-        directions: (N, 2) unit directions in the driver's image in which points may move, if any.
+        directions: (N, 2) unit directions in the driver's image in which points may move.
+        robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
+        num_threads: threads to use; the result does not depend on it.
     """
-    shape = positions.shape
-    residuals, slopes, across, speeds = (np.full(shape, np.nan) for _ in range(4))
-    rays = np.column_stack([curves.ideal / driver.focal_px, np.ones(len(curves.ideal))])
-    for k, (view, edge_view) in enumerate(zip(views, edge_views, strict=True)):
-        rows = np.flatnonzero(np.isfinite(positions[:, k]))
-        if len(rows) == 0:
-            continue
-        rotation = view.rotation @ driver.rotation.T
-        translation = view.translation - rotation @ driver.translation
-        local = rays[rows] @ rotation.T + curves.inverse_depths[rows, None] * translation
-        depth = local[:, 2:]
-        projected = view.focal_px * local[:, :2] / depth
-        moving = (view.focal_px * translation[:2] - projected * translation[2]) / depth
-        at, tangent = _kernels.chain_points(edge_view, np.ascontiguousarray(positions[rows, k]))
-        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-        residuals[rows, k] = np.einsum("ij,ij->i", projected - at, normal)
-        slopes[rows, k] = np.einsum("ij,ij->i", moving, normal)
-        if directions is not None:
-            turned = directions[rows] / driver.focal_px @ rotation[:, :2].T
-            shifted = (view.focal_px * turned[:, :2] - projected * turned[:, 2:]) / depth
-            across[rows, k] = np.einsum("ij,ij->i", shifted, normal)
-        speeds[rows, k] = np.linalg.norm(moving, axis=1)
-    return Linearization(residuals=residuals, slopes=slopes, across=across, speeds=speeds)
+    sums = _kernels.sum_observations(
+        *placed(driver, curves), directions, positions, edge_views, robust_scale_px, num_threads
+    )
+    return Sums(**{entry.name: row for entry, row in zip(fields(Sums), sums, strict=True)})
 
 
-def robust_weights(residuals: FloatArray, scale: float) -> FloatArray:
-    """Geman-McClure weights of residuals in pixels; 0 where there is none."""
-    weights: FloatArray = np.nan_to_num(1 / (1 + (residuals / scale) ** 2) ** 2, nan=0.0)
-    return weights
+def placed(
+    driver: View, curves: Curves
+) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
+    """The driver's pose and focal length, and the curves' pixels and inverse depths."""
+    rotation, translation = driver.rotation, driver.translation
+    return rotation, translation, driver.focal_px, curves.ideal, curves.inverse_depths
 
 
-def depth_step(curves: Curves, linear: Linearization, options: RefinementOptions) -> FloatArray:
+def depth_step(curves: Curves, sums: Sums, options: RefinementOptions) -> FloatArray:
     """(N,) changes of inverse depth of one Gauss-Newton step, points staying on their chains."""
-    weights = robust_weights(linear.residuals, options.robust_scale_px)
-    slopes, residuals = np.nan_to_num(linear.slopes), np.nan_to_num(linear.residuals)
-    information = np.sum(weights * slopes**2, axis=1)
-    gradient = -np.sum(weights * slopes * residuals, axis=1)
-    return solve_smooth(curves, information, gradient, linear.speeds, options)
+    speed = typical_speed(sums)
+    return solve_smooth(curves, sums.slope_slope, -sums.slope_residual, speed, options)
 
 
 def joint_step(
-    curves: Curves, linear: Linearization, options: RefinementOptions
+    curves: Curves, sums: Sums, options: RefinementOptions
 ) -> tuple[FloatArray, FloatArray]:
     """One Gauss-Newton step in which the driver's chain is one observation of many.
 
@@ -193,15 +180,11 @@ def joint_step(
     Returns:
         (N,) changes of inverse depth and (N,) shifts across the driver's chain in pixels.
     """
-    weights = robust_weights(linear.residuals, options.robust_scale_px)
-    slopes, residuals = np.nan_to_num(linear.slopes), np.nan_to_num(linear.residuals)
-    across = np.nan_to_num(linear.across)
-    shared = np.sum(weights * slopes * across, axis=1)
-    stiffness = np.sum(weights * across**2, axis=1) + 1  # the driver's own residual is zero
-    pull = -np.sum(weights * across * residuals, axis=1)
-    information = np.sum(weights * slopes**2, axis=1) - shared**2 / stiffness
-    gradient = -np.sum(weights * slopes * residuals, axis=1) - shared * pull / stiffness
-    changes = solve_smooth(curves, np.maximum(information, 0), gradient, linear.speeds, options)
+    shared, pull = sums.slope_across, -sums.across_residual
+    stiffness = sums.across_across + 1  # the driver's own residual is zero
+    information = np.maximum(sums.slope_slope - shared**2 / stiffness, 0)
+    gradient = -sums.slope_residual - shared * pull / stiffness
+    changes = solve_smooth(curves, information, gradient, typical_speed(sums), options)
     shifts: FloatArray = (pull - shared * changes) / stiffness
     return changes, shifts
 
@@ -210,11 +193,13 @@ def solve_smooth(
     curves: Curves,
     information: FloatArray,
     gradient: FloatArray,
-    speeds: FloatArray,
+    speed: FloatArray,
     options: RefinementOptions,
 ) -> FloatArray:
-    """(N,) changes of inverse depth by (N,) information and gradient, smooth along the curves."""
-    speed = typical_speed(speeds)
+    """(N,) changes of inverse depth by (N,) information and gradient, smooth along the curves.
+
+    `speed` (N,) is by how many pixels a change of inverse depth moves a point's projections.
+    """
     smooth, inner = second_differences(curves.offsets)
     unit = speed[inner] / options.max_bend_px
     second = curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0])
@@ -232,13 +217,11 @@ def solve_smooth(
     return np.asarray(solveh_banded(bands, gradient), np.float64)
 
 
-def typical_speed(speeds: FloatArray) -> FloatArray:
+def typical_speed(sums: Sums) -> FloatArray:
     """(N,) root mean square of a point's speeds; the mean of all where it has none."""
-    seen = np.isfinite(speeds)
-    count = seen.sum(axis=1)
-    total = np.sum(np.nan_to_num(speeds) ** 2, axis=1)
-    overall = np.sqrt(total.sum() / max(count.sum(), 1)) if count.any() else 1.0
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), overall)
+    count = sums.count
+    overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
+    return np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
 
 
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
@@ -252,7 +235,6 @@ def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
 def refine_curves(
     driver: View,
     curves: Curves,
-    views: list[View],
     edge_views: list[_kernels.EdgeView],
     options: RefinementOptions,
     num_threads: int,
@@ -262,43 +244,45 @@ def refine_curves(
     Args:
         driver: the view on whose chains the curves are.
         curves: the curves, N points, at depths near enough to find their observations.
-        views: the K views that may observe them.
-        edge_views: their chains in the kernels' form.
+        edge_views: the chains of the K views that may observe them, in the kernels' form.
         options: search radius, noise and smoothness.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         The curves at their new depths, with (N, K) observations and (N,) standard deviations.
     """
-    for radius in (options.search_radius_px, options.search_radius_px / 2):
-        positions = associate(
-            driver, curves, edge_views, radius, options.max_tangent_angle_deg, num_threads
+
+    def observations(radius_px: float) -> FloatArray:
+        """(N, K) positions at which the present curves are observed within a radius."""
+        angle = options.max_tangent_angle_deg
+        found = associate(driver, curves, edge_views, radius_px, angle, num_threads)
+        return drop_lone(found, curves.offsets)
+
+    def sums_at(positions: FloatArray, directions: FloatArray) -> Sums:
+        """Sums over these observations of the present curves."""
+        scale = options.robust_scale_px
+        return sum_observations(
+            driver, curves, edge_views, positions, directions, scale, num_threads
         )
-        positions = drop_lone(positions, curves.offsets)
+
+    for radius in (options.search_radius_px, options.search_radius_px / 2):
+        positions = observations(radius)
         for _ in range(2):
-            linear = linearize(driver, curves, views, edge_views, positions)
-            changes = depth_step(curves, linear, options)
+            sums = sums_at(positions, np.zeros_like(curves.ideal))
+            changes = depth_step(curves, sums, options)
             curves = replace_depths(curves, curves.inverse_depths + changes)
     # Once more, now that observations are sure: earlier, wrong ones would pull points away.
     normals = curves.normals
-    linear = linearize(driver, curves, views, edge_views, positions, normals)
-    changes, shifts = joint_step(curves, linear, options)
+    changes, shifts = joint_step(curves, sums_at(positions, normals), options)
     curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
-    positions = associate(
-        driver,
-        curves,
-        edge_views,
-        options.max_residual_px,
-        options.max_tangent_angle_deg,
-        num_threads,
+    positions = observations(options.max_residual_px)
+    residuals, slopes2 = _kernels.observation_residuals(
+        *placed(driver, curves), positions, edge_views, num_threads
     )
-    positions = drop_lone(positions, curves.offsets)
-    linear = linearize(driver, curves, views, edge_views, positions)
-    information = np.sum(np.nan_to_num(linear.slopes) ** 2, axis=1) / options.noise_px**2
     with np.errstate(divide="ignore"):
-        sigmas = 1 / np.sqrt(information)
-    return Refined(curves=curves, positions=positions, residuals=linear.residuals, sigmas=sigmas)
+        sigmas = options.noise_px / np.sqrt(slopes2)
+    return Refined(curves=curves, positions=positions, residuals=residuals, sigmas=sigmas)
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:

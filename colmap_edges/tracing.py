@@ -295,7 +295,7 @@ def trace_view(
     driver = scene.views[view]
     views = [scene.views[w] for w in witnesses]
     edge_views = [scene.edge_views[w] for w in witnesses]
-    refined = refine_curves(driver, curves, views, edge_views, options.refinement, num_threads)
+    refined = refine_curves(driver, curves, edge_views, options.refinement, num_threads)
     observed = np.isfinite(refined.positions).sum(axis=1)
     shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(

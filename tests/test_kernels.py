@@ -153,13 +153,85 @@ def test_association_equals_the_nearest_of_all_points(seed, max_distance, max_an
     sides = rng.integers(-1, 2, 300).astype(np.int8)
     cosine = np.cos(np.radians(max_angle_deg))
     view = edge_view(*chains, pose)
-    found = _kernels.associate(view, worlds, directions, sides, max_distance, cosine, 1)
+    found = _kernels.associate([view], worlds, directions, sides, max_distance, cosine, 1)[:, 0]
     expected = associate_reference(chains, pose, worlds, directions, sides, max_distance, cosine)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert (found[depths < 0] == -1).all()
     assert 50 < np.sum(found >= 0) < 295
-    again = _kernels.associate(view, worlds, directions, sides, max_distance, cosine, 3)
+    again = _kernels.associate([view], worlds, directions, sides, max_distance, cosine, 3)[:, 0]
     assert again.tobytes() == found.tobytes()
+
+
+def test_many_views_are_associated_as_each_alone():
+    rng = np.random.default_rng(7)
+    views = [edge_view(*random_chains(rng), random_pose(rng)) for _ in range(3)]
+    worlds = rng.uniform((-1, -1, 2), (1, 1, 5), (20000, 3))
+    rest = (rng.normal(size=worlds.shape), rng.integers(-1, 2, len(worlds)).astype(np.int8))
+    together = _kernels.associate(views, worlds, *rest, 20.0, 0.5, 2)
+    alone = [_kernels.associate([view], worlds, *rest, 20.0, 0.5, 1) for view in views]
+    assert (together >= 0).any(axis=0).all()
+    assert together.tobytes() == np.ascontiguousarray(np.hstack(alone)).tobytes()
+
+
+def observed_reference(driver, ideal, inverse_depths, directions, positions, view, pose):
+    """Residuals, slopes, slopes across and speeds of the points in one view; NaN where unseen."""
+    seen = np.isfinite(positions)
+    rotation = pose[0] @ driver[0].T
+    translation = pose[1] - rotation @ driver[1]
+
+    def projected(pixels, inverse):
+        rays = np.column_stack([pixels / FOCAL, np.ones(len(pixels))])
+        local = rays @ rotation.T + inverse[:, None] * translation
+        return FOCAL * local[:, :2] / local[:, 2:]
+
+    at, tangent = _kernels.chain_points(view, positions[seen])
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    here = projected(ideal[seen], inverse_depths[seen])
+    step = 1e-6
+    moving = (projected(ideal[seen], inverse_depths[seen] + step) - here) / step
+    shifted = (projected(ideal[seen] + step * directions[seen], inverse_depths[seen]) - here) / step
+    result = np.full((4, len(ideal)), np.nan)
+    for row, vectors in enumerate((here - at, moving, shifted)):
+        result[row, seen] = np.sum(vectors * normal, axis=1)
+    result[3, seen] = np.linalg.norm(moving, axis=1)
+    return result
+
+
+def test_sums_over_observations_are_those_of_finite_differences():
+    rng = np.random.default_rng(5)
+    driver, poses, scale = random_pose(rng), [random_pose(rng) for _ in range(4)], 30.0
+    chains = [random_chains(rng) for _ in poses]
+    views = [edge_view(*parts, pose) for parts, pose in zip(chains, poses, strict=True)]
+    count = 600
+    ideal, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
+    directions = rng.normal(size=(count, 2))
+    positions = np.column_stack([rng.uniform(0, len(parts[0]), count) for parts in chains])
+    positions[rng.random(positions.shape) < 0.3] = np.nan
+    positions[0] = np.nan
+    curves = (*driver, FOCAL, ideal, inverse)
+    residuals, slopes, across, speeds = np.stack(
+        [
+            observed_reference(driver, ideal, inverse, directions, positions[:, k], view, pose)
+            for k, (view, pose) in enumerate(zip(views, poses, strict=True))
+        ],
+        axis=2,
+    )
+    weights = 1 / (1 + (residuals / scale) ** 2) ** 2
+    products = (slopes**2, slopes * residuals, slopes * across, across**2, across * residuals)
+    expected = [np.nansum(weights * each, axis=1) for each in products]
+    expected += [np.nansum(speeds**2, axis=1), np.isfinite(positions).sum(axis=1)]
+    sums = _kernels.sum_observations(*curves, directions, positions, views, scale, 1)
+    for found, wanted in zip(sums, expected, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
+    again = _kernels.sum_observations(*curves, directions, positions, views, scale, 3)
+    assert again.tobytes() == sums.tobytes()
+    found, slopes2 = _kernels.observation_residuals(*curves, positions, views, 2)
+    np.testing.assert_allclose(found, residuals, atol=1e-9)
+    np.testing.assert_allclose(slopes2, np.nansum(slopes**2, axis=1), rtol=1e-3)
+    with pytest.raises(ValueError, match="differ in length"):
+        _kernels.observation_residuals(*curves, positions, views[:3], 1)
+    with pytest.raises(ValueError, match="not on a chain"):
+        _kernels.observation_residuals(*curves, positions + 1e6, views, 1)
 
 
 def test_association_respects_distance_angle_and_side():
@@ -172,7 +244,8 @@ def test_association_respects_distance_angle_and_side():
         direction = np.array([[np.cos(angle), np.sin(angle), 0]])
         world = np.array([[x / FOCAL, y / FOCAL, 1]])
         sides = np.array([side], np.int8)
-        return _kernels.associate(view, world, direction, sides, 4.0, np.cos(np.radians(15)), 1)[0]
+        cosine = np.cos(np.radians(15))
+        return _kernels.associate([view], world, direction, sides, 4.0, cosine, 1)[0, 0]
 
     assert position() == pytest.approx(50.3)
     assert position(y=3.9) == pytest.approx(50.3)
@@ -192,7 +265,7 @@ def test_association_wraps_round_closed_chains():
     between = 2 * np.pi * 199.25 / 200
     world = np.array([[30 * np.cos(between) / FOCAL, 30 * np.sin(between) / FOCAL, 1.0]])
     direction = np.array([[-np.sin(between), np.cos(between), 0]])
-    found = _kernels.associate(view, world, direction, np.zeros(1, np.int8), 4.0, 0.9, 1)
+    found = _kernels.associate([view], world, direction, np.zeros(1, np.int8), 4.0, 0.9, 1)[:, 0]
     assert found[0] == pytest.approx(199.25, abs=0.01)
     at, _ = _kernels.chain_points(view, found)
     np.testing.assert_allclose(at, FOCAL * world[:, :2], atol=0.01)
@@ -305,7 +378,7 @@ def test_bad_focal_lengths_and_samples_are_refused():
     view = edge_view(np.zeros((1, 2)), np.zeros((1, 2)), np.array([0, 1]), np.zeros(1, bool))
     with pytest.raises(ValueError, match="differ in length"):
         _kernels.associate(
-            view, np.zeros((2, 3)), np.zeros((1, 3)), np.zeros(2, np.int8), 4.0, 0.9, 1
+            [view], np.zeros((2, 3)), np.zeros((1, 3)), np.zeros(2, np.int8), 4.0, 0.9, 1
         )
     with pytest.raises(ValueError, match="not a point"):
         _kernels.chain_depths(
@@ -317,7 +390,8 @@ def test_bad_focal_lengths_and_samples_are_refused():
 def test_empty_view_observes_nothing():
     view = edge_view(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(1, np.int64), np.zeros(0, bool))
     one = np.array([[0.0, 0.0, 1.0]])
-    assert _kernels.associate(view, one, one, np.zeros(1, np.int8), 4.0, 0.9, 1).tolist() == [-1]
+    found = _kernels.associate([view], one, one, np.zeros(1, np.int8), 4.0, 0.9, 1)
+    assert found.tolist() == [[-1]]
     assert known.graph_from_ideal(known.row(1)[0], [], [], []).num_polylines == 0
 
 

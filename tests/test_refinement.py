@@ -31,7 +31,7 @@ def curve_on(view, curve, *, shift_px=0.0, depth_factor=1.0):
 def refined_distances(driver, curves, views, curve):
     """Distances of the refined points to the true curve, in pixels of the driver."""
     edge_views = [make_edge_view(known.graph_of(view, [curve]), view) for view in views]
-    refined = refine_curves(driver, curves, list(views), edge_views, RefinementOptions(), 1)
+    refined = refine_curves(driver, curves, edge_views, RefinementOptions(), 1)
     points = lift(driver, refined.curves.ideal, refined.curves.inverse_depths)
     dense = curve(np.linspace(0, 1, 20001))
     apart = np.linalg.norm(points[:, None] - dense[None, ::20], axis=2).argmin(axis=1) * 20
@@ -65,7 +65,7 @@ def test_a_curve_that_nothing_observes_stays():
     driver, *others = known.ring(4)
     curves = curve_on(driver, curve)
     none = [make_edge_view(known.graph_of(view, []), view) for view in others]
-    refined = refine_curves(driver, curves, others, none, RefinementOptions(), 1)
+    refined = refine_curves(driver, curves, none, RefinementOptions(), 1)
     assert np.allclose(refined.curves.ideal, curves.ideal)
     assert np.allclose(refined.curves.inverse_depths, curves.inverse_depths)
     assert np.isinf(refined.sigmas).all()
@@ -78,7 +78,7 @@ def test_depths_never_leave_the_front():
     curves = curve_on(driver, curve)
     curves = replace(curves, inverse_depths=np.full(len(curves.ideal), 1e-9))
     edge_views = [make_edge_view(known.graph_of(view, [curve]), view) for view in others]
-    refined = refine_curves(driver, curves, others, edge_views, RefinementOptions(), 1)
+    refined = refine_curves(driver, curves, edge_views, RefinementOptions(), 1)
     assert (refined.curves.inverse_depths > 0).all()
 
 

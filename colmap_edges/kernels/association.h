@@ -59,14 +59,21 @@ inline double Associate(const EdgeView& view, const Vec3& world, const Vec3& tan
   return nearest < 0 ? -1 : NearestPosition(view, nearest, x);
 }
 
-// Positions of many points, -1 where there is none.
-inline std::vector<double> AssociateAll(const EdgeView& view, const double* points,
-                                        const double* tangents, const int8_t* sides, int64_t count,
+// (count, K) positions of many points in K views, -1 where there is none.
+inline std::vector<double> AssociateAll(const std::vector<const EdgeView*>& views,
+                                        const double* points, const double* tangents,
+                                        const int8_t* sides, int64_t count,
                                         const AssociationParameters& parameters, int num_threads) {
-  std::vector<double> positions(count);
-  ParallelBlocks(count, num_threads, 1024, [&](int64_t i) {
-    const double *p = points + 3 * i, *t = tangents + 3 * i;
-    positions[i] = Associate(view, {p[0], p[1], p[2]}, {t[0], t[1], t[2]}, sides[i], parameters);
+  constexpr int64_t kBlock = 8192;  // points; a view's chains stay in the cache meanwhile
+  const int64_t num_views = int64_t(views.size()), num_blocks = (count + kBlock - 1) / kBlock;
+  std::vector<double> positions(count * num_views);
+  ParallelFor(num_views * num_blocks, num_threads, [&](int64_t task, int) {
+    const int64_t k = task / num_blocks, first = task % num_blocks * kBlock;
+    for (int64_t i = first; i < std::min(first + kBlock, count); ++i) {
+      const double *p = points + 3 * i, *t = tangents + 3 * i;
+      positions[i * num_views + k] =
+          Associate(*views[k], {p[0], p[1], p[2]}, {t[0], t[1], t[2]}, sides[i], parameters);
+    }
   });
   return positions;
 }

@@ -8,6 +8,7 @@
 #include "association.h"
 #include "chain_depths.h"
 #include "edge_view.h"
+#include "observations.h"
 #include "occlusion.h"
 #include "polyline.h"
 #include "subpixel.h"
@@ -144,9 +145,9 @@ nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const Edge
 
 using Points3D = InArray<double, nb::shape<-1, 3>>;
 
-OutArray<double> AssociateArrays(const EdgeView& view, Points3D points, Points3D tangents,
-                                 InArray<int8_t, nb::ndim<1>> sides, double max_distance_px,
-                                 double min_cosine, int num_threads) {
+OutArray<double> AssociateArrays(const std::vector<const EdgeView*>& views, Points3D points,
+                                 Points3D tangents, InArray<int8_t, nb::ndim<1>> sides,
+                                 double max_distance_px, double min_cosine, int num_threads) {
   const size_t count = points.shape(0);
   if (tangents.shape(0) != count || sides.size() != count) {
     throw std::invalid_argument("points, tangents and sides differ in length");
@@ -154,10 +155,83 @@ OutArray<double> AssociateArrays(const EdgeView& view, Points3D points, Points3D
   std::vector<double> positions;
   {
     nb::gil_scoped_release release;
-    positions = AssociateAll(view, points.data(), tangents.data(), sides.data(), int64_t(count),
+    positions = AssociateAll(views, points.data(), tangents.data(), sides.data(), int64_t(count),
                              {max_distance_px, min_cosine}, num_threads);
   }
-  return ToArray(std::move(positions), {count});
+  return ToArray(std::move(positions), {count, views.size()});
+}
+
+using Doubles = InArray<double, nb::ndim<1>>;
+
+// What the arrays of curves and their observations say; they must outlive it.
+ObservedCurves ToObservedCurves(const InArray<double, nb::shape<3, 3>>& rotation,
+                                const InArray<double, nb::shape<3>>& translation, double focal,
+                                const Points2D& ideal, const Doubles& inverse_depths,
+                                const Points2D& directions,
+                                const InArray<double, nb::ndim<2>>& positions,
+                                const std::vector<const EdgeView*>& views) {
+  const size_t count = ideal.shape(0);
+  if (inverse_depths.size() != count || directions.shape(0) != count ||
+      positions.shape(0) != count || positions.shape(1) != views.size()) {
+    throw std::invalid_argument("curves, directions, positions and views differ in length");
+  }
+  for (size_t i = 0; i < count; ++i) {
+    for (size_t k = 0; k < views.size(); ++k) {
+      const double position = positions(i, k);
+      if (!(std::isnan(position) || (position >= 0 && position < double(views[k]->num_points())))) {
+        throw std::invalid_argument("a position is not on a chain");
+      }
+    }
+  }
+  ObservedCurves curves;
+  std::copy_n(rotation.data(), 9, curves.rotation.begin());
+  curves.translation = {translation(0), translation(1), translation(2)};
+  curves.focal = focal;
+  curves.ideal = ideal.data(), curves.inverse_depths = inverse_depths.data();
+  curves.directions = directions.data(), curves.positions = positions.data();
+  curves.num_points = int64_t(count);
+  curves.views = views;
+  return curves;
+}
+
+OutArray<double> SumObservationsArray(InArray<double, nb::shape<3, 3>> rotation,
+                                      InArray<double, nb::shape<3>> translation, double focal,
+                                      Points2D ideal, Doubles inverse_depths, Points2D directions,
+                                      InArray<double, nb::ndim<2>> positions,
+                                      const std::vector<const EdgeView*>& views,
+                                      double robust_scale_px, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, directions, positions, views);
+  const size_t count = ideal.shape(0);
+  std::vector<double> columns(7 * count);
+  {
+    nb::gil_scoped_release release;
+    const std::vector<ObservationSums> sums = SumObservations(curves, robust_scale_px, num_threads);
+    for (size_t i = 0; i < count; ++i) {
+      const ObservationSums& s = sums[i];
+      const double row[] = {s.slope_slope,     s.slope_residual, s.slope_across, s.across_across,
+                            s.across_residual, s.speed2,         s.count};
+      for (size_t c = 0; c < 7; ++c) columns[c * count + i] = row[c];
+    }
+  }
+  return ToArray(std::move(columns), {7, count});
+}
+
+nb::tuple ObservationResidualsArrays(InArray<double, nb::shape<3, 3>> rotation,
+                                     InArray<double, nb::shape<3>> translation, double focal,
+                                     Points2D ideal, Doubles inverse_depths,
+                                     InArray<double, nb::ndim<2>> positions,
+                                     const std::vector<const EdgeView*>& views, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  std::pair<std::vector<double>, std::vector<double>> found;
+  {
+    nb::gil_scoped_release release;
+    found = ObservationResiduals(curves, num_threads);
+  }
+  const size_t count = ideal.shape(0);
+  return nb::make_tuple(ToArray(std::move(found.first), {count, views.size()}),
+                        ToArray(std::move(found.second), {count}));
 }
 
 nb::tuple CountAroundArrays(Points2D pixels, InArray<double, nb::ndim<1>> depths,
@@ -223,9 +297,19 @@ NB_MODULE(_kernels, m) {
         "max_side_difference"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
         "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
-  m.def("associate", &colmap_edges::AssociateArrays, "view"_a, "points"_a, "tangents"_a, "sides"_a,
+  m.def("associate", &colmap_edges::AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
-        "(N,) positions on the view's chains that observe the 3D points, -1 where none.");
+        "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");
+  m.def("sum_observations", &colmap_edges::SumObservationsArray, "rotation"_a, "translation"_a,
+        "focal"_a, "ideal"_a, "inverse_depths"_a, "directions"_a, "positions"_a, "views"_a,
+        "robust_scale_px"_a, "num_threads"_a,
+        "(7, N) sums over the observations of each point of a driver's curves: of weight times "
+        "slope slope, slope residual, slope across, across across, across residual; of the squared "
+        "speed; their number.");
+  m.def("observation_residuals", &colmap_edges::ObservationResidualsArrays, "rotation"_a,
+        "translation"_a, "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a,
+        "num_threads"_a,
+        "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
   m.def("count_around", &colmap_edges::CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a,
         "curves"_a, "radius_px"_a, "slope"_a, "num_threads"_a,
         "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");
