@@ -300,3 +300,36 @@ def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
         smoothed=moved[graph.smoothed[keep[smoothed_ids]]],
         smoothed_offsets=offsets_of(np.diff(graph.smoothed_offsets)[keep]),
     )
+
+
+def keep_points(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
+    """The graph of the points where `keep` (N,) is true: polylines are cut where others were.
+
+    The pieces meet nowhere: each end is a node of its own.
+    """
+    kept = np.flatnonzero(keep)
+    ids = graph.polyline_ids[kept]
+    first = np.ones(len(kept), bool)
+    first[1:] = (np.diff(kept) > 1) | (np.diff(ids) != 0)
+    starts = np.flatnonzero(first)
+    lengths = np.diff(np.append(starts, len(kept)))
+    last = starts + lengths - 1
+    whole = lengths == np.diff(graph.polyline_offsets)[ids[starts]]
+    vertices = first.copy()
+    vertices[last] = True
+    vertices |= np.isin(kept, graph.smoothed)
+    smoothed = np.flatnonzero(vertices)
+    pieces = np.cumsum(first) - 1
+    count = len(starts)
+    return EdgeGraph(
+        points=graph.points[kept],
+        ideal=graph.ideal[kept],
+        normals=graph.normals[kept],
+        sides=graph.sides[kept],
+        polyline_offsets=offsets_of(lengths),
+        closed=graph.closed[ids[starts]] & whole,
+        end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
+        node_polylines=np.full(2 * count, -1, np.int32),
+        smoothed=smoothed,
+        smoothed_offsets=offsets_of(np.bincount(pieces[smoothed], minlength=count)),
+    )

@@ -495,8 +495,8 @@ def trace_stage(
     keys = graphs.keys if isinstance(graphs, GraphStore) else []
     cache = workers.cache if keys else None
     key = key_of_edges(model, keys, options) if cache else ""
-    total = 1 if options.tracing.method == "paper" else 2 * len(graphs)
-    with stages.stage(name, total) as stage:
+    steps = 1 if options.tracing.method == "paper" else 2 * len(graphs) * options.tracing.num_rounds
+    with stages.stage(name, steps) as stage:
         entry = cache.load("edges", key) if cache else None
         if entry is None:
             edges, stats = trace(model, graphs, options, stage.advance, workers)
