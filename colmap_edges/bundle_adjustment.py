@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve
 from scipy.sparse import csc_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 from colmap_edges.chain_depths import make_edge_view
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
@@ -27,10 +27,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view, views_with_rows
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.refinement import curve_tangents
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SFM, EDGE = 0, 1  # kinds of points
 WEAK_PRIOR = 1e-6  # of the information on each pose: what nothing else determines stays

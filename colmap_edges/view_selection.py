@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.model import Model
 from colmap_edges.options import ViewSelectionOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
 NEAR_POINTS = 16  # SfM points around a place that tell its depths

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, tables
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.scene import select_views
 from colmap_edges.evaluation.statistics import summarize
-from colmap_edges.model import FloatArray, Model, load_model
+from colmap_edges.model import Model, load_model
 from colmap_edges.triangulation import PosedImage, triangulate
 
 logger = logging.getLogger(__name__)

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import depth, pictures
 from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import summarize
-from colmap_edges.model import FloatArray, Model, View, load_model, model_from_reconstruction
+from colmap_edges.model import Model, View, load_model, model_from_reconstruction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 
     )
 
 
-def _distances(pixels: FloatArray, chains: FloatArray) -> NDArray[np.float64]:
+def _distances(pixels: FloatArray, chains: FloatArray) -> FloatArray:
     if not len(chains):
         return np.full(len(pixels), np.inf)
     distance, _ = cKDTree(chains).query(pixels)

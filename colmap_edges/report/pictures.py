@@ -8,8 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, Int32Array, Picture
 from colmap_edges.csr import ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
@@ -19,9 +19,6 @@ from colmap_edges.images import encoded
 from colmap_edges.model import Model, View
 from colmap_edges.overlay import SHIFT, fixed_point
 from colmap_edges.report.contents import ImagePicture, spread
-
-FloatArray = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 MAX_BYTES = 7_000_000  # of all pictures, before base 64
 MAX_PICTURES = 120
@@ -96,9 +93,7 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     return np.split(graph.points[index], ends[:-1]) if len(ends) else []
 
 
-def observed_segments(
-    view: View, index: int, edges: Edges3D, segments: NDArray[np.int32]
-) -> FloatArray:
+def observed_segments(view: View, index: int, edges: Edges3D, segments: Int32Array) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
     owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)

@@ -6,16 +6,13 @@ import html
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model, View
 from colmap_edges.report.contents import Contents, Trace, hex_colors, spread, typed, xyz
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # What is drawn at most, so that the file stays small and a browser turns it smoothly.
 MAX_SFM_POINTS = 40_000
@@ -133,7 +130,7 @@ def mesh_trace(mesh: Mesh, hidden: bool) -> Trace:
     }
 
 
-def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.uint8]]:
+def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArray]:
     """Vertices, faces and colours of a mesh, vertices merged by cells until few faces are left."""
     vertices, faces, colors = mesh.vertices, mesh.faces, mesh.colors
     if len(faces) <= max_faces:
