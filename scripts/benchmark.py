@@ -32,7 +32,7 @@ from typing import Any
 import click
 
 import colmap_edges
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, exit_on_error
 from colmap_edges.workspace import find_images, find_model
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,6 +70,7 @@ class Variant:
 @click.option("--compare", metavar="COMMIT", help="Compare with this commit, built anew.")
 @click.option("--setting", metavar="FLAGS", help="Compare with the same code with these flags.")
 @click.option("--output_path", type=Path, default=Path("benchmark.json"), show_default=True)
+@exit_on_error()
 def main(
     data_path: Path | None,
     names: tuple[str, ...],
@@ -84,20 +85,17 @@ def main(
 ) -> None:
     if compare and setting:
         raise click.UsageError("give either --compare or --setting")
-    try:
-        with (
-            tempfile.TemporaryDirectory() as temporary,
-            variants_of(shlex.split(flags), compare, setting) as variants,
-        ):
-            scenes = [
-                *data_scenes(data_path, names),
-                *(city_scene(n, points_per_view, Path(temporary)) for n in synthetic),
-            ]
-            if not scenes:
-                raise click.UsageError("no scenes; give --data_path or --synthetic")
-            records = measure(scenes, variants, command, runs, Path(temporary))
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    with (
+        tempfile.TemporaryDirectory() as temporary,
+        variants_of(shlex.split(flags), compare, setting) as variants,
+    ):
+        scenes = [
+            *data_scenes(data_path, names),
+            *(city_scene(n, points_per_view, Path(temporary)) for n in synthetic),
+        ]
+        if not scenes:
+            raise click.UsageError("no scenes; give --data_path or --synthetic")
+        records = measure(scenes, variants, command, runs, Path(temporary))
     result = {"machine": machine(), "command": command, "runs": runs, "scenes": records}
     output_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     print(table(records))
