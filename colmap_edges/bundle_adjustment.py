@@ -324,7 +324,7 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     blocks = np.add.reduceat(by_point[:, :, None] * by_point[:, None, :], starts)
     size = np.einsum("pii->p", blocks)[:, None, None]
     blocks += size * problem.tangents[:, :, None] * problem.tangents[:, None, :]
-    wide = spread(by_pose, problem.frames[rows.views], problem.num_frames)
+    wide = block_rows(by_pose, problem.frames[rows.views], problem.num_frames)
     return Normals(
         by_pose=wide,
         by_point=by_point,
@@ -335,7 +335,7 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     )
 
 
-def spread(values: FloatArray, places: IntArray, count: int) -> csr_array:
+def block_rows(values: FloatArray, places: IntArray, count: int) -> csr_array:
     """(M, K count) sparse matrix with row m of `values`, (M, K), at block `places[m]`."""
     width = values.shape[1]
     columns = width * places[:, None] + np.arange(width)
@@ -367,7 +367,7 @@ def solve_step(
     carried = np.zeros_like(gradient)
     if move_poses:
         factors = np.einsum("mij,mj->mi", inverse[problem.rows.points], normals.by_point)
-        coupling = normals.by_pose.T @ spread(factors, problem.rows.points, len(blocks))
+        coupling = normals.by_pose.T @ block_rows(factors, problem.rows.points, len(blocks))
         system = normals.pose_system - outer_square(coupling.tocsc())
         system[np.diag_indices(len(system))] += damping * np.diag(normals.pose_system)
         right = coupling @ gradient.ravel() - normals.pose_gradient

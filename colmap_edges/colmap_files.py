@@ -34,7 +34,7 @@ COUNT = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
-class ImageRecord:
+class ImageSpan:
     """Where one image lies in images.bin; its points2D are at points_start:end."""
 
     image_id: int
@@ -158,7 +158,7 @@ def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
         raise damaged(path, "a pose has a rotation of zeros")
 
 
-def image_records(data: bytes, path: Path) -> list[ImageRecord]:
+def image_records(data: bytes, path: Path) -> list[ImageSpan]:
     """Find every image in the bytes of images.bin; `path` is for messages.
 
     Raises:
@@ -174,7 +174,7 @@ def image_records(data: bytes, path: Path) -> list[ImageRecord]:
             num_points2D = COUNT.unpack_from(data, at)[0]
             points_start = at + COUNT.size
             at = points_start + num_points2D * POINT2D.itemsize
-            records.append(ImageRecord(image_id, start, points_start, at, num_points2D))
+            records.append(ImageSpan(image_id, start, points_start, at, num_points2D))
             if at > len(data):
                 raise ValueError
     except (struct.error, ValueError):
@@ -184,7 +184,7 @@ def image_records(data: bytes, path: Path) -> list[ImageRecord]:
     return records
 
 
-def check_image_points(data: bytes, images: list[ImageRecord], path: Path) -> None:
+def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None:
     """Check that image ids are unique and that every point2D is a finite pixel."""
     if len({image.image_id for image in images}) != len(images):
         raise damaged(path, "two images have the same id")
@@ -194,7 +194,7 @@ def check_image_points(data: bytes, images: list[ImageRecord], path: Path) -> No
             raise damaged(path, f"image {image.image_id} has a point2D that is not finite")
 
 
-def check_points3D(path: Path, images: list[ImageRecord]) -> None:
+def check_points3D(path: Path, images: list[ImageSpan]) -> None:
     """Check the records of points3D.bin and that each track points at an existing point2D."""
     data = path.read_bytes()
     starts, lengths = point3D_records(data, path)

@@ -105,13 +105,13 @@ def pepcs_from_pecs(
     """
     starts = sample_polylines(field, pecs >= 0, options.sample_spacing_px)
     offsets, segments, fractions = field.kernel.candidates_in_pecs(
-        starts.segments, starts.fractions, pecs, depth_ranges(model), num_threads
+        starts.segments, starts.fractions, pecs, depth_bounds(model), num_threads
     )
     candidates = ChainPositions(segments=segments, fractions=fractions)
     return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
 
 
-def depth_ranges(model: Model) -> FloatArray:
+def depth_bounds(model: Model) -> FloatArray:
     """(V, 2) depths between which each view may see edges, from its SfM points and a margin.
 
     A view that sees no SfM points is not bounded: (0, inf).

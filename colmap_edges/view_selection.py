@@ -73,7 +73,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     """
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
-    ranges = depth_ranges(model, observed)
+    ranges = inverse_depth_ranges(model, observed)
     neighbors, witnesses = [], []
     for view in range(len(model.views)):
         scores = neighbor_scores(model, observed, observers, view, ranges[view].overall, options)
@@ -94,7 +94,7 @@ def observation_matrix(model: Model) -> csr_array:
     return matrix
 
 
-def depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
+def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
     """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
     ranges = []
     focus = None

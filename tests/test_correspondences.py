@@ -3,7 +3,7 @@ from curve_scenes import circle, graph_of, helix, line, make_model, ring_of_view
 from pinhole_geometry import epipolar_lines, fundamental_matrix
 
 from colmap_edges.correspondences import (
-    depth_ranges,
+    depth_bounds,
     join_pepcs,
     pepcs_from_pecs,
     pepcs_from_sfm_points,
@@ -89,7 +89,7 @@ def test_pepcs_from_pecs_cross_the_polylines_of_the_pec_only():
 def test_true_correspondence_is_among_the_candidates_within_the_depth_range():
     labels = np.tile([0, 1, 2], len(VIEWS)).astype(np.int32)
     model = make_model(VIEWS, CURVES[2].points[::300])
-    ranges = depth_ranges(model)
+    ranges = depth_bounds(model)
     assert (ranges[:, 0] < 6).all()
     assert (ranges[:, 1] > 6).all()
     bounded = pepcs_from_pecs(model, FIELD, labels, OPTIONS, 1)

@@ -77,6 +77,6 @@ def hex_colors(colors: ByteArray) -> list[str]:
     return [f"#{text[i : i + 6]}" for i in range(0, len(text), 6)]
 
 
-def spread(count: int, most: int) -> IntArray:
+def evenly_spread(count: int, most: int) -> IntArray:
     """Up to `most` of the indices 0..count-1, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

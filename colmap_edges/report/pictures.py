@@ -18,7 +18,7 @@ from colmap_edges.image_graphs import DetectedEdges
 from colmap_edges.images import encoded
 from colmap_edges.model import Model, View
 from colmap_edges.overlay import SHIFT, fixed_point
-from colmap_edges.report.contents import ImagePicture, spread
+from colmap_edges.report.contents import ImagePicture, evenly_spread
 
 MAX_BYTES = 7_000_000  # of all pictures, before base 64
 MAX_PICTURES = 120
@@ -35,7 +35,7 @@ class PictureTaker:
 
     def __init__(self, num_views: int) -> None:
         """Choose views, evenly spread, and the size of their pictures."""
-        self.chosen = set(spread(num_views, MAX_PICTURES).tolist())
+        self.chosen = set(evenly_spread(num_views, MAX_PICTURES).tolist())
         side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
         self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
         self.taken: dict[int, ImagePicture] = {}
