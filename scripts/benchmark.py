@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,7 @@ import click
 
 import colmap_edges
 from colmap_edges.errors import ColmapEdgesError, exit_on_error
+from colmap_edges.evaluation.tables import markdown
 from colmap_edges.workspace import find_images, find_model
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -264,7 +265,8 @@ def table(records: list[dict[str, Any]]) -> str:
         by_scene.setdefault(record["scene"], []).append(record)
     compared = any(len(variants) > 1 for variants in by_scene.values())
     heads = ["scene", "variant", "stage", "wall s", "CPU s", "peak MB"]
-    rows = [heads + (["wall ratio", "CPU ratio", "memory ratio"] if compared else [])]
+    heads += ["wall ratio", "CPU ratio", "memory ratio"] if compared else []
+    rows = []
     for scene, variants in by_scene.items():
         for stage in variants[0]["stages"]:
             for index, record in enumerate(variants):
@@ -273,7 +275,7 @@ def table(records: list[dict[str, Any]]) -> str:
                     row = [scene, record["variant"], stage, *written(found)]
                     other = variants[-1]["stages"].get(stage)
                     rows.append(row + (ratios(found, other if index == 0 else None, compared)))
-    return markdown(rows)
+    return markdown(heads, rows)
 
 
 def written(measures: dict[str, float]) -> list[str]:
@@ -288,13 +290,6 @@ def ratios(measures: dict[str, float], other: dict[str, float] | None, compared:
     if other is None:
         return ["", "", ""]
     return [f"{measures[n] / other[n]:.2f}" if other[n] else "" for n in MEASURES]
-
-
-def markdown(rows: Iterable[list[str]]) -> str:
-    """A table of cells as Markdown, the first row its head."""
-    head, *body = rows
-    lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

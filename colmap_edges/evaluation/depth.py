@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -212,3 +213,14 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
         depths[seen] = view.cam_from_world(points[seen])[:, 2]
         errors[seen] = caster.depth_at(view, model.track_points2D[seen]) - depths[seen]
     return errors, depths
+
+
+def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, dict[str, Any]]:
+    """Statistics of `observation_depth_errors`, absolute and relative to the points' depths."""
+    errors, depths = observation_depth_errors(caster, model)
+    known = np.isfinite(errors)
+    coverage = {"coverage": float(known.mean())}
+    return {
+        "absolute": asdict(summarize(errors[known])) | coverage,
+        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import depth, pictures
 from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.evaluation.statistics import summarize
 from colmap_edges.model import Model, View, load_model, model_from_reconstruction
 
 
@@ -65,15 +64,8 @@ def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dic
         raise ColmapEdgesError(f"{input_path} holds too few points to leave half of them out")
     used, left_out = split_points(model, seed)
     result = mesh(used, edges=edges)
-    errors, depths = depth.observation_depth_errors(
-        RayCaster(result.vertices, result.faces), left_out
-    )
-    known = np.isfinite(errors)
-    coverage = {"coverage": float(known.mean())}
-    return {
-        "absolute": asdict(summarize(errors[known])) | coverage,
-        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
-    }
+    caster = RayCaster(result.vertices, result.faces)
+    return depth.observation_depth_statistics(caster, left_out)
 
 
 def left_out_views(views: Sequence[View], every: int) -> list[View]:

@@ -104,15 +104,7 @@ def _against_depth(
 def _against_points(caster: RayCaster, model: Model) -> Record:
     if not len(model.points3D_xyz):
         raise ColmapEdgesError("without a reference the model must hold points, and it has none")
-    errors, depths = depth.observation_depth_errors(caster, model)
-    known = np.isfinite(errors)
-    coverage = {"coverage": float(known.mean())}
-    return {
-        "points_depth": {
-            "absolute": asdict(summarize(errors[known])) | coverage,
-            "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
-        }
-    }
+    return {"points_depth": depth.observation_depth_statistics(caster, model)}
 
 
 def _against_cloud(mesh: Any, points: Any, thresholds: Sequence[float]) -> Record:
