@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, FloatArray, Picture
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.model import Model, View, views_with_rows
@@ -55,7 +55,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
+def read_image(view: View, image_path: Path) -> Picture:
     """Read the image of a view, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
@@ -66,7 +66,7 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
     return decode_image(read_bytes(path), path, view)
 
 
-def decode_image(data: NDArray[np.uint8], path: Path, view: View) -> NDArray[np.uint8]:
+def decode_image(data: ByteArray, path: Path, view: View) -> Picture:
     """Decode the bytes of a view's image; `path` is for messages.
 
     Raises:
@@ -83,7 +83,7 @@ def decode_image(data: NDArray[np.uint8], path: Path, view: View) -> NDArray[np.
     return image
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
+def read_picture(path: Path) -> Picture:
     """Read any image file, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
@@ -92,7 +92,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     return decode(read_bytes(path), path)
 
 
-def read_bytes(path: Path) -> NDArray[np.uint8]:
+def read_bytes(path: Path) -> ByteArray:
     """Read an image file as it is.
 
     Raises:
@@ -109,7 +109,7 @@ def unreadable(path: Path, error: Exception) -> ImageError:
     return ImageError(f"cannot read image {path}: {' '.join(str(error).split())}")
 
 
-def decode(data: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
+def decode(data: ByteArray, path: Path) -> Picture:
     """Decode the bytes of an image file; `path` is for messages.
 
     Raises:
@@ -124,12 +124,12 @@ def decode(data: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
     return np.asarray(image, np.uint8)
 
 
-def gray_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def gray_of(image: Picture) -> Picture:
     """The picture (H, W, 3) without colour: (H, W)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def encoded(kind: str, picture: NDArray[np.uint8], options: Sequence[int] = ()) -> bytes:
+def encoded(kind: str, picture: Picture, options: Sequence[int] = ()) -> bytes:
     """The bytes of an image file.
 
     Args:
@@ -146,7 +146,7 @@ def encoded(kind: str, picture: NDArray[np.uint8], options: Sequence[int] = ()) 
     return bytes(data.tobytes())
 
 
-def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.uint8]:
+def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> ByteArray:
     """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
     sums = np.zeros((edges.num_points, 3))
     owners = edges.track_points
@@ -155,11 +155,11 @@ def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.
             image = read_image(view, image_path)
             np.add.at(sums, owners[rows], bilinear(image, edges.track_points2D[rows] - 0.5))
     counts = np.maximum(np.diff(edges.track_offsets), 1)
-    colors: NDArray[np.uint8] = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
+    colors: ByteArray = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
     return colors
 
 
-def bilinear(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear(image: Picture, points: FloatArray) -> FloatArray:
     """Values (N, C) of `image` (H, W, C) at `points` (N, 2), centre of first pixel (0, 0)."""
     limits = np.array(image.shape[1::-1]) - 1
     clipped = np.clip(points, 0, limits)
@@ -168,7 +168,7 @@ def bilinear(image: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[n
     fx, fy = (clipped - low).T[:, :, None]
     top = image[low[:, 1], low[:, 0]] * (1 - fx) + image[low[:, 1], high[:, 0]] * fx
     bottom = image[high[:, 1], low[:, 0]] * (1 - fx) + image[high[:, 1], high[:, 0]] * fx
-    values: NDArray[np.float64] = top * (1 - fy) + bottom * fy
+    values: FloatArray = top * (1 - fy) + bottom * fy
     return values
 
 

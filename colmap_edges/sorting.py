@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
@@ -20,10 +20,6 @@ from colmap_edges.linking import link_edges
 from colmap_edges.model import Model, rows_by_view
 from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import LinkingOptions, TracingOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
 MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
@@ -294,7 +290,7 @@ def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
 
 
 def observed_pixels(
-    graphs: Sequence[EdgeGraph], track_views: NDArray[np.int32], positions: FloatArray
+    graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
 ) -> FloatArray:
     """(T, 2) image pixels of observations at (T,) positions on the chains of (T,) views."""
     pixels = np.zeros((len(positions), 2))

@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import (
     ChainDepths,
     compute_chain_depths,
@@ -37,10 +37,6 @@ from colmap_edges.significance import chance_of_observations
 from colmap_edges.sorting import Sorted, Traced, link, row_medians, sort_out
 from colmap_edges.view_graphs import NUM_KEPT, CachedEdgeViews, CachedGraphs, Some
 from colmap_edges.view_selection import DepthRange, Neighborhood, select_views
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,7 +304,7 @@ def depths_of_view(
 def trace_views(
     scene: Scene,
     depths: list[ChainDepths],
-    agreeing: list[NDArray[np.int32]],
+    agreeing: list[Int32Array],
     options: PipelineOptions,
     workers: Workers,
     advance: Callable[[], None],
@@ -356,7 +352,7 @@ def curves_traced(
     scene: Scene,
     view: int,
     depths: ChainDepths,
-    agreeing: NDArray[np.int32],
+    agreeing: Int32Array,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Traced | None, int]:
@@ -378,7 +374,7 @@ def curves_traced(
     return trace_view(scene, view, curves, indices, options, num_threads), in_runs
 
 
-def worth_of(view: View, depths: ChainDepths, agreeing: NDArray[np.int32]) -> float:
+def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
     """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
     return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
@@ -391,7 +387,7 @@ def without_supports(depths: ChainDepths) -> ChainDepths:
 
 
 def count_samples(
-    depths: list[ChainDepths], agreeing: list[NDArray[np.int32]], in_runs: int
+    depths: list[ChainDepths], agreeing: list[Int32Array], in_runs: int
 ) -> dict[str, int]:
     """Count the samples on chains after each check."""
     return {
