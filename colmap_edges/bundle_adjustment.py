@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve
 from scipy.sparse import csc_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 from colmap_edges.chain_depths import make_edge_view
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
@@ -27,10 +27,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, frames_of_views, moved_model, rows_by_view, views_with_rows
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.refinement import curve_tangents
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SFM, EDGE = 0, 1  # kinds of points
 WEAK_PRIOR = 1e-6  # of the information on each pose: what nothing else determines stays
@@ -328,7 +324,7 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     blocks = np.add.reduceat(by_point[:, :, None] * by_point[:, None, :], starts)
     size = np.einsum("pii->p", blocks)[:, None, None]
     blocks += size * problem.tangents[:, :, None] * problem.tangents[:, None, :]
-    wide = spread(by_pose, problem.frames[rows.views], problem.num_frames)
+    wide = block_rows(by_pose, problem.frames[rows.views], problem.num_frames)
     return Normals(
         by_pose=wide,
         by_point=by_point,
@@ -339,7 +335,7 @@ def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
     )
 
 
-def spread(values: FloatArray, places: IntArray, count: int) -> csr_array:
+def block_rows(values: FloatArray, places: IntArray, count: int) -> csr_array:
     """(M, K count) sparse matrix with row m of `values`, (M, K), at block `places[m]`."""
     width = values.shape[1]
     columns = width * places[:, None] + np.arange(width)
@@ -371,7 +367,7 @@ def solve_step(
     carried = np.zeros_like(gradient)
     if move_poses:
         factors = np.einsum("mij,mj->mi", inverse[problem.rows.points], normals.by_point)
-        coupling = normals.by_pose.T @ spread(factors, problem.rows.points, len(blocks))
+        coupling = normals.by_pose.T @ block_rows(factors, problem.rows.points, len(blocks))
         system = normals.pose_system - outer_square(coupling.tocsc())
         system[np.diag_indices(len(system))] += damping * np.diag(normals.pose_system)
         right = coupling @ gradient.ravel() - normals.pose_gradient

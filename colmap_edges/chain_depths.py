@@ -12,17 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of, ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import ChainDepthOptions
 from colmap_edges.view_selection import DepthRange
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
 MIN_SURE = 200  # supports of such depths that are enough to learn from
@@ -51,11 +48,11 @@ class ChainDepths:
     sigmas: FloatArray
     scores: FloatArray
     support_offsets: IntArray
-    support_views: NDArray[np.int32]
+    support_views: Int32Array
     support_positions: FloatArray
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def found(self) -> BoolArray:
         """(S,) whether a sample has a depth."""
         return np.diff(self.support_offsets) > 0
 

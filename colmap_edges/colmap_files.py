@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, FloatArray, IntArray
 from colmap_edges.csr import order_of, ranks_of
 from colmap_edges.errors import ColmapEdgesError
 
@@ -33,7 +34,7 @@ COUNT = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
-class ImageRecord:
+class ImageSpan:
     """Where one image lies in images.bin; its points2D are at points_start:end."""
 
     image_id: int
@@ -157,7 +158,7 @@ def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
         raise damaged(path, "a pose has a rotation of zeros")
 
 
-def image_records(data: bytes, path: Path) -> list[ImageRecord]:
+def image_records(data: bytes, path: Path) -> list[ImageSpan]:
     """Find every image in the bytes of images.bin; `path` is for messages.
 
     Raises:
@@ -173,7 +174,7 @@ def image_records(data: bytes, path: Path) -> list[ImageRecord]:
             num_points2D = COUNT.unpack_from(data, at)[0]
             points_start = at + COUNT.size
             at = points_start + num_points2D * POINT2D.itemsize
-            records.append(ImageRecord(image_id, start, points_start, at, num_points2D))
+            records.append(ImageSpan(image_id, start, points_start, at, num_points2D))
             if at > len(data):
                 raise ValueError
     except (struct.error, ValueError):
@@ -183,7 +184,7 @@ def image_records(data: bytes, path: Path) -> list[ImageRecord]:
     return records
 
 
-def check_image_points(data: bytes, images: list[ImageRecord], path: Path) -> None:
+def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None:
     """Check that image ids are unique and that every point2D is a finite pixel."""
     if len({image.image_id for image in images}) != len(images):
         raise damaged(path, "two images have the same id")
@@ -193,7 +194,7 @@ def check_image_points(data: bytes, images: list[ImageRecord], path: Path) -> No
             raise damaged(path, f"image {image.image_id} has a point2D that is not finite")
 
 
-def check_points3D(path: Path, images: list[ImageRecord]) -> None:
+def check_points3D(path: Path, images: list[ImageSpan]) -> None:
     """Check the records of points3D.bin and that each track points at an existing point2D."""
     data = path.read_bytes()
     starts, lengths = point3D_records(data, path)
@@ -217,7 +218,7 @@ def check_points3D(path: Path, images: list[ImageRecord]) -> None:
         raise damaged(path, "a track names a point2D that its image does not have")
 
 
-def point3D_records(data: bytes, path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
     """Offsets (N,) of the points in the bytes of points3D.bin and their track lengths (N,)."""
     starts, lengths = [], []
     at = COUNT.size
@@ -237,7 +238,7 @@ def point3D_records(data: bytes, path: Path) -> tuple[NDArray[np.int64], NDArray
     return np.array(starts, np.int64), np.array(lengths, np.int64)
 
 
-def gather(data: bytes, offsets: NDArray[np.int64], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+def gather(data: bytes, offsets: IntArray, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Records of `dtype` at byte `offsets` (N,) of `data`."""
     raw = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(dtype.itemsize)]
     return np.ascontiguousarray(raw).view(dtype).reshape(-1)
@@ -257,13 +258,13 @@ class NewPoints:
         track_points2D: (T, 2) float64, image pixels.
     """
 
-    ids: NDArray[np.int64]
-    xyz: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
-    errors: NDArray[np.float64]
-    track_offsets: NDArray[np.int64]
-    track_image_ids: NDArray[np.int64]
-    track_points2D: NDArray[np.float64]
+    ids: IntArray
+    xyz: FloatArray
+    rgb: ByteArray
+    errors: FloatArray
+    track_offsets: IntArray
+    track_image_ids: IntArray
+    track_points2D: FloatArray
 
 
 def append_points(folder: Path, points: NewPoints) -> None:
@@ -272,7 +273,7 @@ def append_points(folder: Path, points: NewPoints) -> None:
     append_points3D(folder / "points3D.bin", points, indices)
 
 
-def append_points2D(path: Path, points: NewPoints) -> NDArray[np.int64]:
+def append_points2D(path: Path, points: NewPoints) -> IntArray:
     """Append the observations to their images; return the point2D index (T,) of each."""
     data = path.read_bytes()
     owners = np.repeat(points.ids, np.diff(points.track_offsets))
@@ -295,7 +296,7 @@ def append_points2D(path: Path, points: NewPoints) -> NDArray[np.int64]:
     return indices
 
 
-def append_points3D(path: Path, points: NewPoints, point2D_indices: NDArray[np.int64]) -> None:
+def append_points3D(path: Path, points: NewPoints, point2D_indices: IntArray) -> None:
     """Append the points with their tracks to points3D.bin."""
     heads = np.empty(len(points.ids), POINT3D)
     heads["id"], heads["xyz"], heads["rgb"] = points.ids, points.xyz, points.rgb

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import entries_of, offsets_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField
 from colmap_edges.matching import project_tracks
 from colmap_edges.model import Model, rows_by_view, views_with_rows
 from colmap_edges.options import CorrespondenceOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DEPTH_MARGIN = 2.0  # how far beyond the SfM points of a view edges are sought, as a factor
 DEPTH_PERCENTILES = (1.0, 99.0)  # of the SfM points' depths, against their outliers
@@ -90,7 +87,7 @@ def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
 def pepcs_from_pecs(
     model: Model,
     field: EdgeField,
-    pecs: NDArray[np.int32],
+    pecs: Int32Array,
     options: CorrespondenceOptions,
     num_threads: int,
 ) -> Pepcs:
@@ -108,13 +105,13 @@ def pepcs_from_pecs(
     """
     starts = sample_polylines(field, pecs >= 0, options.sample_spacing_px)
     offsets, segments, fractions = field.kernel.candidates_in_pecs(
-        starts.segments, starts.fractions, pecs, depth_ranges(model), num_threads
+        starts.segments, starts.fractions, pecs, depth_bounds(model), num_threads
     )
     candidates = ChainPositions(segments=segments, fractions=fractions)
     return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
 
 
-def depth_ranges(model: Model) -> FloatArray:
+def depth_bounds(model: Model) -> FloatArray:
     """(V, 2) depths between which each view may see edges, from its SfM points and a margin.
 
     A view that sees no SfM points is not bounded: (0, inf).
@@ -131,9 +128,7 @@ def depth_ranges(model: Model) -> FloatArray:
     return ranges
 
 
-def sample_polylines(
-    field: EdgeField, wanted: NDArray[np.bool_], spacing_px: float
-) -> ChainPositions:
+def sample_polylines(field: EdgeField, wanted: BoolArray, spacing_px: float) -> ChainPositions:
     """Places at even intervals of about `spacing_px` on the wanted polylines ((P,) bool).
 
     The intervals are centred on the polyline; one shorter than the spacing has one place.

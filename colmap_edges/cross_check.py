@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, Int32Array
 from colmap_edges.chain_depths import ChainDepths
 from colmap_edges.csr import owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.model import View
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 def count_agreeing_views(
-    views: tuple[View, ...],
+    views: Sequence[View],
     graphs: Sequence[EdgeGraph],
     depths: Sequence[ChainDepths],
     source: int,
     max_disagreement_px: float,
-) -> NDArray[np.int32]:
+) -> Int32Array:
     """(S,) number of supporting views whose own depth there agrees, for samples of one view.
 
     A sample's support in another view lies on a chain that has depths of its own; both describe

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
+from colmap_edges.array_types import IntArray
 
 
-def offsets_of(lengths: NDArray[np.int64]) -> IntArray:
+def offsets_of(lengths: IntArray) -> IntArray:
     """(n + 1,) CSR offsets of n lengths."""
     offsets = np.zeros(len(lengths) + 1, np.int64)
     np.cumsum(lengths, out=offsets[1:])
@@ -39,6 +39,6 @@ def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
     return entries
 
 
-def ranks_of(lengths: NDArray[np.int64]) -> IntArray:
+def ranks_of(lengths: IntArray) -> IntArray:
     """Place of each entry within its row, for rows of n lengths one after the other."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)

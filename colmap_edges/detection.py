@@ -11,13 +11,18 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Picture,
+)
 from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
-
-FloatArray = NDArray[np.float64]
 
 SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
 REMAP_WIDTH = 1 << 14
@@ -36,12 +41,10 @@ class Chains:
 
     points: FloatArray
     normals: FloatArray
-    sides: NDArray[np.uint8]
-    offsets: NDArray[np.int64]
+    sides: ByteArray
+    offsets: IntArray
 
-    def select(
-        self, index: NDArray[np.bool_] | NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> Chains:
+    def select(self, index: BoolArray | IntArray, lengths: IntArray) -> Chains:
         """The points at a numpy index, cut into chains of these lengths."""
         return Chains(
             points=self.points[index],
@@ -51,7 +54,7 @@ class Chains:
         )
 
 
-def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains:
+def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
     """Detect the edge chains of a grayscale image.
 
     Args:
@@ -79,7 +82,7 @@ def detect_chains(image: NDArray[np.uint8], options: DetectionOptions) -> Chains
     )
 
 
-def sample_gray(image: NDArray[np.float32], pixels: FloatArray) -> NDArray[np.uint8]:
+def sample_gray(image: Float32Array, pixels: FloatArray) -> ByteArray:
     """(N,) gray at (N, 2) sub-pixel positions (OpenCV's origin), that of the border outside."""
     count = len(pixels)
     if count == 0:
@@ -92,9 +95,7 @@ def sample_gray(image: NDArray[np.float32], pixels: FloatArray) -> NDArray[np.ui
     return np.asarray(np.clip(np.round(gray.ravel()[:count]), 0, 255), np.uint8)
 
 
-def detect_pixel_chains(
-    image: NDArray[np.uint8], min_length_px: int
-) -> tuple[FloatArray, NDArray[np.int64]]:
+def detect_pixel_chains(image: Picture, min_length_px: int) -> tuple[FloatArray, IntArray]:
     """(N, 2) pixels (OpenCV's origin) of EdgeDrawing's chains and their (C + 1,) offsets."""
     detector = cv2.ximgproc.createEdgeDrawing()
     parameters = cv2.ximgproc.EdgeDrawing.Params()

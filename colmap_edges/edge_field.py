@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GRID_CELL_PX = 16.0  # side of a cell of the search grid; only speed depends on it
 
@@ -53,7 +50,7 @@ class NearPolylines:
     """
 
     offsets: IntArray
-    polylines: NDArray[np.int32]
+    polylines: Int32Array
     positions: ChainPositions
     distances: FloatArray
 
@@ -84,8 +81,8 @@ class EdgeField:
     ideal: FloatArray
     next_points: IntArray
     polyline_offsets: IntArray
-    polyline_views: NDArray[np.int32]
-    closed: NDArray[np.bool_]
+    polyline_views: Int32Array
+    closed: BoolArray
 
     @property
     def num_polylines(self) -> int:
@@ -97,9 +94,9 @@ class EdgeField:
         found: IntArray = np.searchsorted(self.polyline_offsets, positions.segments, "right") - 1
         return found
 
-    def views_at(self, positions: ChainPositions) -> NDArray[np.int32]:
+    def views_at(self, positions: ChainPositions) -> Int32Array:
         """(N,) view of each place."""
-        found: NDArray[np.int32] = self.polyline_views[self.polylines_at(positions)]
+        found: Int32Array = self.polyline_views[self.polylines_at(positions)]
         return found
 
     def image_points(self, positions: ChainPositions) -> FloatArray:
@@ -117,7 +114,7 @@ class EdgeField:
 
     def find_near(
         self,
-        view_indices: NDArray[np.int32],
+        view_indices: Int32Array,
         pixels: FloatArray,
         radii_px: FloatArray,
         num_threads: int,
@@ -183,7 +180,7 @@ def pose_arrays(views: Sequence[View]) -> tuple[FloatArray, FloatArray, FloatArr
     )
 
 
-def next_points(offsets: IntArray, closed: NDArray[np.bool_]) -> IntArray:
+def next_points(offsets: IntArray, closed: BoolArray) -> IntArray:
     """(N,) index of the next point on each polyline, -1 at the end of an open one."""
     following = np.arange(1, offsets[-1] + 1, dtype=np.int64)
     lengths = np.diff(offsets)

@@ -6,20 +6,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
 from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import EdgeGraphOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NODE_RADIUS_PX = 2.0  # ends this near to another edge pixel (8-neighbours, sub-pixel) touch it
 DIRECTION_STEP = 5  # points between which the direction of a chain at its end is measured
@@ -44,16 +41,16 @@ class EdgeGraph:
         smoothed_offsets: (P + 1,) int64 CSR of `smoothed` by polyline.
     """
 
-    points: NDArray[np.float64]
-    ideal: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    sides: NDArray[np.uint8]
-    polyline_offsets: NDArray[np.int64]
-    closed: NDArray[np.bool_]
-    end_nodes: NDArray[np.int32]
-    node_polylines: NDArray[np.int32]
-    smoothed: NDArray[np.int64]
-    smoothed_offsets: NDArray[np.int64]
+    points: FloatArray
+    ideal: FloatArray
+    normals: FloatArray
+    sides: ByteArray
+    polyline_offsets: IntArray
+    closed: BoolArray
+    end_nodes: Int32Array
+    node_polylines: Int32Array
+    smoothed: IntArray
+    smoothed_offsets: IntArray
 
     @property
     def num_polylines(self) -> int:
@@ -86,7 +83,7 @@ def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> E
     return graph
 
 
-def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
+def drop_chains(chains: Chains, usable: BoolArray) -> Chains:
     """Leave out every chain with a point that is not usable."""
     if usable.all():
         return chains
@@ -98,7 +95,7 @@ def drop_chains(chains: Chains, usable: NDArray[np.bool_]) -> Chains:
 
 def join_chains(
     chains: Chains, max_gap_px: float, max_angle_deg: float
-) -> tuple[Chains, NDArray[np.bool_]]:
+) -> tuple[Chains, BoolArray]:
     """Join chains whose ends face each other across a small gap and agree in direction.
 
     A contour comes as several chains, broken at corners, junctions and where contrast fades.
@@ -141,7 +138,7 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     return match_best_first(len(positions), a, b, allowed, cost)
 
 
-def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
     """Of the 2C chain ends: positions (2C, 2), unit directions outward (2C, 2), bright sides (2C,).
 
     The bright side is +1 when the normal is to the left of the outward direction, else -1.
@@ -154,9 +151,7 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, NDArray[np.int64
     return chains.points[tips], outward, np.where(cross >= 0, 1, -1)
 
 
-def assemble(
-    chains: Chains, closed: NDArray[np.bool_], view: View, options: EdgeGraphOptions
-) -> EdgeGraph:
+def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOptions) -> EdgeGraph:
     """Undistort and smooth joined chains and find their nodes."""
     ideal = view.ideal_from_image(chains.points)
     across = view.ideal_from_image(chains.points + 0.5 * chains.normals) - ideal
@@ -179,8 +174,8 @@ def assemble(
 
 
 def find_nodes(
-    chains: Chains, closed: NDArray[np.bool_], width: int, height: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    chains: Chains, closed: BoolArray, width: int, height: int
+) -> tuple[Int32Array, Int32Array]:
     """Nodes of the polyline ends: ends that touch share one.
 
     An end that touches the inside of another polyline makes a T junction.
@@ -203,9 +198,7 @@ def find_nodes(
     return nodes.reshape(-1, 2).astype(np.int32), through
 
 
-def touched_polylines(
-    chains: Chains, positions: FloatArray, width: int, height: int
-) -> NDArray[np.int32]:
+def touched_polylines(chains: Chains, positions: FloatArray, width: int, height: int) -> Int32Array:
     """(2C,) polyline whose inside the end touches (3x3 pixels), other than its own, or -1."""
     labels = np.full((height + 2, width + 2), -1, np.int32)
     ids = owners_of(chains.offsets)
@@ -251,7 +244,7 @@ def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
     return result
 
 
-def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> NDArray[np.bool_]:
+def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> BoolArray:
     """(P,) whether a polyline's component holds one of at least the threshold's regular length.
 
     The threshold is the shortest regular length among the top share of polylines (paper: l_R*).
@@ -264,7 +257,7 @@ def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> NDArray[np
     component = component_labels(graph)
     longest = np.zeros(component.max() + 1)
     np.maximum.at(longest, component, lengths)
-    kept: NDArray[np.bool_] = longest[component] >= threshold
+    kept: BoolArray = longest[component] >= threshold
     return kept
 
 
@@ -280,7 +273,7 @@ def component_labels(graph: EdgeGraph) -> IntArray:
     return labels
 
 
-def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
+def keep_polylines(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
     """The graph with only the polylines where `keep` (P,) is true; node ids stay."""
     ids = graph.polyline_ids
     points = keep[ids]
@@ -299,4 +292,37 @@ def keep_polylines(graph: EdgeGraph, keep: NDArray[np.bool_]) -> EdgeGraph:
         node_polylines=np.where(through >= 0, renumbered[through], -1).astype(np.int32),
         smoothed=moved[graph.smoothed[keep[smoothed_ids]]],
         smoothed_offsets=offsets_of(np.diff(graph.smoothed_offsets)[keep]),
+    )
+
+
+def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
+    """The graph of the points where `keep` (N,) is true: polylines are cut where others were.
+
+    The pieces meet nowhere: each end is a node of its own.
+    """
+    kept = np.flatnonzero(keep)
+    ids = graph.polyline_ids[kept]
+    first = np.ones(len(kept), bool)
+    first[1:] = (np.diff(kept) > 1) | (np.diff(ids) != 0)
+    starts = np.flatnonzero(first)
+    lengths = np.diff(np.append(starts, len(kept)))
+    last = starts + lengths - 1
+    whole = lengths == np.diff(graph.polyline_offsets)[ids[starts]]
+    vertices = first.copy()
+    vertices[last] = True
+    vertices |= np.isin(kept, graph.smoothed)
+    smoothed = np.flatnonzero(vertices)
+    pieces = np.cumsum(first) - 1
+    count = len(starts)
+    return EdgeGraph(
+        points=graph.points[kept],
+        ideal=graph.ideal[kept],
+        normals=graph.normals[kept],
+        sides=graph.sides[kept],
+        polyline_offsets=offsets_of(lengths),
+        closed=graph.closed[ids[starts]] & whole,
+        end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
+        node_polylines=np.full(2 * count, -1, np.int32),
+        smoothed=smoothed,
+        smoothed_offsets=offsets_of(np.bincount(pieces[smoothed], minlength=count)),
     )

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.model import Model
 
@@ -40,7 +40,7 @@ DXF_END_OF_POLYLINE = "0\nSEQEND\n"
 DXF_END = "0\nENDSEC\n0\nEOF\n"
 
 
-def edge_segments(edges: Edges3D) -> NDArray[np.int32]:
+def edge_segments(edges: Edges3D) -> Int32Array:
     """Segments (S, 2) between successive edge points; closed edges return to their first."""
     first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
     starts = np.arange(edges.num_points)
@@ -54,7 +54,7 @@ def edge_segments(edges: Edges3D) -> NDArray[np.int32]:
     return np.column_stack([starts, ends])[kept].astype(np.int32)
 
 
-def edge_lengths(edges: Edges3D) -> NDArray[np.float64]:
+def edge_lengths(edges: Edges3D) -> FloatArray:
     """Length (E,) of each edge, world units."""
     segments = edge_segments(edges)
     lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
@@ -62,7 +62,7 @@ def edge_lengths(edges: Edges3D) -> NDArray[np.float64]:
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
-def write_ply(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
+def write_ply(edges: Edges3D, colors: ByteArray, path: Path) -> None:
     """Write a binary PLY with `vertex` and `edge` elements.
 
     Args:
@@ -86,14 +86,14 @@ def write_obj(edges: Edges3D, path: Path) -> None:
             file.write(f"l {' '.join(map(str, (indices + 1).tolist()))}\n")
 
 
-def polyline_indices(edges: Edges3D) -> Iterator[NDArray[np.int64]]:
+def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
     """The edge points of each edge in turn; closed edges return to their first."""
     bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
     for first, last, closed in bounds:
         yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
 
 
-def write_glb(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
+def write_glb(edges: Edges3D, colors: ByteArray, path: Path) -> None:
     """Write a binary glTF with lines, each edge in the mean colour of its points.
 
     World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
@@ -120,7 +120,7 @@ def write_glb(edges: Edges3D, colors: NDArray[np.uint8], path: Path) -> None:
     path.write_bytes(GLB_HEAD.pack(b"glTF", 2, length) + b"".join(chunks))
 
 
-def glb_document(corners: NDArray[np.float32], shades: NDArray[np.uint8]) -> dict[str, Any]:
+def glb_document(corners: Float32Array, shades: ByteArray) -> dict[str, Any]:
     """What a glTF says of (2S, 3) ends of lines and their (2S, 4) RGBA, which follow it."""
     sizes = (corners.nbytes, shades.nbytes)
     positions = {
@@ -173,8 +173,8 @@ def write_dxf(edges: Edges3D, path: Path) -> None:
 def write_json(
     edges: Edges3D,
     model: Model,
-    point3D_ids: NDArray[np.int64],
-    residuals: NDArray[np.float64],
+    point3D_ids: IntArray,
+    residuals: FloatArray,
     path: Path,
 ) -> None:
     """Write what each edge is, one line an edge.
@@ -194,8 +194,8 @@ def write_json(
 def edge_records(
     edges: Edges3D,
     model: Model,
-    point3D_ids: NDArray[np.int64],
-    residuals: NDArray[np.float64],
+    point3D_ids: IntArray,
+    residuals: FloatArray,
 ) -> list[dict[str, Any]]:
     """One mapping an edge: id, point3D ids, closed, length, views, residual, end nodes."""
     image_ids = np.array([view.image_id for view in model.views], np.int64)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import entries_of, offsets_of, owners_of
 
 
@@ -29,14 +30,14 @@ class Edges3D:
             outline and its reflections do, but near its surface: only the mesh uses them.
     """
 
-    points: NDArray[np.float64]
-    edge_offsets: NDArray[np.int64]
-    closed: NDArray[np.bool_]
-    track_offsets: NDArray[np.int64]
-    track_views: NDArray[np.int32]
-    track_points2D: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
-    end_nodes: NDArray[np.int32]
+    points: FloatArray
+    edge_offsets: IntArray
+    closed: BoolArray
+    track_offsets: IntArray
+    track_views: Int32Array
+    track_points2D: FloatArray
+    sigmas: FloatArray
+    end_nodes: Int32Array
     outlines: Edges3D | None = None
 
     @property
@@ -50,21 +51,21 @@ class Edges3D:
         return len(self.points)
 
     @property
-    def edge_ids(self) -> NDArray[np.int64]:
+    def edge_ids(self) -> IntArray:
         """(N,) edge of each point."""
         return owners_of(self.edge_offsets)
 
     @property
-    def track_points(self) -> NDArray[np.int64]:
+    def track_points(self) -> IntArray:
         """(T,) point of each observation."""
         return owners_of(self.track_offsets)
 
     def reordered(
         self,
-        order: NDArray[np.int64],
-        edge_offsets: NDArray[np.int64],
-        closed: NDArray[np.bool_],
-        end_nodes: NDArray[np.int32],
+        order: IntArray,
+        edge_offsets: IntArray,
+        closed: BoolArray,
+        end_nodes: Int32Array,
     ) -> Edges3D:
         """The points (n,) of these edges in another order, with their tracks, cut anew.
 

@@ -1,5 +1,9 @@
 """Errors that a user can act on: each names what, where and the remedy in one line."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class ColmapEdgesError(Exception):
     """Bad input, options or environment; its message is one clear line for the user."""
@@ -11,3 +15,13 @@ class ImageError(ColmapEdgesError):
 
 class OptionError(ColmapEdgesError, ValueError):
     """An option's value is outside its range."""
+
+
+@contextmanager
+def exit_on_error(*others: type[Exception]) -> Iterator[None]:
+    """End a script whose input is bad, or that meets one of `others`, with one line and exit 1."""
+    known: tuple[type[Exception], ...] = (ColmapEdgesError, *others)
+    try:
+        yield
+    except known as error:
+        sys.exit(f"error: {error}")

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, FloatArray, Picture
 from colmap_edges.cache import Arrays, Cache, key_of
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
@@ -17,9 +17,6 @@ from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import decode_image, gray_of, path_of_image, read_bytes
 from colmap_edges.model import View
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 KIND = "edge_graphs"  # of cache entries
 NO_CHAINS = Chains(
@@ -50,7 +47,9 @@ class DetectedEdges:
 class Visitor(Protocol):
     """Makes something of every image while it is at hand."""
 
-    def visit(self, index: int, view: View, read: Callable[[], Image], found: DetectedEdges) -> Any:
+    def visit(
+        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+    ) -> Any:
         """Look at an image, which `read` gives, wherever it is worked on; give back what to keep.
 
         Args:
@@ -160,7 +159,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     visited = None
     if work.visitor:
 
-        def read() -> Image:
+        def read() -> Picture:
             return image if entry is None else decode_image(data, path, view)
 
         visited = work.visitor.visit(index, view, read, found)
@@ -170,7 +169,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     return found.graph, record
 
 
-def detect_edges(image: Image, view: View, work: ImageWork) -> DetectedEdges:
+def detect_edges(image: Picture, view: View, work: ImageWork) -> DetectedEdges:
     """Detect the edges of one image."""
     chains = detect_chains(gray_of(image), work.detection)
     graph = build_edge_graph(chains, view, work.edge_graph)
@@ -202,7 +201,7 @@ def counts_of(found: DetectedEdges) -> ImageCounts:
     )
 
 
-def graph_key(data: NDArray[np.uint8], view: View, work: ImageWork) -> str:
+def graph_key(data: ByteArray, view: View, work: ImageWork) -> str:
     """The key of the edge graph of an image file: all that the graph depends on."""
     camera = [view.camera.model.name, view.width, view.height, *map(float, view.camera.params)]
     return key_of(data, camera, work.detection, work.edge_graph)

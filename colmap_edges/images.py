@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, Picture
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -56,7 +56,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
+def read_image(view: View, image_path: Path) -> Picture:
     """Read the image of a view, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
@@ -67,7 +67,7 @@ def read_image(view: View, image_path: Path) -> NDArray[np.uint8]:
     return decode_image(read_bytes(path), path, view)
 
 
-def decode_image(data: NDArray[np.uint8], path: Path, view: View) -> NDArray[np.uint8]:
+def decode_image(data: ByteArray, path: Path, view: View) -> Picture:
     """Decode the bytes of a view's image; `path` is for messages.
 
     Raises:
@@ -84,7 +84,7 @@ def decode_image(data: NDArray[np.uint8], path: Path, view: View) -> NDArray[np.
     return image
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
+def read_picture(path: Path) -> Picture:
     """Read any image file, (H, W, 3) uint8 in OpenCV's order of channels (BGR).
 
     Raises:
@@ -93,7 +93,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     return decode(read_bytes(path), path)
 
 
-def read_bytes(path: Path) -> NDArray[np.uint8]:
+def read_bytes(path: Path) -> ByteArray:
     """Read an image file as it is.
 
     Raises:
@@ -110,7 +110,7 @@ def unreadable(path: Path, error: Exception) -> ImageError:
     return ImageError(f"cannot read image {path}: {' '.join(str(error).split())}")
 
 
-def decode(data: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
+def decode(data: ByteArray, path: Path) -> Picture:
     """Decode the bytes of an image file; `path` is for messages.
 
     Raises:
@@ -125,12 +125,12 @@ def decode(data: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
     return np.asarray(image, np.uint8)
 
 
-def gray_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def gray_of(image: Picture) -> Picture:
     """The picture (H, W, 3) without colour: (H, W)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def encoded(kind: str, picture: NDArray[np.uint8], options: Sequence[int] = ()) -> bytes:
+def encoded(kind: str, picture: Picture, options: Sequence[int] = ()) -> bytes:
     """The bytes of an image file.
 
     Args:
@@ -147,7 +147,7 @@ def encoded(kind: str, picture: NDArray[np.uint8], options: Sequence[int] = ()) 
     return bytes(data.tobytes())
 
 
-def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.uint8]:
+def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> ByteArray:
     """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
     sums = np.zeros((edges.num_points, 3))
     owners = edges.track_points
@@ -157,7 +157,7 @@ def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> NDArray[np.
             values = _kernels.bilinear(image, edges.track_points2D[rows] - 0.5)
             np.add.at(sums, owners[rows], values)
     counts = np.maximum(np.diff(edges.track_offsets), 1)
-    colors: NDArray[np.uint8] = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
+    colors: ByteArray = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
     return colors
 
 

@@ -7,10 +7,8 @@ space are joined alike; which ends may join, and at what cost, those know who as
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 
 
 def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
@@ -25,7 +23,7 @@ def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
 
 
 def match_best_first(
-    num_ends: int, a: IntArray, b: IntArray, allowed: NDArray[np.bool_], costs: FloatArray
+    num_ends: int, a: IntArray, b: IntArray, allowed: BoolArray, costs: FloatArray
 ) -> IntArray:
     """(num_ends,) the end that goes on each end, cheapest pairs first; -1 where none does.
 

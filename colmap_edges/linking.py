@@ -10,18 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
 from colmap_edges.options import LinkingOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REACH = 4  # points from an end that tell its direction and spacing
 MIN_LOOP_POINTS = 8  # of a closed edge
@@ -137,8 +134,8 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
 
 
 def find_nodes(
-    ends: Ends, tips: IntArray, closed: NDArray[np.bool_], options: LinkingOptions
-) -> NDArray[np.int32]:
+    ends: Ends, tips: IntArray, closed: BoolArray, options: LinkingOptions
+) -> Int32Array:
     """(L, 2) node of both ends of each linked edge, whose (L, 2) ends are `tips`; -1 for none."""
     free = np.unique(tips[~closed])
     own = Ends(
@@ -152,6 +149,6 @@ def find_nodes(
         shared = np.bincount(labels)[labels] > 1
         numbers = np.unique(labels[shared], return_inverse=True)[1]
         nodes[free[shared]] = numbers
-    result: NDArray[np.int32] = nodes[tips]
+    result: Int32Array = nodes[tips]
     result[closed] = -1
     return result

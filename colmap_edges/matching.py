@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from colmap_edges.array_types import FloatArray, Int32Array, IntArray
 from colmap_edges.edge_field import EdgeField
 from colmap_edges.model import Model, views_with_rows
 from colmap_edges.options import MatchingOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +31,7 @@ class SimilarityGraph:
 
 def match_polylines(
     model: Model, field: EdgeField, options: MatchingOptions, random_seed: int, num_threads: int
-) -> NDArray[np.int32]:
+) -> Int32Array:
     """Label the polylines of all views with their PEC.
 
     Returns:
@@ -83,7 +80,7 @@ def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
 def similarity_graph(
     incidence: csr_array,
     weights: FloatArray,
-    polyline_views: NDArray[np.int32],
+    polyline_views: Int32Array,
     min_similarity: float,
 ) -> SimilarityGraph:
     """Similarity of all pairs of polylines on different images (paper: equation 1).
@@ -116,7 +113,7 @@ def similarity_graph(
     )
 
 
-def find_pecs(graph: SimilarityGraph, resolution: float, random_seed: int) -> NDArray[np.int32]:
+def find_pecs(graph: SimilarityGraph, resolution: float, random_seed: int) -> Int32Array:
     """(P,) int32 Louvain community (Blondel et al. 2008) of each polyline, -1 for lone ones."""
     network = networkx.Graph()
     network.add_nodes_from(np.unique(graph.links).tolist())

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 from colmap_edges.output import write_whole
@@ -34,10 +34,10 @@ class Mesh:
         stats: counts of what came in, was kept and was dropped, and seconds per step.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    point3D_ids: NDArray[np.int64]
-    colors: NDArray[np.uint8]
+    vertices: FloatArray
+    faces: Int32Array
+    point3D_ids: IntArray
+    colors: ByteArray
     stats: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -50,9 +50,9 @@ class Polylines(NamedTuple):
         closed: (E,) bool; the last point of a closed polyline connects to its first.
     """
 
-    point_indices: NDArray[np.int32]
-    offsets: NDArray[np.int64]
-    closed: NDArray[np.bool_]
+    point_indices: Int32Array
+    offsets: IntArray
+    closed: BoolArray
 
 
 def mesh(
@@ -145,9 +145,7 @@ def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
     return replace(mesh_of_indices, point3D_ids=ids, colors=colors)
 
 
-def spread_colors(
-    colors: NDArray[np.uint8], is_known: NDArray[np.bool_], faces: NDArray[np.int32]
-) -> NDArray[np.uint8]:
+def spread_colors(colors: ByteArray, is_known: BoolArray, faces: Int32Array) -> ByteArray:
     """Colour unknown vertices by the mean of their known neighbours, ring by ring.
 
     Args:
@@ -174,10 +172,10 @@ def spread_colors(
 
 
 def mesh_points(
-    points: NDArray[np.float64],
-    visibility_offsets: NDArray[np.int64],
-    visibility_cameras: NDArray[np.int32],
-    camera_centers: NDArray[np.float64],
+    points: FloatArray,
+    visibility_offsets: IntArray,
+    visibility_cameras: Int32Array,
+    camera_centers: FloatArray,
     options: MeshingOptions,
     edges: Polylines | None = None,
     num_threads: int = 0,
@@ -240,7 +238,7 @@ def check_volume(stats: Mapping[str, float], num_points: int) -> None:
         )
 
 
-def closed_rows(edges: Polylines | None) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def closed_rows(edges: Polylines | None) -> tuple[IntArray, Int32Array]:
     """Offsets and point indices of polylines, the first point repeated at the end of closed ones.
 
     Raises:

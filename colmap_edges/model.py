@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.colmap_files import (
     NewPoints,
     append_points,
@@ -24,9 +25,6 @@ from colmap_edges.colmap_files import (
 from colmap_edges.csr import offsets_of, order_of, owners_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,10 +82,10 @@ class View:
         ideal, depths = self.project_ideal(points)
         return self.image_from_ideal(ideal), depths
 
-    def holds(self, pixels: FloatArray, depths: FloatArray) -> NDArray[np.bool_]:
+    def holds(self, pixels: FloatArray, depths: FloatArray) -> BoolArray:
         """(N,) whether what projects to (N, 2) image pixels at (N,) depths is in the image."""
         inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
-        held: NDArray[np.bool_] = inside & (depths > 0)
+        held: BoolArray = inside & (depths > 0)
         return held
 
 
@@ -110,9 +108,9 @@ class Model:
     views: tuple[View, ...]
     points3D_xyz: FloatArray
     point3D_ids: IntArray
-    points3D_rgb: NDArray[np.uint8]
+    points3D_rgb: ByteArray
     track_offsets: IntArray
-    track_views: NDArray[np.int32]
+    track_views: Int32Array
     track_points2D: FloatArray
     unposed_names: tuple[str, ...]
     reconstruction: Any
@@ -230,7 +228,7 @@ def view_from_image(image: Any) -> View:
 
 def tracks_by_point(
     images: list[Any], point3D_ids: IntArray
-) -> tuple[IntArray, NDArray[np.int32], FloatArray]:
+) -> tuple[IntArray, Int32Array, FloatArray]:
     """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2)."""
     points, views, pixels = [], [], []
     for index, image in enumerate(images):
@@ -326,7 +324,7 @@ def write_model(
     edges: Edges3D,
     path: Path | str,
     output_type: str = "BIN",
-    colors: NDArray[np.uint8] | None = None,
+    colors: ByteArray | None = None,
     residuals: FloatArray | None = None,
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
@@ -372,7 +370,7 @@ def write_text(reconstruction: Any, path: Path) -> None:
 def extend_reconstruction(
     model: Model,
     edges: Edges3D,
-    colors: NDArray[np.uint8] | None = None,
+    colors: ByteArray | None = None,
     residuals: FloatArray | None = None,
 ) -> tuple[Any, IntArray]:
     """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
@@ -396,7 +394,7 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
 def new_points(
     model: Model,
     edges: Edges3D,
-    colors: NDArray[np.uint8] | None,
+    colors: ByteArray | None,
     residuals: FloatArray | None,
 ) -> NewPoints:
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
@@ -418,7 +416,7 @@ def new_points(
 
 
 def with_edge_points(
-    model: Model, edges: Edges3D, point3D_ids: IntArray, colors: NDArray[np.uint8]
+    model: Model, edges: Edges3D, point3D_ids: IntArray, colors: ByteArray
 ) -> Model:
     """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
     offsets = model.track_offsets[-1] + edges.track_offsets[1:]

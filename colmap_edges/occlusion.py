@@ -7,14 +7,10 @@ an observation of it. The edges and SfM points that the view does see there tell
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, View, rows_by_view
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MAX_SLOPE = 3.0  # tangent of the angle between surface and image plane that neighbours may span
 MIN_GAP = 0.002  # share of the depth by which nothing is told to be nearer

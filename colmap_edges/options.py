@@ -175,6 +175,13 @@ class TracingOptions(Options):
         choices=("chains", "paper"),
         basic=True,
     )
+    num_rounds: int = option(
+        2,
+        "Times that views are compared: the second time what no edge runs through, with less "
+        "agreement asked for",
+        ge=1,
+        basic=True,
+    )
     max_cross_check_px: float = option(
         3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
     )

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, Int32Array, Picture
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
 from colmap_edges.images import gray_of
 from colmap_edges.model import Model
 
-Picture = NDArray[np.uint8]
-
 SHIFT = 4  # OpenCV draws at fractions of 1/16 px
 # Distinct on dark ground; BGR.
 COLORS = ((80, 220, 255), (255, 200, 60), (120, 255, 120), (200, 130, 255), (100, 140, 255))
 
 
-def draw_edge_graph(image: NDArray[np.uint8], graph: EdgeGraph) -> NDArray[np.uint8]:
+def draw_edge_graph(image: Picture, graph: EdgeGraph) -> Picture:
     """Draw the polylines of an edge graph, colours changing, over the darkened image.
 
     Args:
@@ -44,7 +42,7 @@ def draw_edge_graph(image: NDArray[np.uint8], graph: EdgeGraph) -> NDArray[np.ui
     return canvas
 
 
-def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: Edges3D) -> Picture:
+def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) -> Picture:
     """Draw the projections of the 3D edges where a view observes them, over the darkened image.
 
     Args:
@@ -71,17 +69,17 @@ def draw_edges(image: NDArray[np.uint8], view_index: int, model: Model, edges: E
     return canvas
 
 
-def darkened(image: NDArray[np.uint8]) -> Picture:
+def darkened(image: Picture) -> Picture:
     """The image at half its brightness and without colour: (H, W, 3) uint8 BGR."""
     return np.asarray(cv2.cvtColor(gray_of(image) // 2, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def fixed_point(points: NDArray[np.float64]) -> NDArray[np.int32]:
+def fixed_point(points: FloatArray) -> Int32Array:
     """Pixels of COLMAP's origin as OpenCV draws them: origin moved, in units of 1/16 px."""
     return np.rint((points - 0.5) * (1 << SHIFT)).astype(np.int32)
 
 
-def shared_nodes(graph: EdgeGraph) -> NDArray[np.float64]:
+def shared_nodes(graph: EdgeGraph) -> FloatArray:
     """(K, 2) pixels of the nodes where two or more ends of open polylines meet."""
     is_open = np.flatnonzero(~graph.closed)
     ends = graph.end_nodes[is_open].T.ravel()
@@ -89,5 +87,5 @@ def shared_nodes(graph: EdgeGraph) -> NDArray[np.float64]:
         [graph.polyline_offsets[is_open], graph.polyline_offsets[is_open + 1] - 1]
     )
     _, first, counts = np.unique(ends, return_index=True, return_counts=True)
-    points: NDArray[np.float64] = graph.points[rows[first[counts > 1]]]
+    points: FloatArray = graph.points[rows[first[counts > 1]]]
     return points

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import colmap_edges
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.cache import Cache, key_of
 from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph
@@ -109,9 +110,9 @@ class EdgeReconstruction:
     """
 
     edges: Edges3D
-    point3D_ids: np.ndarray[Any, np.dtype[np.int64]]
+    point3D_ids: IntArray
     reconstruction: Any
-    residuals_px: np.ndarray[Any, np.dtype[np.float64]]
+    residuals_px: FloatArray
     stages: list[dict[str, Any]]
     findings: list[Finding]
 
@@ -496,8 +497,8 @@ def trace_stage(
     keys = graphs.keys if isinstance(graphs, GraphStore) else []
     cache = workers.cache if keys else None
     key = key_of_edges(model, keys, options) if cache else ""
-    total = 1 if options.tracing.method == "paper" else 2 * len(graphs)
-    with stages.stage(name, total) as stage:
+    steps = 1 if options.tracing.method == "paper" else 2 * len(graphs) * options.tracing.num_rounds
+    with stages.stage(name, steps) as stage:
         entry = cache.load("edges", key) if cache else None
         if entry is None:
             edges, stats = trace(model, graphs, options, stage.advance, workers)

@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.cross_check import lift
 from colmap_edges.csr import owners_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import ChainDepths
 from colmap_edges.csr import offsets_of
 from colmap_edges.edge_graph import EdgeGraph
@@ -12,17 +12,13 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import TracingOptions
 from colmap_edges.refinement import Curves
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
 
 def find_curves(
     graph: EdgeGraph,
     edge_view: _kernels.EdgeView,
     covered: BoolArray,
     depths: ChainDepths,
-    agreeing: NDArray[np.int32],
+    agreeing: Int32Array,
     options: TracingOptions,
 ) -> tuple[Curves, IntArray, int]:
     """Curves on the chains of one view that are not covered yet.
@@ -127,7 +123,7 @@ def densify(
 
 
 def sure_runs(
-    linked: BoolArray, agreeing: NDArray[np.int32], options: TracingOptions
+    linked: BoolArray, agreeing: Int32Array, options: TracingOptions
 ) -> tuple[IntArray, BoolArray]:
     """Runs of linked samples that are long enough and confirmed by enough views.
 

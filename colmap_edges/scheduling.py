@@ -10,11 +10,10 @@ from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-IntArray = NDArray[np.int64]
+from colmap_edges.array_types import IntArray
 
 
 def local_order(neighbors: Sequence[IntArray]) -> IntArray:

@@ -7,16 +7,14 @@ where the curve is not: the same curve moved in depth tells how likely a view ob
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtrc
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.cross_check import lift
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
 from colmap_edges.refinement import Curves, associate, drop_lone, replace_depths
-
-FloatArray = NDArray[np.float64]
 
 DISPLACEMENT_PX = 12.0  # beyond the edge itself, within its surroundings
 CLOSE_PX = 0.75  # of a projection to the chain that observes it, to count as evidence

@@ -10,20 +10,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.linking import link_edges
 from colmap_edges.model import Model, rows_by_view
 from colmap_edges.occlusion import find_hidden
-from colmap_edges.options import PipelineOptions, TracingOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from colmap_edges.options import LinkingOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
 MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
@@ -68,48 +64,79 @@ class Limits:
     log_chance: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Sorted:
+    """What is kept of traced curves.
+
+    Attributes:
+        edges: pieces of every driver's curves that lie still.
+        outlines: those that scatter around any fixed curve.
+    """
+
+    edges: list[Traced]
+    outlines: list[Traced]
+
+
 def sort_out(
     model: Model,
-    graphs: Sequence[EdgeGraph],
     traced: list[Traced],
-    options: PipelineOptions,
+    options: TracingOptions,
     num_threads: int,
-) -> tuple[Edges3D, dict[str, Any]]:
-    """Filter observations, points and pieces, link what is left to edges and outlines, and count.
+) -> tuple[Sorted, dict[str, Any]]:
+    """Filter observations, points and pieces, tell edges from outlines, and count.
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.
-        graphs: the edge graph of each view.
         traced: the curves of every driver.
-        options: limits, and how pieces are linked.
+        options: limits.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The edges with their outlines, and counts of what was dropped by reason.
+        The pieces that are kept, and counts of what was dropped by reason.
     """
-    traced, hidden = without_hidden(model, traced, options.tracing, num_threads)
-    limits, sure, stats = find_limits(traced, options.tracing)
-    fixed, moving, start = [], [], 0
+    traced, hidden = without_hidden(model, traced, options, num_threads)
+    limits, sure, stats = find_limits(traced, options)
+    kept, start = Sorted(edges=[], outlines=[]), 0
     for each in traced:
         end = start + len(each.points)
-        kept, scatters = sort_pieces(each, sure[start:end], limits, options.tracing)
-        fixed.append(kept)
-        moving.append(scatters)
+        fixed, moving = sort_pieces(each, sure[start:end], limits, options)
+        kept.edges.append(fixed)
+        kept.outlines.append(moving)
         start = end
-    pieces, outlines = make_edges(graphs, fixed), make_edges(graphs, moving)
-    edges = link_edges(pieces, options.linking)
-    if outlines.num_edges:
-        edges = replace(edges, outlines=link_edges(outlines, options.linking))
+    num_points, num_outline_points = (
+        sum(len(t.points) for t in of) for of in (kept.edges, kept.outlines)
+    )
     stats |= {
         "observations_hidden": hidden,
-        "points_dropped_chance": int(sure.sum()) - pieces.num_points - outlines.num_points,
-        "points_of_curves": pieces.num_points + outlines.num_points,
-        "points_of_outlines": outlines.num_points,
+        "points_dropped_chance": int(sure.sum()) - num_points - num_outline_points,
+        "points_of_curves": num_points + num_outline_points,
+        "points_of_outlines": num_outline_points,
+    }
+    return kept, stats
+
+
+def link(
+    graphs: Sequence[EdgeGraph], kept: Sorted, options: LinkingOptions
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Link what is kept to edges and outlines.
+
+    Args:
+        graphs: the edge graph of each view.
+        kept: the pieces, at positions on these graphs.
+        options: how pieces are linked.
+
+    Returns:
+        The edges with their outlines, and counts of them.
+    """
+    pieces, outlines = make_edges(graphs, kept.edges), make_edges(graphs, kept.outlines)
+    edges = link_edges(pieces, options)
+    if outlines.num_edges:
+        edges = replace(edges, outlines=link_edges(outlines, options))
+    return edges, {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
     }
-    return edges, stats
 
 
 def without_hidden(
@@ -263,7 +290,7 @@ def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
 
 
 def observed_pixels(
-    graphs: Sequence[EdgeGraph], track_views: NDArray[np.int32], positions: FloatArray
+    graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
 ) -> FloatArray:
     """(T, 2) image pixels of observations at (T,) positions on the chains of (T,) views."""
     pixels = np.zeros((len(positions), 2))

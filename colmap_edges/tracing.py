@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import (
     ChainDepths,
     compute_chain_depths,
@@ -23,7 +23,7 @@ from colmap_edges.chain_depths import (
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.csr import offsets_of, ranks_of
-from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edge_graph import EdgeGraph, keep_points
 from colmap_edges.edges import Edges3D
 from colmap_edges.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.graph_store import GraphStore, Recent
@@ -34,13 +34,9 @@ from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.runs import find_curves
 from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.sorting import Traced, row_medians, sort_out
+from colmap_edges.sorting import Sorted, Traced, link, row_medians, sort_out
 from colmap_edges.view_graphs import NUM_KEPT, CachedEdgeViews, CachedGraphs, Some
 from colmap_edges.view_selection import DepthRange, Neighborhood, select_views
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +51,7 @@ class Scene:
         witnesses: per view those in which its edges are looked for.
         polyline_offsets: those of the graphs, which are always in memory.
         covered: per view the points of its graph through which edges run already.
+        free: per view the points of its whole graph that its graph here has; none when it is whole.
     """
 
     views: Sequence[View]
@@ -64,6 +61,7 @@ class Scene:
     witnesses: Sequence[IntArray]
     polyline_offsets: Sequence[IntArray]
     covered: Sequence[BoolArray]
+    free: Sequence[BoolArray] | None = None
 
     def part(self, view: int, others: IntArray, workers: Workers) -> Scene:
         """What a task on a view and others needs: all, or what a worker elsewhere is sent."""
@@ -97,7 +95,7 @@ def trace_edges(
         graphs: the edge graph of each view.
         options: every step's parameters.
         num_threads: threads to use; the result does not depend on it.
-        advance: called twice a view, when its depths are known and when its edges are.
+        advance: called twice a view and round, when its depths are known and when its edges are.
         workers: who does the work on the views; threads of this process when not given.
 
     Returns:
@@ -107,41 +105,156 @@ def trace_edges(
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
-    scene = make_scene(model, graphs, near)
+    whole = make_scene(model, graphs, near)
+    learned = with_side_difference(whole, near, options, num_threads)
+    traced, stats = trace_round(whole, near, learned, workers, advance)
+    kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    for _ in range(1, options.tracing.num_rounds):
+        rest = what_remains(whole, kept, options.tracing)
+        found, more = trace_round(rest, near, for_what_remains(learned), workers, advance)
+        traced += in_whole_graphs(rest, found)
+        stats = {name: stats[name] + more[name] for name in stats}
+        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    edges, linked = link(graphs, kept, options.linking)
+    about = {
+        "views": len(graphs),
+        "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
+        "max_side_difference": learned.chain_depth.max_side_difference,
+    }
+    return edges, about | stats | sorted_stats | linked
+
+
+def with_side_difference(
+    scene: Scene, near: Neighborhood, options: PipelineOptions, num_threads: int
+) -> PipelineOptions:
+    """The options with the difference of sides that is learned from the views, if it is to be."""
     chain_depth = options.chain_depth
-    if chain_depth.max_side_difference < 0:
-        learned = learn_side_difference(
-            near.neighbors, scene.edge_views, graphs, near.ranges, chain_depth, num_threads
-        )
-        chain_depth = replace(chain_depth, max_side_difference=learned)
+    if chain_depth.max_side_difference >= 0:
+        return options
+    learned = learn_side_difference(
+        near.neighbors, scene.edge_views, scene.graphs, near.ranges, chain_depth, num_threads
+    )
+    return replace(options, chain_depth=replace(chain_depth, max_side_difference=learned))
+
+
+def trace_round(
+    scene: Scene,
+    near: Neighborhood,
+    options: PipelineOptions,
+    workers: Workers,
+    advance: Callable[[], None],
+) -> tuple[list[Traced], dict[str, int]]:
+    """The curves that every view drives, the best view first, and counts of their samples."""
     order = local_order(near.neighbors)
-    depths = find_depths(scene, near, order, chain_depth, workers, advance)
+    depths = find_depths(scene, near, order, options.chain_depth, workers, advance)
     agreeing = {
-        v: count_agreeing_views(model.views, graphs, depths, v, options.tracing.max_cross_check_px)
+        v: count_agreeing_views(
+            scene.views, scene.graphs, depths, v, options.tracing.max_cross_check_px
+        )
         for v in order.tolist()
     }
-    counts = [agreeing[v] for v in range(len(graphs))]
+    counts = [agreeing[v] for v in range(len(order))]
     depths = [without_supports(found) for found in depths]
     traced, in_runs = trace_views(scene, depths, counts, options, workers, advance)
-    edges, stats = sort_out(model, graphs, traced, options, num_threads)
-    stats["max_side_difference"] = chain_depth.max_side_difference
-    return edges, count_samples(scene, depths, counts, in_runs) | stats
+    return traced, count_samples(depths, counts, in_runs)
+
+
+def for_what_remains(options: PipelineOptions) -> PipelineOptions:
+    """Options of later rounds: where fewer chains are left, less agreement is enough."""
+    return replace(
+        options,
+        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 2),
+        tracing=replace(
+            options.tracing, min_agreeing_views=max(1, options.tracing.min_agreeing_views - 1)
+        ),
+    )
 
 
 def make_scene(model: Model, graphs: Sequence[EdgeGraph], near: Neighborhood) -> Scene:
     """What tracing looks at, nothing covered yet; as many edge views are kept as graphs."""
-    num_kept = max(graphs.num_kept, 1) if isinstance(graphs, GraphStore) else len(graphs)
-    make = partial(edge_view_of, graphs, model.views)
     offsets = [graph.polyline_offsets for graph in graphs]
     return Scene(
         views=model.views,
         graphs=graphs,
-        edge_views=Recent(make, len(graphs), num_kept),
+        edge_views=edge_views_of(graphs, model.views, num_kept_of(graphs)),
         neighbors=near.neighbors,
         witnesses=near.witnesses,
         polyline_offsets=offsets,
         covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
     )
+
+
+def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
+    """The scene of those stretches of chains that no kept curve runs through."""
+    covered = [np.zeros(bounds[-1], bool) for bounds in whole.polyline_offsets]
+    for traced in (*kept.edges, *kept.outlines):
+        mark_covered(
+            covered,
+            whole.polyline_offsets,
+            traced.views,
+            traced.positions,
+            options.point_spacing_px,
+        )
+    least = options.min_curve_points * options.point_spacing_px // 2
+    free = [
+        without_short(~each, bounds, least)
+        for each, bounds in zip(covered, whole.polyline_offsets, strict=True)
+    ]
+    num_kept = num_kept_of(whole.graphs)
+    graphs = Recent(partial(remaining_graph, whole.graphs, free), len(free), num_kept)
+    offsets = [graph.polyline_offsets for graph in graphs]
+    return replace(
+        whole,
+        graphs=graphs,
+        edge_views=edge_views_of(graphs, whole.views, num_kept),
+        polyline_offsets=offsets,
+        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
+        free=free,
+    )
+
+
+def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:
+    """(N,) the points of `free` in runs of at least so many along one polyline."""
+    starts = np.zeros(len(free), bool)
+    starts[offsets[:-1]] = True
+    starts[1:] |= free[1:] != free[:-1]
+    runs = np.cumsum(starts) - 1
+    kept: BoolArray = free & (np.bincount(runs)[runs] >= least) if len(free) else free
+    return kept
+
+
+def remaining_graph(graphs: Sequence[EdgeGraph], free: Sequence[BoolArray], view: int) -> EdgeGraph:
+    """The part of one view's edge graph that is free."""
+    return keep_points(graphs[view], free[view])
+
+
+def in_whole_graphs(scene: Scene, traced: list[Traced]) -> list[Traced]:
+    """Curves at positions on the scene's graphs -> the same at positions on the whole graphs."""
+    if scene.free is None:
+        return traced
+    points = [np.flatnonzero(free) for free in scene.free]
+    return [replace(each, positions=at_points(each, points)) for each in traced]
+
+
+def at_points(traced: Traced, points: list[IntArray]) -> csr_array:
+    """The positions of curves, those of view v counted among `points[v]`, among all points."""
+    positions = traced.positions
+    data = positions.data.copy()
+    for column, view in enumerate(traced.views):
+        rows = positions.indices == column
+        low = data[rows].astype(np.int64)
+        data[rows] += points[view][low] - low
+    return csr_array((data, positions.indices, positions.indptr), shape=positions.shape)
+
+
+def num_kept_of(graphs: Sequence[EdgeGraph]) -> int:
+    """How many graphs are held in memory at a time."""
+    return max(graphs.num_kept, 1) if isinstance(graphs, GraphStore) else len(graphs)
+
+
+def edge_views_of(graphs: Sequence[EdgeGraph], views: Sequence[View], num_kept: int) -> Recent[Any]:
+    """The kernels' forms of the edge graphs, made when asked for."""
+    return Recent(partial(edge_view_of, graphs, views), len(graphs), num_kept)
 
 
 def edge_view_of(graphs: Sequence[EdgeGraph], views: Sequence[View], view: int) -> Any:
@@ -191,7 +304,7 @@ def depths_of_view(
 def trace_views(
     scene: Scene,
     depths: list[ChainDepths],
-    agreeing: list[NDArray[np.int32]],
+    agreeing: list[Int32Array],
     options: PipelineOptions,
     workers: Workers,
     advance: Callable[[], None],
@@ -218,7 +331,15 @@ def trace_views(
         found, in_runs[view] = result
         if found is not None:
             traced[view] = found
-            mark_covered(scene, found, options.tracing)
+            # A point with too few observations will not last, so it covers nothing.
+            lasting = found.num_observations >= options.tracing.min_observations
+            mark_covered(
+                scene.covered,
+                scene.polyline_offsets,
+                found.views,
+                found.positions[lasting],
+                options.tracing.point_spacing_px,
+            )
         advance()
 
     num_kept = scene.edge_views.num_kept if isinstance(scene.edge_views, Recent) else len(order)
@@ -231,7 +352,7 @@ def curves_traced(
     scene: Scene,
     view: int,
     depths: ChainDepths,
-    agreeing: NDArray[np.int32],
+    agreeing: Int32Array,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Traced | None, int]:
@@ -253,7 +374,7 @@ def curves_traced(
     return trace_view(scene, view, curves, indices, options, num_threads), in_runs
 
 
-def worth_of(view: View, depths: ChainDepths, agreeing: NDArray[np.int32]) -> float:
+def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
     """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
     return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
@@ -266,15 +387,10 @@ def without_supports(depths: ChainDepths) -> ChainDepths:
 
 
 def count_samples(
-    scene: Scene,
-    depths: list[ChainDepths],
-    agreeing: list[NDArray[np.int32]],
-    in_runs: int,
-) -> dict[str, Any]:
-    """Count the samples on chains after each check, and the views that overlap with none."""
+    depths: list[ChainDepths], agreeing: list[Int32Array], in_runs: int
+) -> dict[str, int]:
+    """Count the samples on chains after each check."""
     return {
-        "views": len(depths),
-        "views_without_neighbors": sum(len(n) == 0 for n in scene.neighbors),
         "samples": sum(len(d.samples) for d in depths),
         "samples_with_depth": int(sum(d.found.sum() for d in depths)),
         "samples_confirmed": int(sum((a >= 1).sum() for a in agreeing)),
@@ -329,20 +445,28 @@ def sparse(values: FloatArray) -> csr_array:
     return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)
 
 
-def mark_covered(scene: Scene, traced: Traced, options: TracingOptions) -> None:
-    """Mark the stretches of chains that curves are observed on, in every view.
+def mark_covered(
+    covered: Sequence[BoolArray],
+    offsets: Sequence[IntArray],
+    views: IntArray,
+    positions: csr_array,
+    reach: int,
+) -> None:
+    """Mark the stretches of chains that points of curves are observed on, in every view.
 
-    A point with too few observations will not last, so it covers nothing.
+    Args:
+        covered: per view its points, to be marked.
+        offsets: per view those of its polylines.
+        views: (K,) view of each column of `positions`.
+        positions: (N, K) sparse positions on the views' chains.
+        reach: points to both sides of an observation.
     """
-    lasting = traced.num_observations >= options.min_observations
-    observed = traced.positions[lasting].tocsc()
-    for column, view in enumerate(traced.views):
+    observed = positions.tocsc()
+    for column, view in enumerate(views):
         first, last = observed.indptr[column : column + 2]
         at = observed.data[first:last].astype(np.int64)
-        offsets = scene.polyline_offsets[view]
-        polyline = np.searchsorted(offsets, at, "right") - 1
-        reach = options.point_spacing_px
-        low = np.maximum(at - reach, offsets[polyline])
-        high = np.minimum(at + reach + 1, offsets[polyline + 1])
+        polyline = np.searchsorted(offsets[view], at, "right") - 1
+        low = np.maximum(at - reach, offsets[view][polyline])
+        high = np.minimum(at + reach + 1, offsets[view][polyline + 1])
         lengths = high - low
-        scene.covered[view][np.repeat(low, lengths) + ranks_of(lengths)] = True
+        covered[view][np.repeat(low, lengths) + ranks_of(lengths)] = True

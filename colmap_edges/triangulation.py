@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images import read_picture
-from colmap_edges.model import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.model import Model
 from colmap_edges.options import ViewSelectionOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
 NEAR_POINTS = 16  # SfM points around a place that tell its depths
@@ -76,7 +73,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     """
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
-    ranges = depth_ranges(model, observed)
+    ranges = inverse_depth_ranges(model, observed)
     neighbors, witnesses = [], []
     for view in range(len(model.views)):
         scores = neighbor_scores(model, observed, observers, view, ranges[view].overall, options)
@@ -97,7 +94,7 @@ def observation_matrix(model: Model) -> csr_array:
     return matrix
 
 
-def depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
+def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
     """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
     ranges = []
     focus = None

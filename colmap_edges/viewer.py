@@ -14,8 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, FloatArray, IntArray
 from colmap_edges.edge_io import polyline_indices
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
@@ -237,12 +237,12 @@ def up_axis(model: Model) -> str:
     return f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if up[axis] > 0 else 'DOWN'}"
 
 
-def strips(edges: Edges3D) -> list[NDArray[np.float64]]:
+def strips(edges: Edges3D) -> list[FloatArray]:
     """The points of each edge, the first again at the end of closed ones."""
     return [edges.points[indices] for indices in polyline_indices(edges)]
 
 
-def colors_of(counts: NDArray[np.int64]) -> NDArray[np.uint8]:
+def colors_of(counts: IntArray) -> ByteArray:
     """(E, 3) RGB, dark for the smallest count to bright for the largest but for a few."""
     if not len(counts):
         return np.zeros((0, 3), np.uint8)

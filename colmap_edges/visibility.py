@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import entries_of, offsets_of, owners_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.edges import Edges3D
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import views_with_rows
 from colmap_edges.options import SamplingOptions, VisibilityOptions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +27,11 @@ class Observations:
     """
 
     points: IntArray
-    views: NDArray[np.int32]
+    views: Int32Array
     pixels: FloatArray
     ideal: FloatArray
 
-    def select(self, index: NDArray[np.bool_] | IntArray) -> Observations:
+    def select(self, index: BoolArray | IntArray) -> Observations:
         """The observations at a numpy index."""
         return Observations(
             points=self.points[index],
@@ -231,7 +228,7 @@ def compatible(
     field: EdgeField,
     max_error_px: float,
     num_threads: int,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """(C,) whether each candidate, alone with its point's track, triangulates well enough."""
     num_points = int(observed.points.max(initial=-1)) + 1
     offsets = track_offsets(observed.points, num_points)
@@ -242,7 +239,7 @@ def compatible(
         replace(tracks, points=np.repeat(trials, counts)), replace(candidates, points=trials)
     )
     errors = triangulate_observations(trial_tracks, len(trials), field, num_threads)[1]
-    fits: NDArray[np.bool_] = errors <= max_error_px
+    fits: BoolArray = errors <= max_error_px
     return fits
 
 
@@ -319,7 +316,7 @@ def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D
     }
 
 
-def keep_points(edges: Edges3D, keep: NDArray[np.bool_]) -> Edges3D:
+def keep_points(edges: Edges3D, keep: BoolArray) -> Edges3D:
     """Edges with only the kept points ((N,) bool), cut where some are missing; no lone points.
 
     A closed edge that loses a point is opened there.
@@ -451,7 +448,7 @@ def insert_points(
     positions: FloatArray,
     points: FloatArray,
     observed: Observations,
-    good: NDArray[np.bool_],
+    good: BoolArray,
 ) -> Edges3D:
     """Edges with the good samples put in at positions (index of the point before + share)."""
     given = observations_of(edges, field)

@@ -108,8 +108,8 @@ class Extractor {
   std::vector<Index> facet_ids_;
 };
 
-// Removes the facets that are not to be kept and renumbers the others.
-void Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
+// Removes the facets that are not to be kept and renumbers the others. Returns how many went.
+Index Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
   std::vector<Index> new_ids(facets.corners.size(), kNone);
   Index count = 0;
   for (Index f = 0; f < facets.size(); ++f)
@@ -123,8 +123,10 @@ void Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
       facets.partners[3 * new_ids[f] + k] = lost ? kNone : 3 * new_ids[partner / 3] + partner % 3;
     }
   }
+  const Index removed = facets.size() - count;
   facets.corners.resize(count);
   facets.partners.resize(3 * std::size_t(count));
+  return removed;
 }
 
 Index DropLongFacets(const Triangulation& triangulation, const std::vector<double>& ranges,
@@ -138,9 +140,7 @@ Index DropLongFacets(const Triangulation& triangulation, const std::vector<doubl
         {Norm(points[a] - points[b]), Norm(points[b] - points[c]), Norm(points[c] - points[a])});
     kept[f] = longest <= factor * std::min({ranges[a], ranges[b], ranges[c]});
   }
-  const Index before = facets.size();
-  Keep(kept, facets);
-  return before - facets.size();
+  return Keep(kept, facets);
 }
 
 Index DropSmallComponents(Index min_faces, Facets& facets) {
@@ -152,9 +152,7 @@ Index DropSmallComponents(Index min_faces, Facets& facets) {
   for (Index f = 0; f < facets.size(); ++f) ++sizes[components.Find(f)];
   std::vector<std::uint8_t> kept(facets.corners.size());
   for (Index f = 0; f < facets.size(); ++f) kept[f] = sizes[components.Find(f)] >= min_faces;
-  const Index before = facets.size();
-  Keep(kept, facets);
-  return before - facets.size();
+  return Keep(kept, facets);
 }
 
 // One vertex for every fan or disk of facets around a vertex of the triangulation. Returns the new

@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,8 @@ from typing import Any
 import click
 
 import colmap_edges
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, exit_on_error
+from colmap_edges.evaluation.tables import markdown
 from colmap_edges.workspace import find_images, find_model
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,6 +71,7 @@ class Variant:
 @click.option("--compare", metavar="COMMIT", help="Compare with this commit, built anew.")
 @click.option("--setting", metavar="FLAGS", help="Compare with the same code with these flags.")
 @click.option("--output_path", type=Path, default=Path("benchmark.json"), show_default=True)
+@exit_on_error()
 def main(
     data_path: Path | None,
     names: tuple[str, ...],
@@ -84,20 +86,17 @@ def main(
 ) -> None:
     if compare and setting:
         raise click.UsageError("give either --compare or --setting")
-    try:
-        with (
-            tempfile.TemporaryDirectory() as temporary,
-            variants_of(shlex.split(flags), compare, setting) as variants,
-        ):
-            scenes = [
-                *data_scenes(data_path, names),
-                *(city_scene(n, points_per_view, Path(temporary)) for n in synthetic),
-            ]
-            if not scenes:
-                raise click.UsageError("no scenes; give --data_path or --synthetic")
-            records = measure(scenes, variants, command, runs, Path(temporary))
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    with (
+        tempfile.TemporaryDirectory() as temporary,
+        variants_of(shlex.split(flags), compare, setting) as variants,
+    ):
+        scenes = [
+            *data_scenes(data_path, names),
+            *(city_scene(n, points_per_view, Path(temporary)) for n in synthetic),
+        ]
+        if not scenes:
+            raise click.UsageError("no scenes; give --data_path or --synthetic")
+        records = measure(scenes, variants, command, runs, Path(temporary))
     result = {"machine": machine(), "command": command, "runs": runs, "scenes": records}
     output_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     print(table(records))
@@ -266,7 +265,8 @@ def table(records: list[dict[str, Any]]) -> str:
         by_scene.setdefault(record["scene"], []).append(record)
     compared = any(len(variants) > 1 for variants in by_scene.values())
     heads = ["scene", "variant", "stage", "wall s", "CPU s", "peak MB"]
-    rows = [heads + (["wall ratio", "CPU ratio", "memory ratio"] if compared else [])]
+    heads += ["wall ratio", "CPU ratio", "memory ratio"] if compared else []
+    rows = []
     for scene, variants in by_scene.items():
         for stage in variants[0]["stages"]:
             for index, record in enumerate(variants):
@@ -275,7 +275,7 @@ def table(records: list[dict[str, Any]]) -> str:
                     row = [scene, record["variant"], stage, *written(found)]
                     other = variants[-1]["stages"].get(stage)
                     rows.append(row + (ratios(found, other if index == 0 else None, compared)))
-    return markdown(rows)
+    return markdown(heads, rows)
 
 
 def written(measures: dict[str, float]) -> list[str]:
@@ -290,13 +290,6 @@ def ratios(measures: dict[str, float], other: dict[str, float] | None, compared:
     if other is None:
         return ["", "", ""]
     return [f"{measures[n] / other[n]:.2f}" if other[n] else "" for n in MEASURES]
-
-
-def markdown(rows: Iterable[list[str]]) -> str:
-    """A table of cells as Markdown, the first row its head."""
-    head, *body = rows
-    lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ TARGET = ROOT / "docs" / "architecture.md"
 # In the order in which they may import each other.
 ROOMS = {
     "ground": (
-        "errors", "csr", "joining", "options", "edges", "stages", "kernels", "cache", "scheduling",
-        "executors",
+        "errors", "array_types", "csr", "joining", "options", "edges", "stages", "kernels", "cache",
+        "scheduling", "executors",
     ),
     "COLMAP and pictures": (
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",

@@ -7,12 +7,11 @@ a NeuS/IDR folder (image/, cameras*.npz). Finished scans are not done again.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import benchmark, dtu
 
 
@@ -28,6 +27,7 @@ from colmap_edges.evaluation import benchmark, dtu
 )
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scan} in it varies.")
+@exit_on_error()
 def main(
     input_path: Path,
     output_path: Path,
@@ -37,16 +37,13 @@ def main(
     methods: tuple[str, ...],
     peers: tuple[str, ...],
 ) -> None:
-    try:
-        found = benchmark.parse_peers(peers)
-        if dtu.is_repackaged(input_path):
-            scenes = [benchmark.repackaged_scene(input_path, reference_path, found)]
-        else:
-            numbers = scans or dtu.scan_numbers(input_path)
-            scenes = benchmark.dtu_scenes(input_path, numbers, light, found)
-        benchmark.run(scenes, output_path, methods, progress=click.echo)
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    found = benchmark.parse_peers(peers)
+    if dtu.is_repackaged(input_path):
+        scenes = [benchmark.repackaged_scene(input_path, reference_path, found)]
+    else:
+        numbers = scans or dtu.scan_numbers(input_path)
+        scenes = benchmark.dtu_scenes(input_path, numbers, light, found)
+    benchmark.run(scenes, output_path, methods, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 

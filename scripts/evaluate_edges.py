@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import click
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import scene, tables
 
 
@@ -34,11 +33,9 @@ from colmap_edges.evaluation import scene, tables
 @click.option("--unit_size", type=bool, default=False, help="Scale the reference to size 1.")
 @click.option("--crop", type=bool, default=False, help="Judge only inside the reference's box.")
 @click.option("--output_path", type=Path, help="File for the figures as JSON.")
+@exit_on_error()
 def main(output_path: Path | None, **arguments: object) -> None:
-    try:
-        record = scene.evaluate_edges(**arguments)  # type: ignore[arg-type]
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    record = scene.evaluate_edges(**arguments)  # type: ignore[arg-type]
     if output_path is not None:
         output_path.parent.mkdir(parents=True, exist_ok=True)
         output_path.write_text(json.dumps(record, indent=2) + "\n")

@@ -10,7 +10,7 @@ import click
 import pycolmap
 
 from colmap_edges.evaluation.poses import (
-    adjust,
+    adjust_by_colmap,
     at_true_cameras,
     load_true_cameras,
     pose_errors,
@@ -57,7 +57,7 @@ def adjustments(start: Any, graphs: list[Any], options: PipelineOptions) -> list
     rows: list[tuple[Any, ...]] = [("start", start, "", "")]
     for name, robust in (("SfM points (COLMAP)", False), ("SfM points (COLMAP, Cauchy)", True)):
         adjusted = pycolmap.Reconstruction(start)
-        adjust(adjusted, poses=True, robust=robust)
+        adjust_by_colmap(adjusted, poses=True, robust=robust)
         rows.append((name, adjusted, "", ""))
     stages = Stages()
     refined, _ = edge_stages(model_from_reconstruction(start), graphs, options, stages)

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import click
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import scene, tables
 
 
@@ -25,6 +24,7 @@ from colmap_edges.evaluation import scene, tables
 @click.option("--view_names", multiple=True, help="Views for a reference mesh, or 'all'.")
 @click.option("--thresholds", multiple=True, type=float, help="Distances for precision, recall.")
 @click.option("--output_path", type=Path, help="Folder for evaluation.json and error maps.")
+@exit_on_error()
 def main(
     mesh_path: Path,
     input_path: Path,
@@ -33,17 +33,14 @@ def main(
     thresholds: tuple[float, ...],
     output_path: Path | None,
 ) -> None:
-    try:
-        record = scene.evaluate_mesh(
-            mesh_path,
-            input_path,
-            reference_path,
-            view_names=view_names,
-            thresholds=thresholds,
-            pictures_path=output_path,
-        )
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    record = scene.evaluate_mesh(
+        mesh_path,
+        input_path,
+        reference_path,
+        view_names=view_names,
+        thresholds=thresholds,
+        pictures_path=output_path,
+    )
     if output_path is not None:
         output_path.mkdir(parents=True, exist_ok=True)
         (output_path / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")

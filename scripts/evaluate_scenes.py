@@ -6,12 +6,11 @@ Finished scenes are not done again; remove a scene's folder below --output_path 
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import benchmark
 
 
@@ -30,6 +29,7 @@ from colmap_edges.evaluation import benchmark
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scene} in it varies.")
 @click.option("--output_path", type=Path, required=True, help="Folder for meshes and tables.")
+@exit_on_error()
 def main(
     scenes: tuple[tuple[str, Path, Path, Path], ...],
     unit: str,
@@ -38,22 +38,19 @@ def main(
     peers: tuple[str, ...],
     output_path: Path,
 ) -> None:
-    try:
-        found = benchmark.parse_peers(peers)
-        listed = [
-            benchmark.Scene(
-                name=name,
-                image_path=image_path,
-                sparse_path=sparse_path,
-                load_reference=benchmark.file_reference(reference_path, view_names),
-                peers={k: Path(v.format(scene=name)) for k, v in found.items()},
-                unit=unit,
-            )
-            for name, image_path, sparse_path, reference_path in scenes
-        ]
-        benchmark.run(listed, output_path, methods, progress=click.echo)
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    found = benchmark.parse_peers(peers)
+    listed = [
+        benchmark.Scene(
+            name=name,
+            image_path=image_path,
+            sparse_path=sparse_path,
+            load_reference=benchmark.file_reference(reference_path, view_names),
+            peers={k: Path(v.format(scene=name)) for k, v in found.items()},
+            unit=unit,
+        )
+        for name, image_path, sparse_path, reference_path in scenes
+    ]
+    benchmark.run(listed, output_path, methods, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import benchmark, strecha
 
 
@@ -20,6 +19,7 @@ from colmap_edges.evaluation import benchmark, strecha
 @click.option("--name", default="fountain-P11", show_default=True, help="Name in the tables.")
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result.")
+@exit_on_error()
 def main(
     image_path: Path,
     camera_path: Path | None,
@@ -29,18 +29,15 @@ def main(
     methods: tuple[str, ...],
     peers: tuple[str, ...],
 ) -> None:
-    try:
-        scene = benchmark.Scene(
-            name=name,
-            image_path=image_path,
-            posed=strecha.posed_images(image_path, camera_path),
-            load_reference=benchmark.file_reference(reference_path),
-            peers={k: Path(v) for k, v in benchmark.parse_peers(peers).items()},
-            unit="m",
-        )
-        benchmark.run([scene], output_path, methods, progress=click.echo)
-    except ColmapEdgesError as error:
-        sys.exit(f"error: {error}")
+    scene = benchmark.Scene(
+        name=name,
+        image_path=image_path,
+        posed=strecha.posed_images(image_path, camera_path),
+        load_reference=benchmark.file_reference(reference_path),
+        peers={k: Path(v) for k, v in benchmark.parse_peers(peers).items()},
+        unit="m",
+    )
+    benchmark.run([scene], output_path, methods, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 

@@ -7,13 +7,12 @@ Images are linked, not copied.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 import numpy as np
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, exit_on_error
 from colmap_edges.model import Model, View, load_model
 
 
@@ -22,21 +21,19 @@ from colmap_edges.model import Model, View, load_model
 @click.option("--image_path", type=Path, required=True, help="Folder of the images.")
 @click.option("--input_path", type=Path, required=True, help="COLMAP model.")
 @click.option("--output_path", type=Path, required=True, help="Folder to write to.")
+@exit_on_error(OSError)
 def main(layout: str, image_path: Path, input_path: Path, output_path: Path) -> None:
-    try:
-        model = load_model(input_path)
-        distorted = [view.name for view in model.views if not view.camera.is_undistorted()]
-        if distorted:
-            raise ColmapEdgesError(
-                f"{distorted[0]} is distorted, and neither layout can say so; undistort first"
-            )
-        folder = output_path / "image" if layout == "neus" else output_path
-        folder.mkdir(parents=True, exist_ok=True)
-        for view in model.views:
-            link(image_path / view.name, folder / Path(view.name).name)
-        (write_neus if layout == "neus" else write_strecha)(model, output_path)
-    except (ColmapEdgesError, OSError) as error:
-        sys.exit(f"error: {error}")
+    model = load_model(input_path)
+    distorted = [view.name for view in model.views if not view.camera.is_undistorted()]
+    if distorted:
+        raise ColmapEdgesError(
+            f"{distorted[0]} is distorted, and neither layout can say so; undistort first"
+        )
+    folder = output_path / "image" if layout == "neus" else output_path
+    folder.mkdir(parents=True, exist_ok=True)
+    for view in model.views:
+        link(image_path / view.name, folder / Path(view.name).name)
+    (write_neus if layout == "neus" else write_strecha)(model, output_path)
 
 
 def link(source: Path, target: Path) -> None:

@@ -40,7 +40,7 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline import model_counts, open_workers, trace_stage
 from colmap_edges.stages import Stages
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.float64]  # not the package's: benchmark.py runs this with older packages
 
 FOCAL_RATIO = 0.875  # focal length in widths of an image
 FLIGHT_HEIGHT, FLIGHT_STEP, TILT = 2.4, 0.6, np.radians(25)  # in sides of a block

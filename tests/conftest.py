@@ -43,6 +43,13 @@ def scene_paths(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def small(tmp_path_factory):
+    """(image_path, input_path) of a scene that is meshed in half a second; read-only, too."""
+    scene = scenes.make_scene(num_views=6, width=240, height=180)
+    return scene.write(tmp_path_factory.mktemp("small"))
+
+
+@pytest.fixture(scope="session")
 def scene_model(scene_paths):
     return load_model(scene_paths[1])
 
@@ -63,5 +70,18 @@ def hash_folder():
             for path in sorted(folder.rglob("*"))
             if path.is_file()
         }
+
+    return digest
+
+
+@pytest.fixture
+def hash_output(hash_folder):
+    """A function that gives the digests of an output but its reports, which hold times."""
+
+    def digest(folder: Path) -> dict[str, str]:
+        digests = hash_folder(folder)
+        assert digests.pop("report.json")
+        digests.pop("report.html", None)
+        return digests
 
     return digest

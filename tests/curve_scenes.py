@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+from curves import bare_graph
 
-from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.model import Model, View
+from colmap_edges.model import View
 
 FOCAL_PX, WIDTH, HEIGHT = 800.0, 1000, 800
 
@@ -87,38 +87,12 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
     ideal = np.concatenate([np.zeros((0, 2)), *chains])
     if noise_px:
         ideal = ideal + rng.normal(scale=noise_px, size=ideal.shape)
-    lengths = [len(chain) for chain in chains]
-    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    count = len(curves)
-    return EdgeGraph(
-        points=view.image_from_ideal(ideal),
+    return bare_graph(
+        view.image_from_ideal(ideal),
+        [len(chain) for chain in chains],
+        [curve.closed for curve in curves],
         ideal=ideal,
         normals=np.tile([1.0, 0.0], (len(ideal), 1)),
-        sides=np.zeros(ideal.shape, np.uint8),
-        polyline_offsets=offsets,
-        closed=np.array([curve.closed for curve in curves], bool),
-        end_nodes=np.arange(2 * count, dtype=np.int32).reshape(count, 2),
-        node_polylines=np.full(2 * count, -1, np.int32),
-        smoothed=np.arange(len(ideal)),
-        smoothed_offsets=offsets,
-    )
-
-
-def make_model(views, points):
-    """A model whose SfM points are seen, exactly, by all views."""
-    points = np.asarray(points, float).reshape(-1, 3)
-    count, num_views = len(points), len(views)
-    pixels = np.array([view.project(points)[0] for view in views]).reshape(num_views, count, 2)
-    return Model(
-        views=tuple(views),
-        points3D_xyz=points,
-        point3D_ids=np.arange(1, count + 1),
-        points3D_rgb=np.zeros((count, 3), np.uint8),
-        track_offsets=np.arange(0, count * num_views + 1, num_views, dtype=np.int64),
-        track_views=np.tile(np.arange(num_views, dtype=np.int32), count),
-        track_points2D=pixels.transpose(1, 0, 2).reshape(-1, 2),
-        unposed_names=(),
-        reconstruction=None,
     )
 
 

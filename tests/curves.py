@@ -117,23 +117,40 @@ def graph_from_ideal(view, ideal, normals, closed) -> EdgeGraph:
     smoothed, smoothed_offsets = _kernels.douglas_peucker(points, offsets, 1.0)
     nodes = np.arange(2 * len(ideal), dtype=np.int32).reshape(-1, 2)
     nodes[np.array(closed, bool), 1] = nodes[np.array(closed, bool), 0]
-    return EdgeGraph(
-        points=points,
+    return bare_graph(
+        points,
+        np.diff(offsets),
+        closed,
         ideal=joined,
         normals=np.concatenate([np.zeros((0, 2)), *normals]),
         sides=np.tile(np.array([[60, 180]], np.uint8), (len(points), 1)),
-        polyline_offsets=offsets,
-        closed=np.array(closed, bool),
         end_nodes=nodes,
-        node_polylines=np.full(2 * len(ideal), -1, np.int32),
         smoothed=smoothed,
         smoothed_offsets=smoothed_offsets,
     )
 
 
+def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
+    """A graph of polylines of so many points; ends share no nodes unless `arrays` say so."""
+    count, offsets = len(lengths), offsets_of(np.array(lengths, np.int64))
+    plain = {
+        "points": points,
+        "ideal": points,
+        "normals": np.zeros_like(points),
+        "sides": np.zeros(points.shape, np.uint8),
+        "polyline_offsets": offsets,
+        "closed": np.broadcast_to(closed, count).astype(bool),
+        "end_nodes": np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
+        "node_polylines": np.full(2 * count, -1, np.int32),
+        "smoothed": np.arange(len(points)),
+        "smoothed_offsets": offsets,
+    }
+    return EdgeGraph(**plain | arrays)
+
+
 def model_of(views, points=None, observed=None) -> Model:
     """A model of views and (N, 3) points, each observed where (N, V) `observed` holds."""
-    points = np.zeros((0, 3)) if points is None else points
+    points = np.zeros((0, 3)) if points is None else np.reshape(points, (-1, 3)).astype(float)
     observed = np.ones((len(points), len(views)), bool) if observed is None else observed
     rows, columns = np.nonzero(observed)
     pixels = np.array(

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from colmap_edges.array_types import FloatArray
 
 
 class PinholeView(Protocol):

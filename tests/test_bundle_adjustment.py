@@ -12,7 +12,7 @@ from test_demo_scene import DEMO
 from colmap_edges import bundle_adjustment as ba
 from colmap_edges.evaluation.poses import (
     TrueCameras,
-    adjust,
+    adjust_by_colmap,
     at_true_cameras,
     load_true_cameras,
     pose_errors,
@@ -134,7 +134,7 @@ def test_step_solves_the_whole_system(noisy):
     noise = ba.Noise(sigmas_px=np.array([0.2, 0.3]), robust_factor=2.0, prior=np.eye(60))
     normals = ba.normal_equations(problem, state, noise)
     poses, points = ba.solve_step(problem, normals, 0.0, True)
-    wide = ba.spread(normals.by_point, problem.rows.points, len(problem.kinds))
+    wide = ba.block_rows(normals.by_point, problem.rows.points, len(problem.kinds))
     coupling = (normals.by_pose.T @ wide).toarray()
     size = 3 * len(problem.kinds)
     blocks = np.zeros((len(problem.kinds), 3, len(problem.kinds), 3))
@@ -312,7 +312,7 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
     limit = 0.5 if cv2.__version__ >= "5" else 0.6  # the chains of OpenCV 4.10 give 0.53
     for robust in (False, True):
         alone = pycolmap.Reconstruction(start)
-        adjust(alone, poses=True, robust=robust)
+        adjust_by_colmap(alone, poses=True, robust=robust)
         assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < limit
 
 

@@ -12,7 +12,6 @@ from io import BytesIO
 import cv2
 import numpy as np
 import pytest
-import scenes
 
 from colmap_edges import cache as cache_module
 from colmap_edges.cache import Cache, key_of, seal
@@ -22,13 +21,6 @@ from colmap_edges.options import DetectionOptions, MeshingOptions, PipelineOptio
 from colmap_edges.pipeline import Paths, run
 
 ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros(0, bool), "c": np.array("text")}
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    """(image_path, input_path) of a scene that is meshed in half a second."""
-    scene = scenes.make_scene(num_views=6, width=240, height=180)
-    return scene.write(tmp_path_factory.mktemp("small"))
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +34,6 @@ def mesh(scene, output, cache=None, **options):
     paths = Paths(image_path=scene[0], input_path=scene[1], output_path=output, cache_path=cache)
     report = run("mesh", paths, PipelineOptions(num_threads=2, **options), overwrite=True)
     return output, {stage["name"]: stage["counts"] for stage in report["stages"]}
-
-
-def contents(folder, hash_folder):
-    """Digests of an output but its reports, which hold times."""
-    digests = hash_folder(folder)
-    return {name: digest for name, digest in digests.items() if not name.startswith("report.")}
 
 
 def reused(counts):
@@ -153,14 +139,14 @@ def test_edges_come_back_with_their_outlines(scene_edges):
             np.testing.assert_array_equal(array, getattr(back.outlines, name))
 
 
-def test_second_run_reuses_and_gives_the_same(small, reference, tmp_path, hash_folder):
+def test_second_run_reuses_and_gives_the_same(small, reference, tmp_path, hash_output):
     first, made = mesh(small, tmp_path / "first", tmp_path / "cache")
     again, found = mesh(small, tmp_path / "again", tmp_path / "cache")
     assert reused(made) == (0, 0)
     assert reused(found) == (6, found["trace"]["edges"])
     assert found["trace"]["edges"] > 0
-    expected = contents(reference, hash_folder)
-    assert contents(first, hash_folder) == contents(again, hash_folder) == expected
+    expected = hash_output(reference)
+    assert hash_output(first) == hash_output(again) == expected
     for name in ("detect", "trace"):
         left_out = ("images_reused", "edges_reused")
         without = [{k: v for k, v in c[name].items() if k not in left_out} for c in (made, found)]
@@ -184,15 +170,15 @@ def test_what_changed_is_made_again(small, tmp_path):
     assert reused(mesh(scene, output, cache)[1]) == (5, 0)
 
 
-def test_poses_refined_on_edges_are_traced_once(small, tmp_path, hash_folder):
+def test_poses_refined_on_edges_are_traced_once(small, tmp_path, hash_output):
     outputs = [mesh(small, tmp_path / name, tmp_path / "cache", refine_poses=True) for name in "ab"]
     for name in ("trace", "trace again"):
         if name in outputs[1][1]:
             assert outputs[1][1][name]["edges_reused"] == outputs[0][1][name]["edges"] > 0
-    assert contents(outputs[0][0], hash_folder) == contents(outputs[1][0], hash_folder)
+    assert hash_output(outputs[0][0]) == hash_output(outputs[1][0])
 
 
-def test_damaged_images_are_left_out_again(small, tmp_path, hash_folder):
+def test_damaged_images_are_left_out_again(small, tmp_path, hash_output):
     images = tmp_path / "images"
     shutil.copytree(small[0], images)
     sorted(images.iterdir())[1].write_bytes(b"no image")
@@ -201,10 +187,10 @@ def test_damaged_images_are_left_out_again(small, tmp_path, hash_folder):
         output, counts = mesh((images, small[1]), tmp_path / name, tmp_path / "cache")
         assert counts["detect"]["images_damaged"] == 1
         assert counts["detect"]["images_reused"] == expected
-        assert contents(output, hash_folder) == contents(plain, hash_folder)
+        assert hash_output(output) == hash_output(plain)
 
 
-def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_folder):
+def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_output):
     cache = tmp_path / "cache"
     mesh(small, tmp_path / "out", cache)
     entries = sorted(cache.rglob("*.entry"))
@@ -213,21 +199,21 @@ def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_folder)
     for path in entries[::2]:
         path.write_bytes(path.read_bytes()[:-100])
     output, counts = mesh(small, tmp_path / "out", cache)
-    assert contents(output, hash_folder) == contents(reference, hash_folder)
+    assert hash_output(output) == hash_output(reference)
     assert reused(counts)[0] < 6
     assert [path.stat().st_size for path in entries] == sizes
     assert reused(mesh(small, tmp_path / "out", cache)[1]) == (6, counts["trace"]["edges"])
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(
-    small, reference, tmp_path, hash_folder, caplog
+    small, reference, tmp_path, hash_output, caplog
 ):
     cache = tmp_path / "cache"
     cache.mkdir()
     (cache / "edge_graphs").touch()  # where a folder should be
     output, counts = mesh(small, tmp_path / "out", cache)
     assert "cannot write cache entry" in caplog.text
-    assert contents(output, hash_folder) == contents(reference, hash_folder)
+    assert hash_output(output) == hash_output(reference)
     assert reused(counts) == (0, 0)
 
 
@@ -250,15 +236,15 @@ def command(scene, output, cache):
     return [sys.executable, "-m", "colmap_edges", "mesh", *map(str, flags)]
 
 
-def test_two_runs_at_once_share_a_cache(small, reference, tmp_path, hash_folder):
+def test_two_runs_at_once_share_a_cache(small, reference, tmp_path, hash_output):
     outputs = [tmp_path / name for name in "ab"]
     runs = [subprocess.Popen(command(small, o, tmp_path / "cache")) for o in outputs]
     assert [process.wait(timeout=120) for process in runs] == [0, 0]
     for output in outputs:
-        assert contents(output, hash_folder) == contents(reference, hash_folder)
+        assert hash_output(output) == hash_output(reference)
 
 
-def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_folder, caplog, soak):
+def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_output, caplog, soak):
     cache, rng = tmp_path / "cache", np.random.default_rng(0)
     for _ in range(20 if soak else 2):
         process = subprocess.Popen(command(small, tmp_path / "killed", cache))
@@ -270,7 +256,7 @@ def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_fold
         left = len(list(cache.rglob("*.entry")))
         output, counts = mesh(small, tmp_path / "out", cache)
         assert "damaged" not in caplog.text
-        assert contents(output, hash_folder) == contents(reference, hash_folder)
+        assert hash_output(output) == hash_output(reference)
         assert reused(counts)[0] == min(left, 6)
         shutil.rmtree(cache)
 

@@ -1,9 +1,10 @@
 import numpy as np
-from curve_scenes import circle, graph_of, helix, line, make_model, ring_of_views
+from curve_scenes import circle, graph_of, helix, line, ring_of_views
+from curves import model_of
 from pinhole_geometry import epipolar_lines, fundamental_matrix
 
 from colmap_edges.correspondences import (
-    depth_ranges,
+    depth_bounds,
     join_pepcs,
     pepcs_from_pecs,
     pepcs_from_sfm_points,
@@ -42,7 +43,7 @@ def candidates_of(pepcs, i):
 def test_pepcs_from_sfm_points_lie_in_the_two_circles():
     rng = np.random.default_rng(0)
     points = CURVES[0].points[125::250] + rng.normal(scale=0.02, size=(8, 3))
-    model = make_model(VIEWS, points)
+    model = model_of(VIEWS, points)
     pepcs = pepcs_from_sfm_points(model, FIELD, OPTIONS, 1)
     assert len(pepcs) >= len(VIEWS) * 4
     depths = np.array([view.cam_from_world(points)[:, 2] for view in VIEWS])  # (V, N)
@@ -72,7 +73,7 @@ def test_pepcs_from_sfm_points_lie_in_the_two_circles():
 def test_pepcs_from_pecs_cross_the_polylines_of_the_pec_only():
     labels = np.tile([0, 1, 0], len(VIEWS)).astype(np.int32)
     labels[-1] = -1
-    pepcs = pepcs_from_pecs(make_model(VIEWS, []), FIELD, labels, OPTIONS, 1)
+    pepcs = pepcs_from_pecs(model_of(VIEWS), FIELD, labels, OPTIONS, 1)
     start_polylines = FIELD.polylines_at(pepcs.starts)
     assert (labels[start_polylines] >= 0).all()
     for i in range(0, len(pepcs), 7):
@@ -88,12 +89,12 @@ def test_pepcs_from_pecs_cross_the_polylines_of_the_pec_only():
 
 def test_true_correspondence_is_among_the_candidates_within_the_depth_range():
     labels = np.tile([0, 1, 2], len(VIEWS)).astype(np.int32)
-    model = make_model(VIEWS, CURVES[2].points[::300])
-    ranges = depth_ranges(model)
+    model = model_of(VIEWS, CURVES[2].points[::300])
+    ranges = depth_bounds(model)
     assert (ranges[:, 0] < 6).all()
     assert (ranges[:, 1] > 6).all()
     bounded = pepcs_from_pecs(model, FIELD, labels, OPTIONS, 1)
-    unbounded = pepcs_from_pecs(make_model(VIEWS, []), FIELD, labels, OPTIONS, 1)
+    unbounded = pepcs_from_pecs(model_of(VIEWS), FIELD, labels, OPTIONS, 1)
     lines = FIELD.polylines_at(bounded.starts) % 3 == 0
     counts = np.diff(bounded.candidate_offsets)
     assert (counts[lines] <= len(VIEWS) - 1).all()
@@ -103,7 +104,7 @@ def test_true_correspondence_is_among_the_candidates_within_the_depth_range():
 
 def test_pepcs_do_not_depend_on_threads():
     labels = np.zeros(FIELD.num_polylines, np.int32)
-    model = make_model(VIEWS, CURVES[0].points[::100])
+    model = model_of(VIEWS, CURVES[0].points[::100])
     for make in (
         lambda n: pepcs_from_sfm_points(model, FIELD, OPTIONS, n),
         lambda n: pepcs_from_pecs(model, FIELD, labels, OPTIONS, n),
@@ -129,7 +130,7 @@ def test_samples_are_evenly_spaced_and_on_wanted_polylines():
 
 def test_joined_and_shuffled_pepcs_keep_their_candidates():
     labels = np.zeros(FIELD.num_polylines, np.int32)
-    model = make_model(VIEWS, CURVES[0].points[::400])
+    model = model_of(VIEWS, CURVES[0].points[::400])
     parts = [
         pepcs_from_sfm_points(model, FIELD, OPTIONS, 1),
         pepcs_from_pecs(model, FIELD, labels, OPTIONS, 1),

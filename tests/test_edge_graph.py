@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from colmap_edges.csr import offsets_of
 from colmap_edges.detection import Chains
 from colmap_edges.edge_graph import (
-    EdgeGraph,
     build_edge_graph,
     component_labels,
     drop_chains,
@@ -153,21 +152,8 @@ def test_meeting_ends_share_a_node():
 
 def bare_graph(*polylines):
     """A graph whose smoothed polylines are the given vertices."""
-    lengths = offsets_of(np.array([len(p) for p in polylines]))
     points = np.concatenate([np.array(p, float) for p in polylines])
-    count = len(polylines)
-    return EdgeGraph(
-        points=points,
-        ideal=points,
-        normals=np.zeros_like(points),
-        sides=np.zeros(points.shape, np.uint8),
-        polyline_offsets=lengths,
-        closed=np.zeros(count, bool),
-        end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
-        node_polylines=np.full(2 * count, -1, np.int32),
-        smoothed=np.arange(len(points)),
-        smoothed_offsets=lengths,
-    )
+    return known.bare_graph(points, [len(p) for p in polylines])
 
 
 def turning(lengths, turns_deg):

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-import scenes
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 RUNS, SOAK_RUNS = 3, 50
@@ -21,30 +20,15 @@ needs_mounts = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def small_paths(tmp_path_factory):
-    """(image_path, input_path) of a scene that is meshed in half a second."""
-    scene = scenes.make_scene(num_views=6, width=240, height=180)
-    return scene.write(tmp_path_factory.mktemp("small"))
-
-
-@pytest.fixture(scope="module")
-def mesh_command(small_paths):
+def mesh_command(small):
     """A function that gives the command that meshes the small scene."""
 
     def command(output, *flags):
         run = [sys.executable, "-m", "colmap_edges", "mesh", "--output_path", output, *flags]
-        run += ["--image_path", small_paths[0], "--input_path", small_paths[1]]
+        run += ["--image_path", small[0], "--input_path", small[1]]
         return [str(word) for word in [*run, "--num_threads", 1]]
 
     return command
-
-
-def contents(folder, hash_folder):
-    """Digests of an output but its report, which holds times."""
-    digests = hash_folder(folder)
-    assert digests.pop("report.json")
-    digests.pop("report.html", None)  # so does this
-    return digests
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +49,10 @@ def wait_for(path, process):
         time.sleep(0.002)
 
 
-def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_folder, soak, show):
+def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_output, soak, show):
     whole, plain, seconds = undisturbed
-    expected = contents(whole, hash_folder)
-    earlier = contents(plain, hash_folder)
+    expected = hash_output(whole)
+    earlier = hash_output(plain)
     ends = []
     for seed in range(10 * SOAK_RUNS):
         if sum(code != 0 for _, code in ends) == (SOAK_RUNS if soak else RUNS):
@@ -81,14 +65,14 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_fol
             shutil.copytree(plain, output)
         number = SIGNALS[seed % 3]
         code = interrupt(mesh_command(output, "--overwrite"), output, number, rng, seconds)
-        found = contents(output, hash_folder) if output.exists() else None
+        found = hash_output(output) if output.exists() else None
         # The whole new output, or what was there before; a kill may leave that moved aside.
         assert found in (expected, earlier if seed % 2 else None, None)
         if number != signal.SIGKILL and code != 0:
             assert [path.name for path in folder.iterdir()] == ["out"] * (found is not None)
             assert found is not None or not seed % 2
         subprocess.run(mesh_command(output, "--overwrite"), check=True, timeout=120)
-        assert contents(output, hash_folder) == expected
+        assert hash_output(output) == expected
         assert [path.name for path in folder.iterdir()] == ["out"]
         ends.append((number.name, code))
         seconds *= 1 if code else 0.8  # it was faster this time
@@ -112,7 +96,7 @@ def interrupt(command, output, number, rng, seconds):
 
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
 def test_files_that_cannot_be_whole(
-    mesh_command, undisturbed, tmp_path, hash_folder, soak, show, output_type
+    mesh_command, undisturbed, tmp_path, hash_output, soak, show, output_type
 ):
     """With every limit below the largest file a run is one line and leaves nothing."""
     sizes = sorted({p.stat().st_size for p in undisturbed[0].rglob("*") if p.is_file()})
@@ -141,7 +125,7 @@ def check_refused(done, folder):
 
 @needs_mounts
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
-def test_full_disk(mesh_command, undisturbed, tmp_path, hash_folder, soak, show, output_type):
+def test_full_disk(mesh_command, undisturbed, tmp_path, hash_output, soak, show, output_type):
     """On a disk too small for the output the run is refused; with room it is as ever."""
     needed = sum(p.stat().st_size for p in undisturbed[0].rglob("*") if p.is_file()) // 1024
     sizes = np.linspace(0.9 * needed, 4, 16 if soak else 1).astype(int).tolist()
@@ -163,8 +147,8 @@ def test_full_disk(mesh_command, undisturbed, tmp_path, hash_folder, soak, show,
         assert (tmp_path / "left").read_text() == "", size
         check_refused(done, disk)
         if output_type == "BIN":
-            expected = contents(undisturbed[0], hash_folder)
-            assert contents(tmp_path / str(size), hash_folder) == expected
+            expected = hash_output(undisturbed[0])
+            assert hash_output(tmp_path / str(size)) == expected
         assert (tmp_path / str(size) / "sparse" / f"points3D.{output_type.lower()}").is_file()
     show(f"{output_type}: full disks of {len(sizes)} sizes")
 
@@ -179,7 +163,7 @@ def test_read_only_disk(mesh_command, tmp_path):
     assert "Read-only file system" in done.stderr
 
 
-def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_folder):
+def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     """The second is refused while the first goes on undisturbed."""
     first = subprocess.Popen(mesh_command(tmp_path / "out"), stdout=subprocess.DEVNULL)
     wait_for(tmp_path / ".out.colmap-edges-partial", first)
@@ -192,5 +176,5 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_folder):
     assert second.returncode == 1
     assert second.stderr.startswith("Error: another run is writing to")
     assert first.wait(timeout=120) == 0
-    assert contents(tmp_path / "out", hash_folder) == contents(undisturbed[0], hash_folder)
+    assert hash_output(tmp_path / "out") == hash_output(undisturbed[0])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

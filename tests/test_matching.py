@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from curve_scenes import graph_of, line, make_model, ring_of_views
+from curve_scenes import graph_of, line, ring_of_views
+from curves import model_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -51,7 +52,7 @@ def two_lines():
     curves = [line((-1, -1, 0), (-1, 1, 0)), line((1, -1, 0), (1, 1, 0))]
     along = np.linspace(-0.8, 0.8, 5)
     points = [(x, y, 0) for x in (-1, 1.01) for y in along] + [(0, 0, 0)]
-    model = make_model(VIEWS, points)
+    model = model_of(VIEWS, points)
     return model, build_edge_field(VIEWS, [graph_of(view, curves) for view in VIEWS])
 
 
@@ -67,7 +68,7 @@ def test_close_points_and_weights():
 
 def test_weight_is_the_inverse_mean_number_of_close_polylines():
     curves = [line((-1, -1, 0), (-1, 1, 0)), line((-1.005, -1, 0), (-1.005, 1, 0))]
-    model = make_model(VIEWS, [(-1, 0, 0)])
+    model = model_of(VIEWS, [(-1, 0, 0)])
     graphs = [graph_of(VIEWS[0], curves)] + [graph_of(v, curves[:1]) for v in VIEWS[1:]]
     _, weights = close_points(model, build_edge_field(VIEWS, graphs), 5.0, 1)
     np.testing.assert_allclose(weights, [3 / 4])
@@ -81,7 +82,7 @@ def test_pecs_are_the_two_lines():
 
 def test_polylines_without_points_are_in_no_pec():
     _, field = two_lines()
-    model = make_model(VIEWS, [(0, 0, 0)])
+    model = model_of(VIEWS, [(0, 0, 0)])
     labels = match_polylines(model, field, MatchingOptions(), random_seed=0, num_threads=1)
     assert (labels == -1).all()
 

@@ -10,9 +10,9 @@ from curve_scenes import (
     graph_of,
     helix,
     line,
-    make_model,
     ring_of_views,
 )
+from curves import model_of
 from scipy.spatial import cKDTree
 
 from colmap_edges.correspondences import Pepcs
@@ -45,7 +45,7 @@ def traced(curves, strategy, num_threads=1, noise_px=0.0, seed=0):
     rng = np.random.default_rng(seed)
     graphs = [graph_of(view, curves, noise_px, rng) for view in VIEWS]
     points = np.concatenate([curve.points[100::200] for curve in curves])
-    model = make_model(VIEWS, points)
+    model = model_of(VIEWS, points)
     options = PipelineOptions(correspondence=CorrespondenceOptions(strategy=strategy))
     edges, stats = trace_edges_paper(model, graphs, options, num_threads)
     return edges, stats
@@ -219,7 +219,7 @@ def test_result_does_not_depend_on_threads():
 
 def test_nothing_in_gives_nothing_out():
     graphs = [graph_of(view, []) for view in VIEWS]
-    edges, stats = trace_edges_paper(make_model(VIEWS, []), graphs, PipelineOptions(), 1)
+    edges, stats = trace_edges_paper(model_of(VIEWS), graphs, PipelineOptions(), 1)
     assert edges.num_edges == 0
     assert edges.num_points == 0
     assert stats["starts"]["accepted"] == 0

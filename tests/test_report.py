@@ -3,13 +3,13 @@ import json
 import time
 
 import browser
+import curves
 import cv2
 import numpy as np
 import pycolmap
 import pytest
 
 from colmap_edges.detection import Chains
-from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.image_graphs import DetectedEdges, dropped_points
 from colmap_edges.model import load_model
@@ -102,30 +102,14 @@ def test_edge_figures_by_hand():
 def test_dropped_points_are_those_the_graph_has_not():
     points = np.array([[1, 2], [3, 4], [5, 6], [7, 8.5]])
     chains = chains_of(points)
-    graph = graph_of(points[[3, 1]], [0, 2])
+    graph = curves.bare_graph(points[[3, 1]], [2])
     assert dropped_points(chains, graph).tolist() == [[1, 2], [5, 6]]
-    assert len(dropped_points(chains, graph_of(points, [0, 4]))) == 0
+    assert len(dropped_points(chains, curves.bare_graph(points, [4]))) == 0
 
 
 def chains_of(points):
     sides = np.zeros((len(points), 2), np.uint8)
     return Chains(points=points, normals=points, sides=sides, offsets=np.array([0, len(points)]))
-
-
-def graph_of(points, offsets):
-    count = len(offsets) - 1
-    return EdgeGraph(
-        points=points,
-        ideal=points,
-        normals=points,
-        sides=np.zeros((len(points), 2), np.uint8),
-        polyline_offsets=np.array(offsets, np.int64),
-        closed=np.zeros(count, bool),
-        end_nodes=np.zeros((count, 2), np.int32),
-        node_polylines=np.zeros(0, np.int32),
-        smoothed=np.zeros(0, np.int64),
-        smoothed_offsets=np.zeros(count + 1, np.int64),
-    )
 
 
 def many_edges(model, count, per_edge, views_each):
@@ -151,7 +135,7 @@ def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_
     )
     model = dataclasses.replace(scene_model, views=views)
     rng = np.random.default_rng(0)
-    taker, graph = PictureTaker(100), graph_of(rng.uniform(0, 360, (20_000, 2)), [0, 20_000])
+    taker, graph = PictureTaker(100), curves.bare_graph(rng.uniform(0, 360, (20_000, 2)), [20_000])
     found = DetectedEdges(graph=graph, dropped=np.zeros((0, 2)), num_chains=1, num_chain_pixels=0)
     noise = rng.integers(0, 255, (1500, 2000, 3), np.uint8)
     for index, view in enumerate(views):

@@ -4,7 +4,7 @@ import pytest
 
 from colmap_edges.options import ViewSelectionOptions
 from colmap_edges.view_selection import (
-    depth_ranges,
+    inverse_depth_ranges,
     observation_matrix,
     pick_diverse,
     select_views,
@@ -116,7 +116,7 @@ def test_views_with_few_points_are_compared_by_their_poses():
 def test_depth_ranges_hold_the_depths_seen_and_little_else():
     points, observed = ball(400), np.random.default_rng(1).random((400, 12)) < 0.5
     model = known.model_of(RING, points, observed)
-    ranges = depth_ranges(model, observation_matrix(model))
+    ranges = inverse_depth_ranges(model, observation_matrix(model))
     for view, (low, high) in enumerate(r.overall for r in ranges):
         inverse = 1 / RING[view].cam_from_world(points[observed[:, view]])[:, 2]
         assert 0 < low < inverse.min()
@@ -127,7 +127,7 @@ def test_depth_ranges_hold_the_depths_seen_and_little_else():
 def test_depth_range_forgets_a_stray_point():
     points = np.concatenate([ball(400), RING[0].center + 0.01 * (-RING[0].center)[None]])
     model = known.model_of(RING[:2], points)
-    _, high = depth_ranges(model, observation_matrix(model))[0].overall
+    _, high = inverse_depth_ranges(model, observation_matrix(model))[0].overall
     inverse = 1 / RING[0].cam_from_world(points[:400])[:, 2]
     assert inverse.max() < high < 2 * inverse.max()
 
@@ -178,7 +178,7 @@ def test_depths_around_a_place_are_those_of_the_points_there():
     right = np.column_stack([rng.uniform(0.4, 2, 200), np.full(200, 5.0), rng.uniform(0, 2, 200)])
     view = known.looking((0, -5, 0.5))
     model = known.model_of([view], np.concatenate([left, right]))
-    (found,) = depth_ranges(model, observation_matrix(model))
+    (found,) = inverse_depth_ranges(model, observation_matrix(model))
     near, far = found.at(view.project_ideal(np.array([[-0.6, 0, 0.5], [1.2, 5, 1.0]]))[0])
     overall = found.overall
     assert near[0] > overall[0] + 0.2 * (overall[1] - overall[0])

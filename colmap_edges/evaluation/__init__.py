@@ -57,7 +57,7 @@ def run(
     with new_folder(output) as folder:
         record = judge(run_path, input_path, reference_path, curves_path, folder)
         if image_path and reference_path and reference_path.is_dir():
-            draw_edges(run_path, input_path, reference_path, image_path, folder)
+            draw_edge_points(run_path, input_path, reference_path, image_path, folder)
         if held_out_views and image_path is not None:
             errors = held_out.left_out_view_errors(
                 input_path, image_path, held_out_views, pictures_path=folder
@@ -96,7 +96,7 @@ def judge(
     return record
 
 
-def draw_edges(
+def draw_edge_points(
     run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
 ) -> None:
     """Write the run's edge points over the images that have a reference depth; see `pictures`."""

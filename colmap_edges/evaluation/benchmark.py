@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, tables
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
-from colmap_edges.evaluation.scene import select_views
+from colmap_edges.evaluation.scene import views_named
 from colmap_edges.evaluation.statistics import summarize
-from colmap_edges.model import FloatArray, Model, load_model
+from colmap_edges.model import Model, load_model
 from colmap_edges.triangulation import PosedImage, triangulate
 
 logger = logging.getLogger(__name__)
@@ -244,7 +245,7 @@ def file_reference(
         vertices = np.asarray(geometry.vertices, dtype=np.float64)
         if len(getattr(geometry, "faces", ())):
             caster = RayCaster(vertices, geometry.faces)
-            depths = depth.render_references(caster, select_views(model, view_names))
+            depths = depth.render_references(caster, views_named(model, view_names))
             return Reference(depths=depths, surface=geometry)
         central = depth.cloud_depth(vertices, depth.central_view(model))
         return Reference(depths=[central], points=vertices)

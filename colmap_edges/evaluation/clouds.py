@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from colmap_edges.model import FloatArray
+from colmap_edges.array_types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

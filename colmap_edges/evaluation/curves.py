@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 from colmap_edges.csr import ranks_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, scores
 from colmap_edges.evaluation.ply import read_ply
-from colmap_edges.model import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def sample(curves: Curves, spacing: float) -> FloatArray:
     return np.asarray(start + part[:, None] * (end - start))
 
 
-def inside_box(points: FloatArray, reference: FloatArray, margin: float) -> NDArray[np.bool_]:
+def inside_box(points: FloatArray, reference: FloatArray, margin: float) -> BoolArray:
     """Which of `points` (N, 3) lie in the bounding box of `reference`, grown by `margin`."""
     low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
     return np.asarray(((points >= low) & (points <= high)).all(axis=1))

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import Float32Array, FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.raycasting import RayCaster
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
-from colmap_edges.model import FloatArray, Model, View, views_with_rows
+from colmap_edges.model import Model, View, views_with_rows
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class ReferenceDepth:
     """
 
     view: View
-    depth: NDArray[np.float32]
+    depth: Float32Array
     scale: float
     pixels: FloatArray | None = None
 
@@ -52,7 +53,7 @@ class DepthErrors:
 
     name: str
     errors: FloatArray
-    reference: NDArray[np.float32]
+    reference: Float32Array
     coverage: float
 
     def statistics(self) -> ErrorStatistics:
@@ -92,7 +93,7 @@ def load_reference_depths(folder: Path, model: Model) -> list[ReferenceDepth]:
     return references
 
 
-def read_depth(path: Path) -> tuple[NDArray[np.float32], float, str]:
+def read_depth(path: Path) -> tuple[Float32Array, float, str]:
     """Depths (H, W), scale (0: not stated) and image name of a depth map."""
     data = read_arrays(path)
     if "depth" not in data:
@@ -110,7 +111,7 @@ def read_depth(path: Path) -> tuple[NDArray[np.float32], float, str]:
     return depth, scale, name
 
 
-def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> NDArray[np.float32]:
+def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> Float32Array:
     """Depth map (H, W) of the mesh of `caster` in `view`, 0 where it is not hit."""
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
     empty = ReferenceDepth(view=view, depth=np.zeros(shape, dtype=np.float32), scale=scale)
@@ -212,3 +213,14 @@ def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArra
         depths[seen] = view.cam_from_world(points[seen])[:, 2]
         errors[seen] = caster.depth_at(view, model.track_points2D[seen]) - depths[seen]
     return errors, depths
+
+
+def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, dict[str, Any]]:
+    """Statistics of `observation_depth_errors`, absolute and relative to the points' depths."""
+    errors, depths = observation_depth_errors(caster, model)
+    known = np.isfinite(errors)
+    coverage = {"coverage": float(known.mean())}
+    return {
+        "absolute": asdict(summarize(errors[known])) | coverage,
+        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+    }

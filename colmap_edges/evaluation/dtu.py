@@ -13,17 +13,16 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.linalg import rq
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import BoolArray, FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import cloud_to_cloud
 from colmap_edges.evaluation.curves import columns
 from colmap_edges.evaluation.ply import read_ply
-from colmap_edges.model import FloatArray
 from colmap_edges.triangulation import PosedImage, posed_image
 
 PAPER_SCANS = (6, 23, 28, 37, 98, 118)
@@ -46,7 +45,7 @@ class DtuReference:
     """
 
     points: FloatArray
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     box: FloatArray
     resolution: float
     plane: FloatArray
@@ -274,7 +273,7 @@ def thin(
     return kept
 
 
-def _first_of_each(points: FloatArray, distance: float) -> NDArray[np.bool_]:
+def _first_of_each(points: FloatArray, distance: float) -> BoolArray:
     """Which points have no kept point near that comes before them."""
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
@@ -308,7 +307,7 @@ def evaluate_points(points: FloatArray, reference: DtuReference) -> DtuErrors:
     )
 
 
-def in_mask(points: FloatArray, reference: DtuReference) -> NDArray[np.bool_]:
+def in_mask(points: FloatArray, reference: DtuReference) -> BoolArray:
     """Which points (N, 3) fall into a true cell of the mask (cells are centred on box + i res)."""
     cells = np.floor((points - reference.box[0]) / reference.resolution + 0.5).astype(np.int64)
     inside = np.asarray(((cells >= 0) & (cells < reference.mask.shape)).all(axis=1))
@@ -316,7 +315,7 @@ def in_mask(points: FloatArray, reference: DtuReference) -> NDArray[np.bool_]:
     return inside
 
 
-def above_plane(reference: DtuReference) -> NDArray[np.bool_]:
+def above_plane(reference: DtuReference) -> BoolArray:
     """Which reference points are above the table and in the 60 mm blocks that cover the box."""
     low, high = reference.box
     end = low + (np.floor((high - low) / _BLOCK_MM) + 1) * _BLOCK_MM

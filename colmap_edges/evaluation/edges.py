@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import Float32Array, FloatArray, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.evaluation.curves import Curves
 from colmap_edges.evaluation.depth import ReferenceDepth
 from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.statistics import ErrorStatistics, summarize
-from colmap_edges.model import FloatArray, IntArray, Model, track_residuals
+from colmap_edges.model import Model, track_residuals
 
 GROSS_SEGMENT_RATIO = 20.0
 
@@ -118,7 +118,7 @@ def view_window_errors(
 
 
 def _smallest_error(
-    reference: NDArray[np.float32], cells: IntArray, depth: FloatArray, window: int
+    reference: Float32Array, cells: IntArray, depth: FloatArray, window: int
 ) -> FloatArray:
     """Smallest |depth - reference| and the reference there, (N, 2); infinite, 1 without any."""
     height, width = reference.shape

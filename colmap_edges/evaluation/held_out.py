@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import depth, pictures
 from colmap_edges.evaluation.observations import select_points
 from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.evaluation.statistics import summarize
-from colmap_edges.model import FloatArray, Model, View, load_model, model_from_reconstruction
+from colmap_edges.model import Model, View, load_model, model_from_reconstruction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,15 +64,8 @@ def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dic
         raise ColmapEdgesError(f"{input_path} holds too few points to leave half of them out")
     used, left_out = split_points(model, seed)
     result = mesh(used, edges=edges)
-    errors, depths = depth.observation_depth_errors(
-        RayCaster(result.vertices, result.faces), left_out
-    )
-    known = np.isfinite(errors)
-    coverage = {"coverage": float(known.mean())}
-    return {
-        "absolute": asdict(summarize(errors[known])) | coverage,
-        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
-    }
+    caster = RayCaster(result.vertices, result.faces)
+    return depth.observation_depth_statistics(caster, left_out)
 
 
 def left_out_views(views: Sequence[View], every: int) -> list[View]:
@@ -111,7 +103,7 @@ def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 
     )
 
 
-def _distances(pixels: FloatArray, chains: FloatArray) -> NDArray[np.float64]:
+def _distances(pixels: FloatArray, chains: FloatArray) -> FloatArray:
     if not len(chains):
         return np.full(len(pixels), np.inf)
     distance, _ = cKDTree(chains).query(pixels)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray
 from colmap_edges.csr import offsets_of
-from colmap_edges.model import FloatArray, Model, View
+from colmap_edges.model import Model, View
 
 
-def select_points(model: Model, keep: NDArray[np.bool_]) -> Model:
+def select_points(model: Model, keep: BoolArray) -> Model:
     """The model with only the points where `keep` (N,) is true; `reconstruction` stays whole."""
     kept = np.repeat(keep, np.diff(model.track_offsets))
     counts = np.diff(model.track_offsets)[keep]

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.curves import Curves, load_curves
-from colmap_edges.model import FloatArray, Model, View
+from colmap_edges.model import Model, View
 
 # What readers of damaged files come to.
 DAMAGE = (
@@ -42,7 +43,7 @@ class Line:
     """
 
     segments: FloatArray
-    image_ids: NDArray[np.int64]
+    image_ids: IntArray
     ends2D: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
 
 
@@ -251,14 +252,14 @@ def sample_lines(lines: Iterable[Line], model: Model, spacing_px: float = 4.0) -
 @dataclass(frozen=True)
 class _Run:
     points: FloatArray  # (N, 3)
-    seen: NDArray[np.bool_]  # (N, V)
-    views: NDArray[np.int32]  # (V,)
+    seen: BoolArray  # (N, V)
+    views: Int32Array  # (V,)
     pixels: FloatArray  # (N, V, 2)
 
 
 def _sample_segment(
     ends: FloatArray,
-    indices: NDArray[np.int32],
+    indices: Int32Array,
     ends2D: FloatArray,
     views: Sequence[View],
     spacing_px: float,
@@ -282,7 +283,7 @@ def _sample_segment(
     return [_Run(points[run], seen[run], unique, pixels[run]) for run in runs]
 
 
-def _on_segment(pixels: FloatArray, ends: FloatArray, margin_px: float = 2.0) -> NDArray[np.bool_]:
+def _on_segment(pixels: FloatArray, ends: FloatArray, margin_px: float = 2.0) -> BoolArray:
     known = np.asarray(np.isfinite(pixels).all(axis=1))
     length = np.linalg.norm(ends[1] - ends[0])
     if not np.isfinite(length) or length == 0:
@@ -307,9 +308,9 @@ def _as_edges(runs: list[_Run]) -> Edges3D:
 def _edges(
     *,
     points: FloatArray,
-    edge_counts: NDArray[np.int64],
-    track_counts: NDArray[np.int64],
-    views: NDArray[np.int32],
+    edge_counts: IntArray,
+    track_counts: IntArray,
+    views: Int32Array,
     pixels: FloatArray,
 ) -> Edges3D:
     return Edges3D(

@@ -108,7 +108,7 @@ def at_true_cameras(reconstruction: Any, truth: TrueCameras, names: list[str] | 
         elements = [e for e in point.track.elements if e.image_id in kept]
         if len({element.image_id for element in elements}) >= 2:
             result.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
-    adjust(result, poses=False)
+    adjust_by_colmap(result, poses=False)
     return result
 
 
@@ -123,7 +123,7 @@ def with_pose_noise(reconstruction: Any, noise_px: float, random_seed: int) -> A
     for image in images_of(result):
         frame = result.frames[image.frame_id]
         frame.rig_from_world = noisy_pose(result, image, noise_px, rng)
-    adjust(result, poses=False)
+    adjust_by_colmap(result, poses=False)
     return result
 
 
@@ -143,7 +143,7 @@ def noisy_pose(reconstruction: Any, image: Any, noise_px: float, rng: np.random.
     return moved(noise_px / np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))
 
 
-def adjust(reconstruction: Any, *, poses: bool, robust: bool = False) -> None:
+def adjust_by_colmap(reconstruction: Any, *, poses: bool, robust: bool = False) -> None:
     """COLMAP's own bundle adjustment in place; intrinsics stay, and poses unless `poses`."""
     config = pycolmap.BundleAdjustmentConfig()
     for image in images_of(reconstruction):

@@ -9,9 +9,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.observations import pixel_rays
-from colmap_edges.model import FloatArray, View
+from colmap_edges.model import View
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:

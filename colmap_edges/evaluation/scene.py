@@ -55,7 +55,7 @@ def evaluate_mesh(
         return record | _against_depth(caster, references, pictures_path)
     reference = load_geometry(reference_path)
     if len(getattr(reference, "faces", ())):
-        views = select_views(model, view_names)
+        views = views_named(model, view_names)
         true = RayCaster(reference.vertices, reference.faces)
         record |= _against_depth(caster, depth.render_references(true, views), pictures_path)
         points = sample_surface(reference.vertices, reference.faces)
@@ -64,7 +64,7 @@ def evaluate_mesh(
     return record | _against_cloud(mesh, points, thresholds)
 
 
-def select_views(model: Model, names: Sequence[str]) -> list[Any]:
+def views_named(model: Model, names: Sequence[str]) -> list[Any]:
     """The views called `names`, `all` of them, or (none named) the central one.
 
     Raises:
@@ -104,15 +104,7 @@ def _against_depth(
 def _against_points(caster: RayCaster, model: Model) -> Record:
     if not len(model.points3D_xyz):
         raise ColmapEdgesError("without a reference the model must hold points, and it has none")
-    errors, depths = depth.observation_depth_errors(caster, model)
-    known = np.isfinite(errors)
-    coverage = {"coverage": float(known.mean())}
-    return {
-        "points_depth": {
-            "absolute": asdict(summarize(errors[known])) | coverage,
-            "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
-        }
-    }
+    return {"points_depth": depth.observation_depth_statistics(caster, model)}
 
 
 def _against_cloud(mesh: Any, points: Any, thresholds: Sequence[float]) -> Record:

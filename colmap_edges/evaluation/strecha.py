@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.model import FloatArray
 from colmap_edges.triangulation import PosedImage, posed_image
 
 

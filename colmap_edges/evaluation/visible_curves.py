@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.clouds import Score, cloud_to_cloud, cloud_to_mesh, make_score
 from colmap_edges.evaluation.curves import Curves, sample
 from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import FloatArray, IntArray, View
+from colmap_edges.model import View
 
 
 @dataclass(frozen=True, kw_only=True)

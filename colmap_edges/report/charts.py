@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.report.contents import Trace
 
-FloatArray = NDArray[np.float64]
 
-
-def edge_charts(
-    num_views: NDArray[np.int64], residuals: FloatArray, lengths: FloatArray
-) -> list[Trace]:
+def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[Trace]:
     """Histograms of views per edge, residuals of observations, and lengths.
 
     Args:

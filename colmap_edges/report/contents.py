@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import ByteArray, FloatArray, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model
@@ -65,17 +66,17 @@ def typed(values: Any, dtype: str = "f4") -> dict[str, str]:
     return {"dtype": dtype, "bdata": base64.b64encode(data.tobytes()).decode("ascii")}
 
 
-def xyz(points: NDArray[np.float64]) -> Trace:
+def xyz(points: FloatArray) -> Trace:
     """The coordinates (N, 3) of a trace."""
     return {axis: typed(points[:, i]) for i, axis in enumerate("xyz")}
 
 
-def hex_colors(colors: NDArray[np.uint8]) -> list[str]:
+def hex_colors(colors: ByteArray) -> list[str]:
     """Colours (N, 3) RGB as #rrggbb."""
     text = np.ascontiguousarray(colors, np.uint8).tobytes().hex()
     return [f"#{text[i : i + 6]}" for i in range(0, len(text), 6)]
 
 
-def spread(count: int, most: int) -> NDArray[np.int64]:
+def evenly_spread(count: int, most: int) -> IntArray:
     """Up to `most` of the indices 0..count-1, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

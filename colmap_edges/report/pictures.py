@@ -8,8 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, Int32Array, Picture
 from colmap_edges.csr import ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import edge_segments
@@ -18,10 +18,7 @@ from colmap_edges.image_graphs import DetectedEdges
 from colmap_edges.images import encoded
 from colmap_edges.model import Model, View
 from colmap_edges.overlay import SHIFT, fixed_point
-from colmap_edges.report.contents import ImagePicture, spread
-
-FloatArray = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+from colmap_edges.report.contents import ImagePicture, evenly_spread
 
 MAX_BYTES = 7_000_000  # of all pictures, before base 64
 MAX_PICTURES = 120
@@ -38,7 +35,7 @@ class PictureTaker:
 
     def __init__(self, num_views: int) -> None:
         """Choose views, evenly spread, and the size of their pictures."""
-        self.chosen = set(spread(num_views, MAX_PICTURES).tolist())
+        self.chosen = set(evenly_spread(num_views, MAX_PICTURES).tolist())
         side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
         self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
         self.taken: dict[int, ImagePicture] = {}
@@ -96,9 +93,7 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     return np.split(graph.points[index], ends[:-1]) if len(ends) else []
 
 
-def observed_segments(
-    view: View, index: int, edges: Edges3D, segments: NDArray[np.int32]
-) -> FloatArray:
+def observed_segments(view: View, index: int, edges: Edges3D, segments: Int32Array) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
     owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)

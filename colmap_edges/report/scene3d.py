@@ -6,16 +6,13 @@ import html
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from colmap_edges.array_types import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model, View
-from colmap_edges.report.contents import Contents, Trace, hex_colors, spread, typed, xyz
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from colmap_edges.report.contents import Contents, Trace, evenly_spread, hex_colors, typed, xyz
 
 # What is drawn at most, so that the file stays small and a browser turns it smoothly.
 MAX_SFM_POINTS = 40_000
@@ -65,7 +62,7 @@ def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
     """The SfM points within the box, in their colours."""
     points = model.points3D_xyz
     inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-    inside = inside[spread(len(inside), MAX_SFM_POINTS)] if len(inside) else inside
+    inside = inside[evenly_spread(len(inside), MAX_SFM_POINTS)] if len(inside) else inside
     return {
         "type": "scatter3d",
         "mode": "markers",
@@ -133,7 +130,7 @@ def mesh_trace(mesh: Mesh, hidden: bool) -> Trace:
     }
 
 
-def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.uint8]]:
+def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArray]:
     """Vertices, faces and colours of a mesh, vertices merged by cells until few faces are left."""
     vertices, faces, colors = mesh.vertices, mesh.faces, mesh.colors
     if len(faces) <= max_faces:

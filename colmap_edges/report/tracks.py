@@ -7,14 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.csr import offsets_of
 from colmap_edges.edge_io import edge_lengths
 from colmap_edges.edges import Edges3D
 from colmap_edges.model import Model
 from colmap_edges.report.contents import Trace, typed
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_REPROJECTIONS = 300_000
 FULL = 65535  # of 16 bits: the width or height of an image
