@@ -6,7 +6,7 @@ import numpy as np
 
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import ChainDepths
-from colmap_edges.csr import offsets_of
+from colmap_edges.csr import offsets_of, ranks_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import TracingOptions
@@ -103,23 +103,22 @@ def densify(
     Returns:
         (N,) points of the graph, (N,) inverse depths, (N,) run of each.
     """
-    spacing = options.point_spacing_px
-    indices, inverse, ids = [], [], []
     starts = offsets_of(sizes)
-    for run in np.flatnonzero(sure):
-        at = rows[starts[run] : starts[run + 1]]
-        polyline = graph.polyline_ids[depths.samples[at[0]]]
-        low = max(depths.samples[at[0]] - options.extension_px, graph.polyline_offsets[polyline])
-        high = min(
-            depths.samples[at[-1]] + options.extension_px, graph.polyline_offsets[polyline + 1] - 1
-        )
-        points = np.arange(low, high + 1, spacing)
-        indices.append(points)
-        inverse.append(extrapolate(points, depths.samples[at], depths.inverse_depths[at]))
-        ids.append(np.full(len(points), run))
-    if not indices:
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
-    return np.concatenate(indices), np.concatenate(inverse), np.concatenate(ids)
+    first, last = starts[:-1][sure], starts[1:][sure] - 1
+    at, values = depths.samples[rows], depths.inverse_depths[rows]
+    polylines = graph.polyline_ids[at[first]]
+    low = np.maximum(at[first] - options.extension_px, graph.polyline_offsets[polylines])
+    end = graph.polyline_offsets[polylines + 1] - 1
+    high = np.minimum(at[last] + options.extension_px, end)
+    counts = (high - low) // options.point_spacing_px + 1
+    runs = np.repeat(np.arange(len(first)), counts)
+    points = low[runs] + options.point_spacing_px * ranks_of(counts)
+    # Beyond a run's ends the first and the last two samples tell how depth goes on.
+    before = np.clip(np.searchsorted(at, points, "right") - 1, first[runs], last[runs])
+    left = np.minimum(before, last[runs] - 1)
+    slopes = (values[left + 1] - values[left]) / (at[left + 1] - at[left])
+    inverse = slopes * (points - at[before]) + values[before]
+    return points, np.where(inverse > 0, inverse, values[before]), np.flatnonzero(sure)[runs]
 
 
 def sure_runs(
@@ -142,16 +141,3 @@ def sure_runs(
     sure = np.bincount(runs, weights=agreeing >= options.min_agreeing_views)
     kept = (sizes >= options.min_run_samples) & (sure >= options.min_confirmed_ratio * sizes)
     return sizes, kept
-
-
-def extrapolate(at: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
-    """Values at `at`, linear between the known places and beyond the first and last two."""
-    result = np.interp(at, known, values)
-    before, after = at < known[0], at > known[-1]
-    first = (values[1] - values[0]) / (known[1] - known[0])
-    last = (values[-1] - values[-2]) / (known[-1] - known[-2])
-    result[before] = values[0] + first * (at[before] - known[0])
-    result[after] = values[-1] + last * (at[after] - known[-1])
-    if (result > 0).all():
-        return np.asarray(result, np.float64)
-    return np.where(result > 0, result, np.interp(at, known, values))
