@@ -112,8 +112,14 @@ inline std::vector<EpipolarIndex::Span> EpipolarIndex::MakeSpans(double min_angl
   std::vector<Span> spans;
   spans.reserve(view_->stretches().size());
   const double f = view_->focal();
+  float last_x = NAN, last_y = NAN;
+  Place last{};
   for (const EdgeView::Stretch& s : view_->stretches()) {
-    const Place from = PlaceOf({s.ax / f, s.ay / f, 1}), to = PlaceOf({s.bx / f, s.by / f, 1});
+    // A stretch mostly begins where the one before it ends.
+    const bool goes_on = s.ax == last_x && s.ay == last_y;
+    const Place from = goes_on ? last : PlaceOf({s.ax / f, s.ay / f, 1});
+    const Place to = PlaceOf({s.bx / f, s.by / f, 1});
+    last_x = s.bx, last_y = s.by, last = to;
     // The epipolar direction is that of the axis, as the image shows it there.
     const double dx = f * axis_[0] - s.ax * axis_[2], dy = f * axis_[1] - s.ay * axis_[2];
     const double x = s.bx - s.ax, y = s.by - s.ay;
@@ -220,9 +226,9 @@ void EpipolarIndex::VisitCrossings(const Vec3& a, double low, double high,
     const bool start = c.entry.start < target;
     const int64_t end = c.entry.first + c.entry.count - 1;
     int64_t i = c.guess;
-    while (i < end && (side(i + 1) < 0) == start) ++i;
-    while (i > c.entry.first && (side(i) < 0) != start) --i;
-    const double before = side(i), after = side(view_->Next(i));
+    double before = side(i), after = side(view_->Next(i));
+    while (i < end && (after < 0) == start) before = after, after = side(view_->Next(++i));
+    while (i > c.entry.first && (before < 0) != start) after = before, before = side(--i);
     visit(i, before != after ? std::clamp(before / (before - after), 0.0, 1.0) : 0.5);
   }
 }
