@@ -436,7 +436,7 @@ class PipelineOptions(Options):
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "view_selection": {"num_neighbors": 6, "num_witnesses": 20},
-        "tracing": {"point_spacing_px": 6},
+        "tracing": {"point_spacing_px": 6, "num_rounds": 1},
     },
     "medium": {},
     "high": {

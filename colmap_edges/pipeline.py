@@ -7,7 +7,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
@@ -456,11 +456,13 @@ def edge_stages(
     Returns:
         The model that the edges belong to, and the edges.
     """
-    edges = trace_stage(model, graphs, options, stages, workers=workers)
     if not options.refine_poses:
-        return model, edges
+        return model, trace_stage(model, graphs, options, stages, workers=workers)
+    # Poses are told by the surest edges alone: those of the first round.
+    first = replace(options, tracing=replace(options.tracing, num_rounds=1))
+    edges = trace_stage(model, graphs, first, stages, workers=workers)
     refined = refine_stage(model, edges, graphs, options, stages)
-    if refined is not model:
+    if refined is not model or first != options:
         edges = trace_stage(refined, graphs, options, stages, "trace again", workers)
     return refined, edges
 

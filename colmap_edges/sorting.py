@@ -58,8 +58,15 @@ class Traced:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a piece of a curve may have at most: residual in pixels, log10 of its chance."""
+    """What a curve may have at most.
 
+    Attributes:
+        uncertainty_px: a point's standard deviation along the driver's ray, in pixels.
+        residual_px: the median residual of a piece.
+        log_chance: log10 of the chance of a piece.
+    """
+
+    uncertainty_px: float
     residual_px: float
     log_chance: float
 
@@ -71,10 +78,12 @@ class Sorted:
     Attributes:
         edges: pieces of every driver's curves that lie still.
         outlines: those that scatter around any fixed curve.
+        limits: what they were judged by.
     """
 
     edges: list[Traced]
     outlines: list[Traced]
+    limits: Limits
 
 
 def sort_out(
@@ -82,21 +91,24 @@ def sort_out(
     traced: list[Traced],
     options: TracingOptions,
     num_threads: int,
+    limits: Limits | None = None,
 ) -> tuple[Sorted, dict[str, Any]]:
     """Filter observations, points and pieces, tell edges from outlines, and count.
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.
         traced: the curves of every driver.
-        options: limits.
+        options: ratios to the scene's own medians, which make the limits.
         num_threads: threads to use; the result does not depend on it.
+        limits: those to take instead.
 
     Returns:
         The pieces that are kept, and counts of what was dropped by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
-    limits, sure, stats = find_limits(traced, options)
-    kept, start = Sorted(edges=[], outlines=[]), 0
+    limits = limits or find_limits(traced, options)
+    sure, stats = sure_points(traced, limits, options)
+    kept, start = Sorted(edges=[], outlines=[], limits=limits), 0
     for each in traced:
         end = start + len(each.points)
         fixed, moving = sort_pieces(each, sure[start:end], limits, options)
@@ -171,36 +183,45 @@ def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
     return replace(traced, positions=csr_array(rest, shape=positions.shape))
 
 
-def find_limits(
-    traced: list[Traced], options: TracingOptions
-) -> tuple[Limits, BoolArray, dict[str, Any]]:
-    """What pieces may have, by the scene's own medians, and which points are good.
-
-    Args:
-        traced: the curves of all drivers, N points together.
-        options: how many observations are enough, and ratios to the medians.
-
-    Returns:
-        The limits of a piece; (N,) whether a point, in the order of `traced`, has observations
-        enough and is certain enough; and counts of points in and dropped by reason.
-    """
-    every = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
-    enough = every >= options.min_observations
-    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
-    sure = enough & (uncertain <= options.max_sigma_ratio * median_of(uncertain[enough]))
-    scatter = np.concatenate([np.zeros(0), *(t.residuals for t in traced)])
+def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
+    """What curves may have, by the medians of all points with observations enough."""
+    enough, uncertain, scatter = measures_of(traced, options)
+    uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
+    sure = enough & (uncertain <= uncertainty_px)
     tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
-    limits = Limits(
+    return Limits(
+        uncertainty_px=uncertainty_px,
         residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
         log_chance=np.log10(options.max_false_edges / max(tests, 1)),
     )
-    stats = {
-        "points_traced": len(every),
+
+
+def sure_points(
+    traced: list[Traced], limits: Limits, options: TracingOptions
+) -> tuple[BoolArray, dict[str, Any]]:
+    """Which points, in the order of `traced`, are observed enough and certain enough.
+
+    Returns:
+        (N,) whether a point is, and counts of points in and dropped by reason.
+    """
+    enough, uncertain, _ = measures_of(traced, options)
+    sure = enough & (uncertain <= limits.uncertainty_px)
+    return sure, {
+        "points_traced": len(enough),
         "points_observed_enough": int(enough.sum()),
         "points_dropped_few_observations": int((~enough).sum()),
         "points_dropped_uncertain": int((enough & ~sure).sum()),
     }
-    return limits, sure, stats
+
+
+def measures_of(
+    traced: list[Traced], options: TracingOptions
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """(N,) of all points: whether observed enough, uncertainties, residuals."""
+    counts = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
+    uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
+    scatter = np.concatenate([np.zeros(0), *(t.residuals for t in traced)])
+    return counts >= options.min_observations, uncertain, scatter
 
 
 def median_of(values: FloatArray) -> float:

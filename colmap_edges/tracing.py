@@ -7,77 +7,40 @@ of the scene is traced once, by the view that sees it best (paper: 3D edge recon
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import (
     ChainDepths,
     compute_chain_depths,
     learn_side_difference,
-    make_edge_view,
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
-from colmap_edges.csr import offsets_of, ranks_of
-from colmap_edges.edge_graph import EdgeGraph, keep_points
+from colmap_edges.csr import offsets_of
+from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.executors import Call, Workers, local_workers, run_all, run_scheduled
-from colmap_edges.graph_store import GraphStore, Recent
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.graph_store import Recent
 from colmap_edges.model import Model, View
-from colmap_edges.options import ChainDepthOptions, PipelineOptions, TracingOptions
+from colmap_edges.options import ChainDepthOptions, PipelineOptions
 from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.runs import find_curves
 from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.sorting import Sorted, Traced, link, row_medians, sort_out
-from colmap_edges.view_graphs import NUM_KEPT, CachedEdgeViews, CachedGraphs, Some
+from colmap_edges.sorting import Traced, link, row_medians, sort_out
+from colmap_edges.traced_scene import (
+    Scene,
+    in_whole_graphs,
+    make_scene,
+    mark_covered,
+    what_remains,
+)
+from colmap_edges.view_graphs import NUM_KEPT
 from colmap_edges.view_selection import DepthRange, Neighborhood, select_views
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What tracing looks at: the views with their edge graphs in both forms, and who sees what.
-
-    Attributes:
-        views: the posed views.
-        graphs: their edge graphs.
-        edge_views: the same in the kernels' form.
-        neighbors: per view those that its depths come from.
-        witnesses: per view those in which its edges are looked for.
-        polyline_offsets: those of the graphs, which are always in memory.
-        covered: per view the points of its graph through which edges run already.
-        free: per view the points of its whole graph that its graph here has; none when it is whole.
-    """
-
-    views: Sequence[View]
-    graphs: Sequence[EdgeGraph]
-    edge_views: Sequence[_kernels.EdgeView]
-    neighbors: Sequence[IntArray]
-    witnesses: Sequence[IntArray]
-    polyline_offsets: Sequence[IntArray]
-    covered: Sequence[BoolArray]
-    free: Sequence[BoolArray] | None = None
-
-    def part(self, view: int, others: IntArray, workers: Workers) -> Scene:
-        """What a task on a view and others needs: all, or what a worker elsewhere is sent."""
-        if not (workers.remote and workers.cache and isinstance(self.graphs, GraphStore)):
-            return self
-        keys = Some(self.graphs.keys, [view, *others])
-        views = Some(self.views, [view, *others])
-        return Scene(
-            views=views,
-            graphs=CachedGraphs(workers.cache, keys),
-            edge_views=CachedEdgeViews(workers.cache, keys, views),
-            neighbors=Some(self.neighbors, [view]),
-            witnesses=Some(self.witnesses, [view]),
-            polyline_offsets=Some(self.polyline_offsets, []),
-            covered=Some(self.covered, [view]),
-        )
 
 
 def trace_edges(
@@ -114,7 +77,9 @@ def trace_edges(
         found, more = trace_round(rest, near, for_what_remains(learned), workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
-        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+        # The surest curves, those of the first round, say what to ask of all.
+        limits = kept.limits
+        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     edges, linked = link(graphs, kept, options.linking)
     about = {
         "views": len(graphs),
@@ -168,98 +133,6 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
             options.tracing, min_agreeing_views=max(1, options.tracing.min_agreeing_views - 1)
         ),
     )
-
-
-def make_scene(model: Model, graphs: Sequence[EdgeGraph], near: Neighborhood) -> Scene:
-    """What tracing looks at, nothing covered yet; as many edge views are kept as graphs."""
-    offsets = [graph.polyline_offsets for graph in graphs]
-    return Scene(
-        views=model.views,
-        graphs=graphs,
-        edge_views=edge_views_of(graphs, model.views, num_kept_of(graphs)),
-        neighbors=near.neighbors,
-        witnesses=near.witnesses,
-        polyline_offsets=offsets,
-        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
-    )
-
-
-def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
-    """The scene of those stretches of chains that no kept curve runs through."""
-    covered = [np.zeros(bounds[-1], bool) for bounds in whole.polyline_offsets]
-    for traced in (*kept.edges, *kept.outlines):
-        mark_covered(
-            covered,
-            whole.polyline_offsets,
-            traced.views,
-            traced.positions,
-            options.point_spacing_px,
-        )
-    least = options.min_curve_points * options.point_spacing_px // 2
-    free = [
-        without_short(~each, bounds, least)
-        for each, bounds in zip(covered, whole.polyline_offsets, strict=True)
-    ]
-    num_kept = num_kept_of(whole.graphs)
-    graphs = Recent(partial(remaining_graph, whole.graphs, free), len(free), num_kept)
-    offsets = [graph.polyline_offsets for graph in graphs]
-    return replace(
-        whole,
-        graphs=graphs,
-        edge_views=edge_views_of(graphs, whole.views, num_kept),
-        polyline_offsets=offsets,
-        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
-        free=free,
-    )
-
-
-def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:
-    """(N,) the points of `free` in runs of at least so many along one polyline."""
-    starts = np.zeros(len(free), bool)
-    starts[offsets[:-1]] = True
-    starts[1:] |= free[1:] != free[:-1]
-    runs = np.cumsum(starts) - 1
-    kept: BoolArray = free & (np.bincount(runs)[runs] >= least) if len(free) else free
-    return kept
-
-
-def remaining_graph(graphs: Sequence[EdgeGraph], free: Sequence[BoolArray], view: int) -> EdgeGraph:
-    """The part of one view's edge graph that is free."""
-    return keep_points(graphs[view], free[view])
-
-
-def in_whole_graphs(scene: Scene, traced: list[Traced]) -> list[Traced]:
-    """Curves at positions on the scene's graphs -> the same at positions on the whole graphs."""
-    if scene.free is None:
-        return traced
-    points = [np.flatnonzero(free) for free in scene.free]
-    return [replace(each, positions=at_points(each, points)) for each in traced]
-
-
-def at_points(traced: Traced, points: list[IntArray]) -> csr_array:
-    """The positions of curves, those of view v counted among `points[v]`, among all points."""
-    positions = traced.positions
-    data = positions.data.copy()
-    for column, view in enumerate(traced.views):
-        rows = positions.indices == column
-        low = data[rows].astype(np.int64)
-        data[rows] += points[view][low] - low
-    return csr_array((data, positions.indices, positions.indptr), shape=positions.shape)
-
-
-def num_kept_of(graphs: Sequence[EdgeGraph]) -> int:
-    """How many graphs are held in memory at a time."""
-    return max(graphs.num_kept, 1) if isinstance(graphs, GraphStore) else len(graphs)
-
-
-def edge_views_of(graphs: Sequence[EdgeGraph], views: Sequence[View], num_kept: int) -> Recent[Any]:
-    """The kernels' forms of the edge graphs, made when asked for."""
-    return Recent(partial(edge_view_of, graphs, views), len(graphs), num_kept)
-
-
-def edge_view_of(graphs: Sequence[EdgeGraph], views: Sequence[View], view: int) -> Any:
-    """The kernels' form of one view's edge graph."""
-    return make_edge_view(graphs[view], views[view])
 
 
 def find_depths(
@@ -443,30 +316,3 @@ def sparse(values: FloatArray) -> csr_array:
     known = np.isfinite(values)
     columns = np.nonzero(known)[1].astype(np.int32)
     return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)
-
-
-def mark_covered(
-    covered: Sequence[BoolArray],
-    offsets: Sequence[IntArray],
-    views: IntArray,
-    positions: csr_array,
-    reach: int,
-) -> None:
-    """Mark the stretches of chains that points of curves are observed on, in every view.
-
-    Args:
-        covered: per view its points, to be marked.
-        offsets: per view those of its polylines.
-        views: (K,) view of each column of `positions`.
-        positions: (N, K) sparse positions on the views' chains.
-        reach: points to both sides of an observation.
-    """
-    observed = positions.tocsc()
-    for column, view in enumerate(views):
-        first, last = observed.indptr[column : column + 2]
-        at = observed.data[first:last].astype(np.int64)
-        polyline = np.searchsorted(offsets[view], at, "right") - 1
-        low = np.maximum(at - reach, offsets[view][polyline])
-        high = np.minimum(at + reach + 1, offsets[view][polyline + 1])
-        lengths = high - low
-        covered[view][np.repeat(low, lengths) + ranks_of(lengths)] = True

@@ -126,7 +126,8 @@ def test_few_edges_but_none_far_off(name, method):
     assert edges.num_points == 0 or np.median(distances(edges)) < PIXEL / 4
     if method == "chains":  # what SfM points tell of depths takes nothing away
         _, alone = trace(POOR[name], method, np.zeros((0, 3)))
-        assert edges.num_points > 0.9 * alone.num_points > 300
+        assert edges.num_points > 0.9 * alone.num_points
+        assert min(edges.num_points, alone.num_points) > 300
     assert len(mesh(model, edges).faces) > 200
 
 

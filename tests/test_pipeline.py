@@ -276,7 +276,7 @@ def test_tracing_advances_with_every_view(scene_paths, tmp_path):
     options = PipelineOptions(report=False)
     run("reconstruct", paths, options, progress=lambda *step: steps.append(step))
     traced = [step[1:] for step in steps if step[0] == "trace"]
-    assert traced == [(done, 20) for done in [*range(21), 20]]
+    assert traced == [(done, 40) for done in [*range(41), 40]]  # two rounds of twice ten views
 
 
 def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):

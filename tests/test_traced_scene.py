@@ -1,0 +1,105 @@
+"""Later rounds: what is left of the edge graphs, and what is found there."""
+
+from __future__ import annotations
+
+import curves as known
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from colmap_edges.edge_graph import keep_points
+from colmap_edges.options import PipelineOptions, TracingOptions
+from colmap_edges.sorting import image_points
+from colmap_edges.traced_scene import mark_covered, positions_among_all, without_short
+from colmap_edges.tracing import trace_edges
+
+VIEWS = known.ring(9)
+FENCE = [known.line((x, -1, 0), (x, 1, 0.2)) for x in np.linspace(-1, 1, 24)]
+BEFORE = known.line((-0.7, -0.9, 0.5), (0.1, 0.9, 0.6))  # few views see it
+
+
+def graphs_of_views(seeing):
+    """Edge graphs of the fence, in views `seeing` with the line before it."""
+    return [
+        known.graph_of(view, [*FENCE, BEFORE] if index in seeing else FENCE)
+        for index, view in enumerate(VIEWS)
+    ]
+
+
+def points_before(num_rounds, seeing=(3, 5, 7)):
+    """Edges of the scene, and which of their points are on the line before the fence."""
+    options = PipelineOptions(tracing=TracingOptions(num_rounds=num_rounds))
+    edges, stats = trace_edges(known.model_of(VIEWS), graphs_of_views(seeing), options, 1)
+    true = BEFORE(np.linspace(0, 1, 4000))
+    return edges, cKDTree(true).query(edges.points)[0] < 0.01, stats
+
+
+def test_second_round_finds_what_few_views_see_among_much():
+    first, on_line, _ = points_before(1)
+    assert first.num_points > 900
+    assert on_line.sum() < 10
+    second, on_line, stats = points_before(2)
+    assert on_line.sum() > 50
+    assert cKDTree(second.points).query(first.points)[0].max() < 0.01
+    owners = np.repeat(np.arange(second.num_points), np.diff(second.track_offsets))
+    rows = on_line[owners]
+    assert set(second.track_views[rows]) == {3, 5, 7}
+    for view in (3, 5, 7):
+        at = rows & (second.track_views == view)
+        seen, _ = VIEWS[view].project(second.points[owners[at]])
+        assert np.linalg.norm(seen - second.track_points2D[at], axis=1).max() < 1
+    assert stats["views"] == len(VIEWS)
+    assert stats["samples"] > stats["samples_with_depth"] > stats["samples_in_runs"] > 0
+
+
+def test_what_is_left_is_cut_where_curves_run():
+    graph = known.graph_of(VIEWS[0], [*FENCE[:2], known.circle((0, 0, 0), 0.5)])
+    offsets = graph.polyline_offsets
+    assert graph.closed.tolist() == [False, False, True]
+    keep = np.ones(len(graph.points), bool)
+    keep[offsets[0] + 30 : offsets[0] + 50] = False
+    keep[offsets[1] : offsets[2]] = False
+    left = keep_points(graph, keep)
+    assert left.num_polylines == 3
+    assert left.closed.tolist() == [False, False, True]
+    for name in ("points", "ideal", "normals", "sides"):
+        np.testing.assert_array_equal(getattr(left, name), getattr(graph, name)[keep])
+    for piece in range(3):
+        first, end = left.polyline_offsets[piece : piece + 2]
+        vertices = left.smoothed[slice(*left.smoothed_offsets[piece : piece + 2])]
+        assert (vertices[0], vertices[-1]) == (first, end - 1)
+    keep[offsets[2] + 5] = False
+    assert not keep_points(graph, keep).closed.any()
+
+
+def test_marks_stay_on_their_polyline():
+    offsets = [np.array([0, 10, 20])]
+    covered = [np.zeros(20, bool)]
+    positions = csr_array(np.array([[8.5], [13.0]]))
+    mark_covered(covered, offsets, np.array([0]), positions, reach=3)
+    assert np.flatnonzero(covered[0]).tolist() == [5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]
+    covered[0][:] = False
+    mark_covered(covered, offsets, np.array([0]), positions[:1], reach=3)
+    assert np.flatnonzero(covered[0]).tolist() == [5, 6, 7, 8, 9]
+
+
+@pytest.mark.parametrize("size", [0, 17])
+def test_short_runs_are_left_out(size):
+    free = np.ones(size, bool)
+    free[3:5] = False
+    offsets = np.array([0, size // 2, size])
+    kept = np.flatnonzero(without_short(free, offsets, 4)).tolist()
+    assert kept == ([*range(8, 17)] if size else [])
+
+
+def test_positions_are_told_on_whole_graphs():
+    graph = known.graph_of(VIEWS[0], [FENCE[0], known.circle((0, 0, 0), 0.5)])
+    keep = np.ones(len(graph.points), bool)
+    keep[10:40] = False
+    left, kept = keep_points(graph, keep), np.flatnonzero(keep)
+    on_left = np.array([0.25, 12.5, 20.0, len(left.points) - 0.5])  # the last across the seam
+    positions = csr_array(np.column_stack([np.ones(4), on_left]))
+    whole = positions_among_all(positions, np.array([1, 0]), [kept, np.arange(5)]).toarray()
+    np.testing.assert_allclose(image_points(graph, whole[:, 1]), image_points(left, on_left))
+    np.testing.assert_array_equal(whole[:, 0], 1)
