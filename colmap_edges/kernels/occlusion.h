@@ -94,13 +94,13 @@ inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px,
       for (const PointCells::Range& range : around) {
         for (int64_t j = range.begin; j < range.end; ++j) {
           const SeenPoint& other = cells.point(j);
-          if (other.curve == own.curve) continue;
           const double distance = Norm(other.pixel - own.pixel);
-          if (distance > radius_px) continue;
           const double gap = own.depth - other.depth;
           const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
-          nearer += gap > limit;
-          agreeing += std::abs(gap) <= limit;
+          // No branch could be guessed.
+          const bool counted = (other.curve != own.curve) & (distance <= radius_px);
+          nearer += counted & (gap > limit);
+          agreeing += counted & (std::abs(gap) <= limit);
         }
       }
       crowd.nearer[cells.index(k)] = nearer, crowd.agreeing[cells.index(k)] = agreeing;
