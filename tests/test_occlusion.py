@@ -33,6 +33,16 @@ def test_counts_are_those_of_all_pairs(seed, num_threads):
     assert np.array_equal(agreeing, expected[1])
 
 
+def test_points_far_from_the_image_are_counted_alike():
+    rng = np.random.default_rng(9)
+    pixels = rng.choice([-1e6, 0.0, 1e6], (60, 2)) + rng.uniform(-2, 2, (60, 2))
+    depths, margins = rng.uniform(5, 6, 60), np.full(60, 0.1)
+    arguments = (pixels, depths, margins, np.arange(60), 2.0, 1e-3)
+    counts, expected = _kernels.count_around(*arguments, 2), brute_force(*arguments)
+    assert np.array_equal(counts[0], expected[0]) and np.array_equal(counts[1], expected[1])
+    assert expected[0].any() and expected[1].any()
+
+
 def test_no_points_have_no_neighbors():
     none = np.zeros(0)
     counts = _kernels.count_around(none.reshape(0, 2), none, none, none.astype(np.int64), 5, 0.1, 1)

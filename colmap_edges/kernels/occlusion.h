@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <utility>
@@ -24,59 +23,66 @@ struct Crowd {
   std::vector<int32_t> nearer, agreeing;  // of the points around each
 };
 
-// The points of an image by square cells, those of a row of cells side by side.
-class PointCells {
+// The points of an image in rows as high as a radius, each from left to right in steps of a part of
+// it. What is very far from the first pixel counts to the last row or step.
+class PointRows {
  public:
-  struct Range {
-    int64_t begin, end;  // of the points in order
-  };
-
-  // No pixel may be farther than 1e9 cells away.
-  PointCells(const std::vector<SeenPoint>& points, double size) : order_(points.size()) {
-    std::vector<std::pair<int64_t, int64_t>> sorted(points.size());
+  PointRows(const std::vector<SeenPoint>& points, double radius) : order_(points.size()) {
+    std::vector<uint16_t> rows(points.size()), steps(points.size());
     for (size_t i = 0; i < points.size(); ++i) {
-      const double row = std::floor(points[i].pixel.y / size);
-      sorted[i] = {int64_t(row) * kRow + int64_t(std::floor(points[i].pixel.x / size)), int64_t(i)};
+      rows[i] = Place(points[i].pixel.y / radius);
+      steps[i] = Place(points[i].pixel.x / radius * kParts);
+      order_[i] = int32_t(i);
     }
-    std::sort(sorted.begin(), sorted.end());
-    points_.reserve(points.size());
-    for (size_t k = 0; k < sorted.size(); ++k) {
-      order_[k] = sorted[k].second;
-      points_.push_back(points[order_[k]]);
-      if (cells_.empty() || cells_.back() != sorted[k].first) {
-        cells_.push_back(sorted[k].first), starts_.push_back(int64_t(k));
+    SortBy(steps);
+    starts_ = SortBy(rows);
+    for (const int32_t i : order_) points_.push_back(points[i]), steps_.push_back(steps[i]);
+  }
+
+  static constexpr int64_t kNumRows = 1 << 16;
+
+  // Calls use(k, j, end) for each point k in a row with runs of points in order, j to end, that
+  // hold all within the radius around it.
+  template <typename Use>
+  void ForNeighbors(int64_t row, const Use& use) const {
+    const int32_t first = starts_[row], last = starts_[row + 1];
+    if (first == last) return;
+    for (int64_t beside = std::max<int64_t>(row - 1, 0);
+         beside <= std::min<int64_t>(row + 1, kNumRows - 1); ++beside) {
+      int32_t from = starts_[beside], to = from;
+      const int32_t stop = starts_[beside + 1];
+      for (int32_t k = first; k < last; ++k) {
+        while (from < stop && steps_[from] < steps_[k] - kParts - 1) ++from;
+        while (to < stop && steps_[to] <= steps_[k] + kParts + 1) ++to;
+        use(k, from, to);
       }
     }
-    starts_.push_back(int64_t(points.size()));
   }
 
-  int64_t num_cells() const { return int64_t(cells_.size()); }
-  Range InCell(int64_t cell) const { return {starts_[cell], starts_[cell + 1]}; }
-
-  // The points in a cell and the eight around it, a row each.
-  std::array<Range, 3> Around(int64_t cell) const {
-    std::array<Range, 3> ranges;
-    for (int64_t k = 0; k < 3; ++k) {
-      const int64_t beside = cells_[cell] + (k - 1) * kRow;
-      ranges[k] = {Start(beside - 1), Start(beside + 2)};
-    }
-    return ranges;
-  }
-
-  const SeenPoint& point(int64_t k) const { return points_[k]; }  // in order
-  int64_t index(int64_t k) const { return order_[k]; }            // as they were given
+  const SeenPoint& point(int32_t k) const { return points_[k]; }  // in order
+  int32_t index(int32_t k) const { return order_[k]; }            // as they were given
 
  private:
-  static constexpr int64_t kRow = int64_t(1) << 32;  // cells by row, in a row by column
+  static constexpr int kParts = 8;  // steps a radius
 
-  // The first point of this cell or those after it.
-  int64_t Start(int64_t cell) const {
-    return starts_[std::lower_bound(cells_.begin(), cells_.end(), cell) - cells_.begin()];
+  static uint16_t Place(double coordinate) {
+    return uint16_t(std::clamp(std::floor(coordinate) + kNumRows / 2, 0.0, kNumRows - 1.0));
+  }
+
+  // Orders the points by a key, equal ones as they were; returns where in the order each key
+  // starts.
+  std::vector<int32_t> SortBy(const std::vector<uint16_t>& keys) {
+    std::vector<int32_t> starts(kNumRows + 1), sorted(order_.size());
+    for (const uint16_t key : keys) ++starts[key + 1];
+    for (int64_t k = 0; k < kNumRows; ++k) starts[k + 1] += starts[k];
+    std::vector<int32_t> fill(starts.begin(), starts.end() - 1);
+    for (const int32_t i : order_) sorted[fill[keys[i]]++] = i;
+    order_ = std::move(sorted);
+    return starts;
   }
 
   std::vector<SeenPoint> points_;
-  std::vector<int64_t> order_;
-  std::vector<int64_t> cells_, starts_;  // cells that hold any points, ascending, and their first
+  std::vector<int32_t> order_, starts_, steps_;  // starts of the rows
 };
 
 // How many points of other curves within `radius_px` of each are nearer to the camera than one
@@ -84,27 +90,24 @@ class PointCells {
 // itself a pixel.
 inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px, double slope,
                          int num_threads) {
-  const PointCells cells(points, radius_px);
+  const PointRows rows(points, radius_px);
   Crowd crowd{std::vector<int32_t>(points.size()), std::vector<int32_t>(points.size())};
-  ParallelBlocks(cells.num_cells(), num_threads, 64, [&](int64_t cell) {
-    const auto around = cells.Around(cell);
-    for (int64_t k = cells.InCell(cell).begin; k < cells.InCell(cell).end; ++k) {
-      const SeenPoint& own = cells.point(k);
+  ParallelBlocks(PointRows::kNumRows, num_threads, 16, [&](int64_t row) {
+    rows.ForNeighbors(row, [&](int32_t k, int32_t from, int32_t to) {
+      const SeenPoint& own = rows.point(k);
       int32_t nearer = 0, agreeing = 0;
-      for (const PointCells::Range& range : around) {
-        for (int64_t j = range.begin; j < range.end; ++j) {
-          const SeenPoint& other = cells.point(j);
-          const double distance = Norm(other.pixel - own.pixel);
-          const double gap = own.depth - other.depth;
-          const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
-          // No branch could be guessed.
-          const bool counted = (other.curve != own.curve) & (distance <= radius_px);
-          nearer += counted & (gap > limit);
-          agreeing += counted & (std::abs(gap) <= limit);
-        }
+      for (int32_t j = from; j < to; ++j) {
+        const SeenPoint& other = rows.point(j);
+        const double distance = Norm(other.pixel - own.pixel);
+        const double gap = own.depth - other.depth;
+        const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
+        // No branch could be guessed.
+        const bool counted = (other.curve != own.curve) & (distance <= radius_px);
+        nearer += counted & (gap > limit);
+        agreeing += counted & (std::abs(gap) <= limit);
       }
-      crowd.nearer[cells.index(k)] = nearer, crowd.agreeing[cells.index(k)] = agreeing;
-    }
+      crowd.nearer[rows.index(k)] += nearer, crowd.agreeing[rows.index(k)] += agreeing;
+    });
   });
   return crowd;
 }
