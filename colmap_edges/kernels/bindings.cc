@@ -32,9 +32,8 @@ nb::tuple RefineSubpixelArrays(Gradient gradient_x, Gradient gradient_y, Points2
   {
     nb::gil_scoped_release release;
     const int64_t height = gradient_x.shape(0), width = gradient_x.shape(1);
-    const ImageView<int16_t> x{gradient_x.data(), height, width},
-        y{gradient_y.data(), height, width};
-    RefineSubpixel(x, y, pixels.data(), count, points.data(), normals.data());
+    RefineSubpixel(Gradients<int16_t>{gradient_x.data(), gradient_y.data(), width, height},
+                   pixels.data(), count, points.data(), normals.data());
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(normals), {count, 2}));
@@ -48,10 +47,10 @@ OutArray<double> BilinearArrays(Colors image, Points2D points) {
   std::vector<double> values(3 * count);
   {
     nb::gil_scoped_release release;
-    const ImageView<uint8_t, 3> view{image.data(), int64_t(image.shape(0)),
-                                     int64_t(image.shape(1))};
+    const int64_t height = image.shape(0), width = image.shape(1);
     for (size_t i = 0; i < count; ++i) {
-      for (int c = 0; c < 3; ++c) values[3 * i + c] = view.At(points(i, 0), points(i, 1), c);
+      const PixelCell cell(width, height, points(i, 0), points(i, 1));
+      for (int c = 0; c < 3; ++c) values[3 * i + c] = cell.In(image.data() + c, 3);
     }
   }
   return ToArray(std::move(values), {count, 3});
