@@ -162,6 +162,12 @@ class RefinementOptions(Options):
     max_bend_px: float = option(
         0.2, "Second difference of disparity from which bending costs less, in pixels", gt=0
     )
+    side_gray_weight: float = option(
+        2.0,
+        "Weight of the gray beside edges, which tells how far they are moved along themselves, "
+        "against their places across; 0 leaves it aside",
+        ge=0,
+    )
     noise_px: float = option(0.3, "Standard deviation of a chain across itself, in pixels", gt=0)
 
 

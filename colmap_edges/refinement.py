@@ -18,10 +18,14 @@ from scipy.linalg import solveh_banded
 
 from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.cross_check import lift
-from colmap_edges.csr import owners_of
+from colmap_edges.csr import offsets_of, owners_of, ranks_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
+
+GRAY_REACHES = (4, 2, 1, 0)  # points of chains over which gray is smoothed: coarse, then fine
+WELL_ACROSS = 0.25  # mean squared sine of the angles to epipolar lines that is enough for depth
+GRAY_WINDOW = 8  # points of a curve to both sides within which differences of gray are compared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,12 +35,14 @@ class Curves:
     Attributes:
         ideal: (N, 2) float64 points on the driver's chains, ideal pixels.
         inverse_depths: (N,) float64 in the driver.
+        indices: (N,) int64 the same in the driver's graph.
         offsets: (E + 1,) int64 CSR of the points by curve.
         sides: (N,) int8 +1 or -1, the side of the tangent on which the edge is bright.
     """
 
     ideal: FloatArray
     inverse_depths: FloatArray
+    indices: IntArray
     offsets: IntArray
     sides: NDArray[np.int8]
 
@@ -51,6 +57,18 @@ class Curves:
     def curve_ids(self) -> IntArray:
         """(N,) curve of each point."""
         return owners_of(self.offsets)
+
+    def select(self, curves: IntArray) -> tuple[IntArray, Curves]:
+        """The points of some curves, ascending, and those curves alone."""
+        lengths = np.diff(self.offsets)[curves]
+        rows = np.repeat(self.offsets[curves], lengths) + ranks_of(lengths)
+        return rows, Curves(
+            ideal=self.ideal[rows],
+            inverse_depths=self.inverse_depths[rows],
+            indices=self.indices[rows],
+            offsets=offsets_of(lengths),
+            sides=self.sides[rows],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,8 +248,44 @@ def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
     return index[:, None] + np.arange(3), index + 1
 
 
+@dataclass(frozen=True, kw_only=True)
+class Observers:
+    """The views that curves are refined on.
+
+    Attributes:
+        driver: the view on whose chains the curves are.
+        own: its chains, in the kernels' form.
+        others: the chains of the K views that may observe the curves.
+        options: how near and how parallel an observation is, noise and smoothness.
+        num_threads: threads to use; no result depends on it.
+    """
+
+    driver: View
+    own: _kernels.EdgeView
+    others: list[_kernels.EdgeView]
+    options: RefinementOptions
+    num_threads: int
+
+    def find(self, curves: Curves, radius_px: float) -> FloatArray:
+        """(N, K) positions at which the curves are observed within a radius; NaN where not."""
+        angle = self.options.max_tangent_angle_deg
+        found = associate(self.driver, curves, self.others, radius_px, angle, self.num_threads)
+        return drop_lone(found, curves.offsets)
+
+    def sums(
+        self, curves: Curves, positions: FloatArray, directions: FloatArray | None = None
+    ) -> Sums:
+        """Sums over these observations; of shifts in (N, 2) directions, too, where given."""
+        directions = np.zeros_like(curves.ideal) if directions is None else directions
+        scale = self.options.robust_scale_px
+        return sum_observations(
+            self.driver, curves, self.others, positions, directions, scale, self.num_threads
+        )
+
+
 def refine_curves(
     driver: View,
+    own: _kernels.EdgeView,
     curves: Curves,
     edge_views: list[_kernels.EdgeView],
     options: RefinementOptions,
@@ -241,57 +295,109 @@ def refine_curves(
 
     Args:
         driver: the view on whose chains the curves are.
+        own: its chains, in the kernels' form.
         curves: the curves, N points, at depths near enough to find their observations.
-        edge_views: the chains of the K views that may observe them, in the kernels' form.
+        edge_views: the chains of the K views that may observe them.
         options: search radius, noise and smoothness.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         The curves at their new depths, with (N, K) observations and (N,) standard deviations.
     """
-
-    def observations(radius_px: float) -> FloatArray:
-        """(N, K) positions at which the present curves are observed within a radius."""
-        angle = options.max_tangent_angle_deg
-        found = associate(driver, curves, edge_views, radius_px, angle, num_threads)
-        return drop_lone(found, curves.offsets)
-
-    def sums_at(positions: FloatArray, directions: FloatArray) -> Sums:
-        """Sums over these observations of the present curves."""
-        scale = options.robust_scale_px
-        return sum_observations(
-            driver, curves, edge_views, positions, directions, scale, num_threads
-        )
-
+    observers = Observers(
+        driver=driver, own=own, others=edge_views, options=options, num_threads=num_threads
+    )
     for radius in (options.search_radius_px, options.search_radius_px / 2):
-        positions = observations(radius)
+        positions = observers.find(curves, radius)
         for _ in range(2):
-            sums = sums_at(positions, np.zeros_like(curves.ideal))
-            changes = depth_step(curves, sums, options)
+            changes = depth_step(curves, observers.sums(curves, positions), options)
             curves = replace_depths(curves, curves.inverse_depths + changes)
     # Once more, now that observations are sure: earlier, wrong ones would pull points away.
     normals = curves.normals
-    changes, shifts = joint_step(curves, sums_at(positions, normals), options)
+    changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
     curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
-    positions = observations(options.max_residual_px)
+    positions = observers.find(curves, options.max_residual_px)
+    curves, positions, information = align_side_gray(curves, positions, observers)
     residuals, slopes2 = _kernels.observation_residuals(
         *placed(driver, curves), positions, edge_views, num_threads
     )
     with np.errstate(divide="ignore"):
-        sigmas = options.noise_px / np.sqrt(slopes2)
+        sigmas = options.noise_px / np.sqrt(slopes2 + information)
     return Refined(curves=curves, positions=positions, residuals=residuals, sigmas=sigmas)
+
+
+def align_side_gray(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray]:
+    """Refine depths also by the gray beside the edges, which runs alike along them in all views.
+
+    It tells how far a curve is moved along itself, of which its places across the chains say
+    nothing: the only thing to be known where an edge runs along the epipolar lines.
+
+    Returns:
+        The curves at their new depths, (N, K) positions at which they are observed there, and (N,)
+        what gray added to the information on inverse depth, in units of that of places across.
+    """
+    information = np.zeros(len(curves.indices))
+    if observers.options.side_gray_weight == 0:
+        return curves, positions, information
+    sums = observers.sums(curves, positions)
+    count = len(curves.offsets) - 1
+    across, every = (
+        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
+    )
+    weak = np.flatnonzero(across < WELL_ACROSS * every)
+    if len(weak) == 0:
+        return curves, positions, information
+    rows, chosen = curves.select(weak)
+    depths, positions = curves.inverse_depths.copy(), positions.copy()
+    moved, positions[rows], information[rows] = aligned(chosen, positions[rows], observers)
+    depths[rows] = moved.inverse_depths
+    return replace(curves, inverse_depths=depths), positions, information
+
+
+def aligned(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray]:
+    """The curves at depths at which the gray beside them is alike, too: as `align_side_gray`."""
+    options, num_threads = observers.options, observers.num_threads
+    weight = options.side_gray_weight * options.noise_px**2
+    for reach in GRAY_REACHES:
+        sums = observers.sums(curves, positions)
+        information, gradient = weight * _kernels.sum_side_gray(
+            *placed(observers.driver, curves),
+            positions,
+            observers.others,
+            observers.own,
+            curves.indices,
+            curves.offsets,
+            reach,
+            GRAY_WINDOW,
+            num_threads,
+        )
+        changes = solve_smooth(
+            curves,
+            sums.slope_slope + information,
+            gradient - sums.slope_residual,
+            typical_speed(sums),
+            options,
+        )
+        curves = replace_depths(curves, curves.inverse_depths + changes)
+        positions = _kernels.slide_positions(
+            *placed(observers.driver, curves), positions, observers.others, num_threads
+        )
+    residuals, _ = _kernels.observation_residuals(
+        *placed(observers.driver, curves), positions, observers.others, num_threads
+    )
+    near = np.abs(residuals) <= options.max_residual_px
+    return curves, drop_lone(np.where(near, positions, np.nan), curves.offsets), information
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
     """The curves at new depths; a depth that left the front of the driver stays as it was."""
-    good = inverse_depths > 0
-    return Curves(
-        ideal=curves.ideal,
-        inverse_depths=np.where(good, inverse_depths, curves.inverse_depths),
-        offsets=curves.offsets,
-        sides=curves.sides,
-    )
+    depths = np.where(inverse_depths > 0, inverse_depths, curves.inverse_depths)
+    return replace(curves, inverse_depths=depths)
 
 
 def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:

@@ -20,7 +20,7 @@ def find_curves(
     depths: ChainDepths,
     agreeing: Int32Array,
     options: TracingOptions,
-) -> tuple[Curves, IntArray, int]:
+) -> tuple[Curves, int]:
     """Curves on the chains of one view that are not covered yet.
 
     Args:
@@ -32,8 +32,7 @@ def find_curves(
         options: what makes a run, and the distance of edge points.
 
     Returns:
-        The curves, (N,) the points of the graph that they run through, and how many samples are
-        in sure runs.
+        The curves, and how many samples are in sure runs.
     """
     rows = np.flatnonzero(depths.found & (agreeing >= 1))
     sizes, sure = sure_runs(link_samples(graph, depths, rows, options), agreeing[rows], options)
@@ -53,10 +52,11 @@ def find_curves(
     curves = Curves(
         ideal=graph.ideal[indices],
         inverse_depths=inverse,
+        indices=indices,
         offsets=offsets_of(lengths),
         sides=sides.astype(np.int8),
     )
-    return curves, indices, int(sizes[sure].sum())
+    return curves, int(sizes[sure].sum())
 
 
 def link_samples(

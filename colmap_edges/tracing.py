@@ -234,7 +234,7 @@ def curves_traced(
     Returns:
         The curves, and how many samples are in sure runs.
     """
-    curves, indices, in_runs = find_curves(
+    curves, in_runs = find_curves(
         scene.graphs[view],
         scene.edge_views[view],
         scene.covered[view],
@@ -242,9 +242,9 @@ def curves_traced(
         agreeing,
         options.tracing,
     )
-    if len(indices) == 0:
+    if len(curves.indices) == 0:
         return None, in_runs
-    return trace_view(scene, view, curves, indices, options, num_threads), in_runs
+    return trace_view(scene, view, curves, options, num_threads), in_runs
 
 
 def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
@@ -275,7 +275,6 @@ def trace_view(
     scene: Scene,
     view: int,
     curves: Curves,
-    indices: IntArray,
     options: PipelineOptions,
     num_threads: int,
 ) -> Traced:
@@ -284,7 +283,9 @@ def trace_view(
     driver = scene.views[view]
     views = [scene.views[w] for w in witnesses]
     edge_views = [scene.edge_views[w] for w in witnesses]
-    refined = refine_curves(driver, curves, edge_views, options.refinement, num_threads)
+    refined = refine_curves(
+        driver, scene.edge_views[view], curves, edge_views, options.refinement, num_threads
+    )
     observed = np.isfinite(refined.positions).sum(axis=1)
     shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(
@@ -307,7 +308,7 @@ def trace_view(
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses[seeing]]),
-        positions=sparse(np.column_stack([indices, refined.positions[:, seeing]])),
+        positions=sparse(np.column_stack([curves.indices, refined.positions[:, seeing]])),
     )
 
 

@@ -1,5 +1,7 @@
 """The kernels of EdgeView, association and crossings against plain numpy on random chains."""
 
+from itertools import pairwise
+
 import curves as known
 import numpy as np
 import pytest
@@ -73,9 +75,9 @@ def random_pose(rng):
     return rotation, rng.normal(0, 0.5, 3)
 
 
-def edge_view(points, normals, offsets, closed, pose=None, focal=FOCAL):
+def edge_view(points, normals, offsets, closed, pose=None, focal=FOCAL, sides=None):
     rotation, translation = pose if pose else (np.eye(3), np.zeros(3))
-    sides = np.zeros((len(points), 2), np.uint8)
+    sides = np.zeros((len(points), 2), np.uint8) if sides is None else sides
     return _kernels.EdgeView(points, normals, sides, offsets, closed, rotation, translation, focal)
 
 
@@ -406,3 +408,115 @@ def test_bilinear_by_hand():
     assert _kernels.bilinear(single_pixel, np.array([[0.4, 0.7]])).tolist() == [[100, 50, 0]]
     with pytest.raises(ValueError, match="empty"):
         _kernels.bilinear(image[:0], points)
+
+
+def smooth_gray(index, fraction, reach, sides, offsets, closed):
+    """(2,) mean gray over `reach` points to both sides of a fractional position."""
+    here, after = (
+        np.mean(
+            [sides[neighbor(index, k + ahead, offsets, closed)] for k in range(-reach, reach + 1)],
+            axis=0,
+        )
+        for ahead in (0, 1)
+    )
+    return (1 - fraction) * here + fraction * after
+
+
+def gray_differences(chain, sides, own, position, speed, reach):
+    """(2,) gray less the driver's, and (2,) its change with inverse depth; None off its scale."""
+    points, _, offsets, closed = chain
+    index, step = int(position), max(reach, 1)
+    ends = (neighbor(index, steps, offsets, closed) for steps in (1, -1))
+    spacing = 0.5 * np.linalg.norm(np.subtract(*(points[end] for end in ends)))
+    if not 0.4 < spacing < 2:
+        return None
+
+    def gray(steps):
+        at = neighbor(index, steps, offsets, closed)
+        return smooth_gray(at, position - index, reach, sides, offsets, closed)
+
+    return gray(0) - own, (gray(step) - gray(-step)) / (2 * step) * speed / spacing
+
+
+def add_side_gray(rows, window, information, gradient):
+    """Add what the (point, difference, slope) of one curve in one view on one side say."""
+    if len(rows) < 6:
+        return
+    at, difference, slope = (np.array(column) for column in zip(*rows, strict=True))
+    near = np.abs(at[:, None] - at) <= window
+    difference = difference - near @ difference / near.sum(axis=1)
+    slope = slope - near @ slope / near.sum(axis=1)
+    noise2 = np.maximum(near @ difference**2 / near.sum(axis=1), 1)
+    weight = (near.sum(axis=1) >= 6) / noise2 / (1 + difference**2 / (4 * noise2)) ** 2
+    information[at] += weight * slope**2
+    gradient[at] -= weight * slope * difference
+
+
+@pytest.mark.parametrize("reach", [0, 2])
+def test_side_gray_is_that_of_plain_sums(reach):
+    rng = np.random.default_rng(8)
+    driver, poses = random_pose(rng), [random_pose(rng) for _ in range(3)]
+    chains = [random_chains(rng) for _ in range(4)]
+    grays = [rng.integers(0, 256, (len(chain[0]), 2)).astype(np.uint8) for chain in chains]
+    own, *views = (
+        edge_view(*chain, pose, sides=sides)
+        for chain, pose, sides in zip(chains, [driver, *poses], grays, strict=True)
+    )
+    offsets, window = np.array([0, 5, 45, 120, 200]), 4
+    count = offsets[-1]
+    ideal, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
+    indices = rng.integers(0, len(chains[0][0]), count)
+    positions = np.column_stack([rng.uniform(0, len(c[0]), count) for c in chains[1:]])
+    positions[rng.random(positions.shape) < 0.2] = np.nan
+    curves = (*driver, FOCAL, ideal, inverse)
+    information, gradient = np.zeros(count), np.zeros(count)
+    for k, pose in enumerate(poses):
+        rotation = pose[0] @ driver[0].T
+        translation = pose[1] - rotation @ driver[1]
+        for first, last in pairwise(offsets):
+            rows = ([], [])
+            for i in range(first, last):
+                if np.isnan(positions[i, k]):
+                    continue
+                local = rotation @ [*ideal[i] / FOCAL, 1] + inverse[i] * translation
+                moving = FOCAL * (translation[:2] - local[:2] / local[2] * translation[2])
+                tangent = _kernels.chain_points(views[k], positions[i : i + 1, k])[1][0]
+                driven = smooth_gray(indices[i], 0.0, reach, grays[0], *chains[0][2:])
+                speed = moving / local[2] @ tangent
+                found = gray_differences(
+                    chains[k + 1], grays[k + 1], driven, positions[i, k], speed, reach
+                )
+                for side in range(2) if found else ():
+                    rows[side].append((i, found[0][side], found[1][side]))
+            for of_side in rows:
+                add_side_gray(of_side, window, information, gradient)
+    arguments = (own, indices, offsets, reach, window)
+    sums = _kernels.sum_side_gray(*curves, positions, views, *arguments, 1)
+    assert (information > 0).sum() > 100
+    np.testing.assert_allclose(sums[0], information, rtol=1e-5)
+    np.testing.assert_allclose(sums[1], gradient, rtol=1e-5, atol=1e-6 * np.abs(gradient).max())
+    again = _kernels.sum_side_gray(*curves, positions, views, *arguments, 3)
+    assert again.tobytes() == sums.tobytes()
+    with pytest.raises(ValueError, match="not on a chain of the driver"):
+        _kernels.sum_side_gray(
+            *curves, positions, views, own, indices + 10**6, offsets, reach, window, 1
+        )
+    with pytest.raises(ValueError, match="differ in length"):
+        _kernels.sum_side_gray(*curves, positions, views, own, indices, offsets[:-1], 0, 1, 1)
+
+
+def test_positions_slide_along_their_chains():
+    points = np.column_stack([np.arange(-50.0, 51), np.zeros(101)])
+    straight = edge_view(
+        points, np.tile([0.0, 1.0], (101, 1)), np.array([0, 101]), np.zeros(1, bool)
+    )
+    angle = 2 * np.pi * np.arange(200) / 200
+    points = 30 * np.column_stack([np.cos(angle), np.sin(angle)])
+    loop = edge_view(points, points / 30, np.array([0, 200]), np.ones(1, bool))
+    at = np.array([[3.3, 1.0], [90.0, 0.0], [30 * np.cos(-0.04), 30 * np.sin(-0.04)]])
+    curves = (np.eye(3), np.zeros(3), FOCAL, at, np.ones(3))
+    start = np.array([[45.0, np.nan], [98.0, np.nan], [np.nan, 3.0]])
+    found = _kernels.slide_positions(*curves, start, [straight, loop], 2)
+    np.testing.assert_allclose(found[:2, 0], [53.3, 100], atol=1e-5)
+    assert found[2, 1] == pytest.approx(200 - 0.04 / (2 * np.pi) * 200, abs=1e-3)
+    assert np.isnan(found).tolist() == np.isnan(start).tolist()

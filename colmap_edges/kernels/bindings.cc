@@ -11,6 +11,7 @@
 #include "observations.h"
 #include "occlusion.h"
 #include "polyline.h"
+#include "side_gray.h"
 #include "subpixel.h"
 #include "tracing_bindings.h"
 
@@ -233,6 +234,57 @@ nb::tuple ObservationResidualsArrays(InArray<double, nb::shape<3, 3>> rotation,
                         ToArray(std::move(found.second), {count}));
 }
 
+OutArray<double> SumSideGrayArray(InArray<double, nb::shape<3, 3>> rotation,
+                                  InArray<double, nb::shape<3>> translation, double focal,
+                                  Points2D ideal, Doubles inverse_depths,
+                                  InArray<double, nb::ndim<2>> positions,
+                                  const std::vector<const EdgeView*>& views, const EdgeView& driver,
+                                  Offsets indices, Offsets offsets, int reach, int window,
+                                  int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  const size_t count = ideal.shape(0);
+  if (indices.size() != count || offsets.size() == 0 || offsets(0) != 0 ||
+      offsets(offsets.size() - 1) != int64_t(count)) {
+    throw std::invalid_argument("curves, indices and offsets differ in length");
+  }
+  for (size_t i = 0; i < count; ++i) {
+    if (!(indices(i) >= 0 && indices(i) < driver.num_points())) {
+      throw std::invalid_argument("an index is not on a chain of the driver");
+    }
+  }
+  for (size_t c = 0; c + 1 < offsets.size(); ++c) {
+    if (offsets(c) > offsets(c + 1)) throw std::invalid_argument("offsets descend");
+  }
+  if (reach < 0 || window < 1) throw std::invalid_argument("reach or window is too small");
+  std::vector<double> columns(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const std::vector<SideGraySums> sums =
+        SumSideGray(curves, driver, indices.data(), offsets.data(), int64_t(offsets.size()) - 1,
+                    {reach, window}, num_threads);
+    for (size_t i = 0; i < count; ++i) {
+      columns[i] = sums[i].information, columns[count + i] = sums[i].gradient;
+    }
+  }
+  return ToArray(std::move(columns), {2, count});
+}
+
+OutArray<double> SlidePositionsArray(InArray<double, nb::shape<3, 3>> rotation,
+                                     InArray<double, nb::shape<3>> translation, double focal,
+                                     Points2D ideal, Doubles inverse_depths,
+                                     InArray<double, nb::ndim<2>> positions,
+                                     const std::vector<const EdgeView*>& views, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  std::vector<double> moved;
+  {
+    nb::gil_scoped_release release;
+    moved = SlidePositions(curves, num_threads);
+  }
+  return ToArray(std::move(moved), {size_t(ideal.shape(0)), views.size()});
+}
+
 nb::tuple CountAroundArrays(Points2D pixels, InArray<double, nb::ndim<1>> depths,
                             InArray<double, nb::ndim<1>> margins, Offsets curves, double radius_px,
                             double slope, int num_threads) {
@@ -309,6 +361,14 @@ NB_MODULE(_kernels, m) {
         "translation"_a, "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a,
         "num_threads"_a,
         "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
+  m.def("sum_side_gray", &colmap_edges::SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a,
+        "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "driver"_a, "indices"_a,
+        "offsets"_a, "reach"_a, "window"_a, "num_threads"_a,
+        "(2, N) information on inverse depth and gradient, in units of the noise of gray, from the "
+        "gray along the chains that observe curves and along the driver's own.");
+  m.def("slide_positions", &colmap_edges::SlidePositionsArray, "rotation"_a, "translation"_a,
+        "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
+        "(N, K) positions nearest to the points on the chains that observed them.");
   m.def("count_around", &colmap_edges::CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a,
         "curves"_a, "radius_px"_a, "slope"_a, "num_threads"_a,
         "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");

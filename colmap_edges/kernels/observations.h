@@ -26,9 +26,10 @@ struct ObservedCurves {
 };
 
 // One observation of one point, in pixels: the distance across the chain, its changes with inverse
-// depth and with a shift of the driver's pixel, and the speed of the projection with inverse depth.
+// depth and with a shift of the driver's pixel, the change along the chain with inverse depth, and
+// the speed of the projection with that.
 struct Observation {
-  double residual, slope, across, speed2;
+  double residual, slope, across, along, speed2;
 };
 
 // Sums over the observations of a point, weighted by how well they fit; those of a shift go with
@@ -47,6 +48,15 @@ class CurveObserver {
       const Vec3 moved = Multiply(rotation, curves.translation);
       poses_.push_back({rotation, view->translation() - moved});
     }
+  }
+
+  // Where view k sees point i.
+  Vec2 Project(int64_t i, int64_t k) const {
+    const auto& [rotation, translation] = poses_[k];
+    const double *x = curves_.ideal + 2 * i, f = curves_.views[k]->focal();
+    const Vec3 ray = {x[0] / curves_.focal, x[1] / curves_.focal, 1};
+    const Vec3 local = Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
+    return {f * local.x / local.z, f * local.y / local.z};
   }
 
   // Calls use(k, observation) for each view k that observes point i.
@@ -77,7 +87,8 @@ class CurveObserver {
     const Vec2 tangent = view.tangent(int64_t(position)), normal = {-tangent.y, tangent.x};
     const Vec2 with_depth = moving(translation);
     return {Dot(projected - view.At(position), normal), Dot(with_depth, normal),
-            Dot(moving(Multiply(rotation, turned)), normal), Dot(with_depth, with_depth)};
+            Dot(moving(Multiply(rotation, turned)), normal), Dot(with_depth, tangent),
+            Dot(with_depth, with_depth)};
   }
 
   const ObservedCurves& curves_;
