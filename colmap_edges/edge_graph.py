@@ -308,9 +308,10 @@ def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
     lengths = np.diff(np.append(starts, len(kept)))
     last = starts + lengths - 1
     whole = lengths == np.diff(graph.polyline_offsets)[ids[starts]]
-    vertices = first.copy()
+    is_smoothed = np.zeros(len(keep), bool)
+    is_smoothed[graph.smoothed] = True
+    vertices = first | is_smoothed[kept]
     vertices[last] = True
-    vertices |= np.isin(kept, graph.smoothed)
     smoothed = np.flatnonzero(vertices)
     pieces = np.cumsum(first) - 1
     count = len(starts)

@@ -90,7 +90,7 @@ class EdgeGraphOptions(Options):
 class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
-    num_neighbors: int = option(8, "Number of views each view is compared with", ge=2, basic=True)
+    num_neighbors: int = option(6, "Number of views each view is compared with", ge=2, basic=True)
     num_witnesses: int = option(
         40, "Largest number of views in which observations of an edge are looked for", ge=2
     )
@@ -104,6 +104,13 @@ class ViewSelectionOptions(Options):
         le=180,
         basic=True,
     )
+    max_witness_angle_deg: float = option(
+        90.0,
+        "Largest triangulation angle between a view and those in which observations of its edges "
+        "are looked for, in degrees",
+        gt=0,
+        le=180,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +118,7 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        16, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
+        20, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
         1.5,
@@ -441,7 +448,8 @@ class PipelineOptions(Options):
 # What --quality sets; medium is the defaults.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
-        "view_selection": {"num_neighbors": 6, "num_witnesses": 20},
+        "view_selection": {"num_neighbors": 5, "num_witnesses": 20},
+        "chain_depth": {"sample_step_px": 32},
         "tracing": {"point_spacing_px": 6, "num_rounds": 1},
     },
     "medium": {},

@@ -458,13 +458,27 @@ def edge_stages(
     """
     if not options.refine_poses:
         return model, trace_stage(model, graphs, options, stages, workers=workers)
-    # Poses are told by the surest edges alone: those of the first round.
-    first = replace(options, tracing=replace(options.tracing, num_rounds=1))
+    first = options_for_poses(options)
     edges = trace_stage(model, graphs, first, stages, workers=workers)
     refined = refine_stage(model, edges, graphs, options, stages)
     if refined is not model or first != options:
         edges = trace_stage(refined, graphs, options, stages, "trace again", workers)
     return refined, edges
+
+
+def options_for_poses(options: PipelineOptions) -> PipelineOptions:
+    """How the edges are traced that poses are refined on.
+
+    By the first round alone, whose edges are the surest, in views that look from near by, and by
+    their places across the chains, for nothing else is known of edges when poses are refined.
+    """
+    selection = options.view_selection
+    return replace(
+        options,
+        view_selection=replace(selection, max_witness_angle_deg=selection.max_angle_deg),
+        refinement=replace(options.refinement, side_gray_weight=0.0),
+        tracing=replace(options.tracing, num_rounds=1),
+    )
 
 
 def refine_stage(

@@ -76,10 +76,12 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     ranges = inverse_depth_ranges(model, observed)
     neighbors, witnesses = [], []
     for view in range(len(model.views)):
-        scores = neighbor_scores(model, observed, observers, view, ranges[view].overall, options)
-        neighbors.append(pick_diverse(model, view, scores, options.num_neighbors))
-        seeing = np.flatnonzero(scores > 0)
-        order = np.argsort(-scores[seeing], kind="stable")[: options.num_witnesses]
+        near, wide = neighbor_scores(
+            model, observed, observers, view, ranges[view].overall, options
+        )
+        neighbors.append(pick_diverse(model, view, near, options.num_neighbors))
+        seeing = np.flatnonzero(wide > 0)
+        order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
         witnesses.append(np.sort(seeing[order]))
     return Neighborhood(neighbors=tuple(neighbors), witnesses=tuple(witnesses), ranges=ranges)
 
@@ -152,7 +154,9 @@ def neighbor_scores(
     inverse_depths: tuple[float, float],
     options: ViewSelectionOptions,
 ) -> FloatArray:
-    """(V,) score of every other view as a neighbour: shared points weighted by their angle.
+    """(2, V) scores of every other view as a neighbour and as a witness.
+
+    They are numbers of shared points, weighted by their angles.
 
     `observers` is `observed` transposed: it leads from the view's points to those that share them,
     so that nothing is done for the other views.
@@ -166,29 +170,33 @@ def neighbor_scores(
     to_own = points - model.camera_centers[view]
     to_other = points[columns] - model.camera_centers[shared.indices]
     weights = angle_weights(to_own[columns], to_other, options)
-    scores = np.asarray(np.bincount(shared.indices, weights, len(model.views)), np.float64)
-    scores[view] = 0
-    return scores
+    scores = [np.bincount(shared.indices, of, len(model.views)) for of in weights]
+    result = np.array(scores, np.float64)
+    result[:, view] = 0
+    return result
 
 
 def angle_weights(
     rays: FloatArray, other_rays: FloatArray, options: ViewSelectionOptions
 ) -> FloatArray:
-    """(N,) weight of the triangulation angle between two rays: 1 where it is wide enough."""
+    """(2, N) weight of the triangulation angle between two rays: 1 where it is wide enough.
+
+    That of neighbours and that of witnesses, which may look from further aside.
+    """
     cosines = np.einsum("ij,ij->i", rays, other_rays) / (
         np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
     )
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     narrow = np.minimum(angles / options.good_angle_deg, 1) ** 2
-    wide = np.clip((options.max_angle_deg - angles) / options.good_angle_deg, 0, 1)
-    weights: FloatArray = narrow * wide
+    most = np.array([[options.max_angle_deg], [options.max_witness_angle_deg]])
+    weights: FloatArray = narrow * np.clip((most - angles) / options.good_angle_deg, 0, 1)
     return weights
 
 
 def pose_scores(
     model: Model, view: int, inverse_depths: tuple[float, float], options: ViewSelectionOptions
 ) -> FloatArray:
-    """(V,) score of every other view by the poses: how much of this view's frustum it sees."""
+    """(2, V) the same scores by the poses: how much of this view's frustum another sees."""
     own = model.views[view]
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
     ideal = own.ideal_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
@@ -197,12 +205,13 @@ def pose_scores(
     points = (local - own.translation) @ own.rotation
     rays = np.tile(points - own.center, (len(model.views), 1))
     other_rays = points[None] - model.camera_centers[:, None]
-    weights = angle_weights(rays, other_rays.reshape(-1, 3), options).reshape(-1, len(points))
-    weights[view] = 0
-    scores = np.zeros(len(model.views))
-    for index in np.flatnonzero(weights.any(axis=1)):  # few of many
+    weights = angle_weights(rays, other_rays.reshape(-1, 3), options)
+    weights = weights.reshape(2, -1, len(points))
+    weights[:, view] = 0
+    scores = np.zeros((2, len(model.views)))
+    for index in np.flatnonzero(weights.any(axis=(0, 2))):  # few of many
         other = model.views[index]
-        scores[index] = float(np.sum(weights[index] * other.holds(*other.project(points))))
+        scores[:, index] = weights[:, index] @ other.holds(*other.project(points))
     return scores
 
 
