@@ -202,7 +202,7 @@ class TracingOptions(Options):
         2, "Other views that must find the same depth for a sample to be sure", ge=1, basic=True
     )
     min_confirmed_ratio: float = option(
-        0.5, "Share of sure samples that a run must have", ge=0, le=1
+        0.7, "Share of sure samples that a run must have", ge=0, le=1
     )
     min_run_samples: int = option(2, "Samples that a run must have", ge=2)
     max_disparity_gradient: float = option(
@@ -227,7 +227,7 @@ class TracingOptions(Options):
         1.5, "Largest median residual of a 3D edge's observations, in medians of all", gt=1
     )
     max_false_edges: float = option(
-        0.1, "Number of 3D edges that chance may make in the whole scene", gt=0
+        0.01, "Number of 3D edges that chance may make in the whole scene", gt=0
     )
 
 
@@ -449,8 +449,8 @@ class PipelineOptions(Options):
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "view_selection": {"num_neighbors": 5, "num_witnesses": 20},
-        "chain_depth": {"sample_step_px": 32},
-        "tracing": {"point_spacing_px": 6, "num_rounds": 1},
+        "chain_depth": {"sample_step_px": 28},
+        "tracing": {"point_spacing_px": 6},
     },
     "medium": {},
     "high": {
