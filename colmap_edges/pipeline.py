@@ -470,11 +470,13 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
     """How the edges are traced that poses are refined on.
 
     By the first round alone, whose edges are the surest, in views that look from near by, and by
-    their places across the chains, for nothing else is known of edges when poses are refined.
+    their places across the chains, for nothing else is known of edges when poses are refined. More
+    densely sampled chains give more of them.
     """
-    selection = options.view_selection
+    selection, depths = options.view_selection, options.chain_depth
     return replace(
         options,
+        chain_depth=replace(depths, sample_step_px=max(4 * depths.sample_step_px // 5, 1)),
         view_selection=replace(selection, max_witness_angle_deg=selection.max_angle_deg),
         refinement=replace(options.refinement, side_gray_weight=0.0),
         tracing=replace(options.tracing, num_rounds=1),
