@@ -1,5 +1,4 @@
 import json
-import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -228,9 +227,8 @@ def test_edges_are_read_from_ply(tmp_path):
 
 
 def run_script(name, *arguments):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, str(ROOT / "scripts" / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_scripts_write_figures_and_report_bad_input(model_path, tmp_path):
