@@ -471,8 +471,10 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
 
     By the first round alone, whose edges are the surest, in views that look from near by, and by
     their places across the chains, for nothing else is known of edges when poses are refined. More
-    densely sampled chains give more of them.
+    densely sampled chains give more of them. The paper's tracing has none of these options.
     """
+    if options.tracing.method == "paper":
+        return options
     selection, depths = options.view_selection, options.chain_depth
     return replace(
         options,

@@ -19,8 +19,8 @@ from colmap_edges.evaluation.poses import (
     with_pose_noise,
 )
 from colmap_edges.model import frames_of_views, model_from_reconstruction, moved_model
-from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions
-from colmap_edges.pipeline import Paths, detect_stage, edge_stages, run
+from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, TracingOptions
+from colmap_edges.pipeline import Paths, detect_stage, edge_stages, options_for_poses, run
 from colmap_edges.refinement import curve_tangents
 from colmap_edges.stages import Stages
 
@@ -314,6 +314,12 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
         alone = pycolmap.Reconstruction(start)
         adjust_by_colmap(alone, poses=True, robust=robust)
         assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < limit
+
+
+def test_the_papers_edges_are_traced_once_where_poses_are_kept():
+    paper = PipelineOptions(tracing=TracingOptions(method="paper"))
+    assert options_for_poses(paper) == paper
+    assert options_for_poses(PipelineOptions()) != PipelineOptions()
 
 
 def test_true_poses_are_kept(demo_part):
