@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 
 from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.cross_check import lift
-from colmap_edges.csr import offsets_of, owners_of, ranks_of
+from colmap_edges.csr import entries_of, offsets_of, owners_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import RefinementOptions
@@ -60,13 +60,12 @@ class Curves:
 
     def select(self, curves: IntArray) -> tuple[IntArray, Curves]:
         """The points of some curves, ascending, and those curves alone."""
-        lengths = np.diff(self.offsets)[curves]
-        rows = np.repeat(self.offsets[curves], lengths) + ranks_of(lengths)
+        rows = entries_of(self.offsets, curves)
         return rows, Curves(
             ideal=self.ideal[rows],
             inverse_depths=self.inverse_depths[rows],
             indices=self.indices[rows],
-            offsets=offsets_of(lengths),
+            offsets=offsets_of(np.diff(self.offsets)[curves]),
             sides=self.sides[rows],
         )
 

@@ -64,8 +64,8 @@ def link_samples(
 ) -> BoolArray:
     """(n - 1,) whether sample rows[i] and rows[i + 1] belong to one curve.
 
-    They do when depth changes between them by less than a pixel of disparity a pixel of chain,
-    and no sample is missing, or at least two other views see both on one chain.
+    They do when depth changes between them by at most `max_disparity_gradient` pixels of disparity
+    a pixel of chain, and no sample is missing, or the gap is at most `max_bridge_px`.
     """
     if len(rows) < 2:
         return np.zeros(0, bool)

@@ -104,14 +104,19 @@ def make_scene(model: Model, graphs: Sequence[EdgeGraph], near: Neighborhood) ->
         neighbors=near.neighbors,
         witnesses=near.witnesses,
         polyline_offsets=offsets,
-        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
+        covered=nothing_covered(offsets),
         whole=graphs,
     )
 
 
+def nothing_covered(offsets: Sequence[IntArray]) -> list[BoolArray]:
+    """Per view, by the offsets of its polylines, its points, none of them marked."""
+    return [np.zeros(bounds[-1], bool) for bounds in offsets]
+
+
 def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
     """The scene of those stretches of chains that no kept curve runs through."""
-    covered = [np.zeros(bounds[-1], bool) for bounds in whole.polyline_offsets]
+    covered = nothing_covered(whole.polyline_offsets)
     for traced in (*kept.edges, *kept.outlines):
         mark_covered(
             covered,
@@ -133,7 +138,7 @@ def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
         graphs=graphs,
         edge_views=edge_views_of(graphs, whole.views, num_kept),
         polyline_offsets=offsets,
-        covered=[np.zeros(bounds[-1], bool) for bounds in offsets],
+        covered=nothing_covered(offsets),
         free=free,
     )
 

@@ -501,8 +501,14 @@ def test_side_gray_is_that_of_plain_sums(reach):
         _kernels.sum_side_gray(
             *curves, positions, views, own, indices + 10**6, offsets, reach, window, 1
         )
-    with pytest.raises(ValueError, match="differ in length"):
+    with pytest.raises(ValueError, match="end at the number of points"):
         _kernels.sum_side_gray(*curves, positions, views, own, indices, offsets[:-1], 0, 1, 1)
+    with pytest.raises(ValueError, match="must not decrease"):
+        _kernels.sum_side_gray(
+            *curves, positions, views, own, indices, offsets[[0, 2, 1, 3, 4]], 0, 1, 1
+        )
+    with pytest.raises(ValueError, match="differ in length"):
+        _kernels.sum_side_gray(*curves, positions, views, own, indices[:-1], offsets, 0, 1, 1)
 
 
 def test_positions_slide_along_their_chains():

@@ -244,17 +244,12 @@ OutArray<double> SumSideGrayArray(InArray<double, nb::shape<3, 3>> rotation,
   const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
                                                  inverse_depths, ideal, positions, views);
   const size_t count = ideal.shape(0);
-  if (indices.size() != count || offsets.size() == 0 || offsets(0) != 0 ||
-      offsets(offsets.size() - 1) != int64_t(count)) {
-    throw std::invalid_argument("curves, indices and offsets differ in length");
-  }
+  if (indices.size() != count) throw std::invalid_argument("curves and indices differ in length");
+  CheckOffsets(offsets, count);
   for (size_t i = 0; i < count; ++i) {
     if (!(indices(i) >= 0 && indices(i) < driver.num_points())) {
       throw std::invalid_argument("an index is not on a chain of the driver");
     }
-  }
-  for (size_t c = 0; c + 1 < offsets.size(); ++c) {
-    if (offsets(c) > offsets(c + 1)) throw std::invalid_argument("offsets descend");
   }
   if (reach < 0 || window < 1) throw std::invalid_argument("reach or window is too small");
   std::vector<double> columns(2 * count);

@@ -51,19 +51,13 @@ class CurveObserver {
   }
 
   // Where view k sees point i.
-  Vec2 Project(int64_t i, int64_t k) const {
-    const auto& [rotation, translation] = poses_[k];
-    const double *x = curves_.ideal + 2 * i, f = curves_.views[k]->focal();
-    const Vec3 ray = {x[0] / curves_.focal, x[1] / curves_.focal, 1};
-    const Vec3 local = Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
-    return {f * local.x / local.z, f * local.y / local.z};
-  }
+  Vec2 Project(int64_t i, int64_t k) const { return ToImage(k, ToView(i, k, RayOf(i))); }
 
   // Calls use(k, observation) for each view k that observes point i.
   template <typename Use>
   void Visit(int64_t i, const Use& use) const {
-    const double *x = curves_.ideal + 2 * i, *d = curves_.directions + 2 * i;
-    const Vec3 ray = {x[0] / curves_.focal, x[1] / curves_.focal, 1};
+    const double* d = curves_.directions + 2 * i;
+    const Vec3 ray = RayOf(i);
     const Vec3 turned = {d[0] / curves_.focal, d[1] / curves_.focal, 0};
     const int64_t num_views = int64_t(curves_.views.size());
     for (int64_t k = 0; k < num_views; ++k) {
@@ -73,13 +67,29 @@ class CurveObserver {
   }
 
  private:
+  Vec3 RayOf(int64_t i) const {
+    const double* x = curves_.ideal + 2 * i;
+    return {x[0] / curves_.focal, x[1] / curves_.focal, 1};
+  }
+
+  // Point i in the frame of view k, its depth in the driver taken as the unit.
+  Vec3 ToView(int64_t i, int64_t k, const Vec3& ray) const {
+    const auto& [rotation, translation] = poses_[k];
+    return Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
+  }
+
+  Vec2 ToImage(int64_t k, const Vec3& local) const {
+    const double f = curves_.views[k]->focal();
+    return {f * local.x / local.z, f * local.y / local.z};
+  }
+
   Observation Observe(int64_t k, double position, const Vec3& ray, const Vec3& turned,
                       int64_t i) const {
     const EdgeView& view = *curves_.views[k];
     const auto& [rotation, translation] = poses_[k];
     const double f = view.focal();
-    const Vec3 local = Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
-    const Vec2 projected = {f * local.x / local.z, f * local.y / local.z};
+    const Vec3 local = ToView(i, k, ray);
+    const Vec2 projected = ToImage(k, local);
     // How the projection moves when the point does so by a vector in the view's frame.
     const auto moving = [&](const Vec3& v) {
       return Vec2{(f * v.x - projected.x * v.z) / local.z, (f * v.y - projected.y * v.z) / local.z};
