@@ -142,8 +142,9 @@ def run_scheduled(
 
 
 def stop(futures: Iterable[Future[Any]]) -> None:
-    """Cancel the calls that have not begun and wait for those that have."""
-    futures = list(futures)
-    for future in futures:
-        future.cancel()
-    wait(futures)
+    """Cancel the calls that have not begun and wait for those that have.
+
+    What was cancelled is not waited for: a cluster's executor never notifies `wait` of a future
+    whose result came at the same time.
+    """
+    wait([future for future in futures if not future.cancel()])

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 import pytest
 import scenes
@@ -146,6 +147,20 @@ def test_a_task_that_dies_with_its_worker_runs_again(cluster, tmp_path):
         calls = [(die_once, (tmp_path / "marker",)) for _ in range(4)]
         assert all(pid != os.getpid() for pid in run_all(workers.views, calls))
     assert (tmp_path / "marker").exists()
+
+
+def fail_first(index):
+    """Raise in the first of several calls that end at nearly the same time."""
+    time.sleep(0.001 * (index % 3))
+    if index == 0:
+        raise ColmapEdgesError("the first")
+
+
+def test_results_that_cross_a_cancellation_hold_up_nothing(cluster, tmp_path):
+    with cluster_workers(cluster.scheduler_address, Cache(tmp_path / "cache")) as workers:
+        for _ in range(40):
+            with pytest.raises(ColmapEdgesError, match="the first"):
+                run_all(workers.images, [(fail_first, (index,)) for index in range(8)])
 
 
 def test_no_scheduler_at_the_address(small, tmp_path, monkeypatch):

@@ -2,11 +2,12 @@
 
 import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.executors import local_workers, run_all
+from colmap_edges.executors import local_workers, run_all, stop
 
 
 def calls_of(function, count):
@@ -25,6 +26,11 @@ def test_first_error_in_threads_stops_the_rest():
     with local_workers(2) as workers, pytest.raises(ColmapEdgesError, match="one"):
         run_all(workers.images, calls_of(work, 200))
     assert len(begun) < 100
+
+
+def test_cancelled_calls_are_not_waited_for():
+    """The executor of a cluster may never tell that one was cancelled."""
+    stop([Future()])
 
 
 def test_threads_bound_the_images_at_once():
