@@ -24,7 +24,7 @@ from colmap_edges.view_selection import DepthRange
 SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
 MIN_SURE = 200  # supports of such depths that are enough to learn from
 ANY_SIDE_DIFFERENCE = 255.0  # gray levels; no two sides differ by more
-MIN_SAMPLES = 5  # that a polyline shall have, if its length allows
+END_PX = 6  # of polylines, where blur and what they meet there may have moved them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,19 +72,21 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
 
 
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
-    """Samples along each polyline, its ends spared.
+    """Samples evenly along each polyline, at most `step` points apart.
 
-    Every `step` points, every half of that on polylines too short for `MIN_SAMPLES`.
+    The first and the last are `END_PX` from its ends; on one that is too short there is one sample.
 
     Returns:
         (S,) indices of points, (P + 1,) offsets of the polylines' samples.
     """
     lengths = np.diff(graph.polyline_offsets)
-    steps = np.clip(lengths // MIN_SAMPLES, max(step // 2, 1), step)
-    counts = np.maximum(lengths // steps, 1)
-    first = graph.polyline_offsets[:-1] + (lengths - (counts - 1) * steps) // 2
-    samples = np.repeat(first, counts) + ranks_of(counts) * np.repeat(steps, counts)
-    return samples, offsets_of(counts)
+    inner = lengths - 1 - 2 * END_PX
+    intervals = np.where(inner > 0, -(-inner // step), 0)
+    ids = np.repeat(np.arange(len(lengths)), intervals + 1)
+    ranks = ranks_of(intervals + 1)
+    along = END_PX + np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)
+    places = np.where(intervals[ids] > 0, along, lengths[ids] // 2)
+    return graph.polyline_offsets[ids] + places, offsets_of(intervals + 1)
 
 
 def compute_chain_depths(

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.corners import cut_at_corners
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
 from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
@@ -77,7 +78,8 @@ def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> E
     finite = np.isfinite(view.ideal_from_image(chains.points))
     chains = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
-    graph = assemble(joined, closed, view, options)
+    pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
+    graph = assemble(pieces, closed, view, options)
     if options.filter_regular_length:
         graph = keep_polylines(graph, regular_polylines(graph, options))
     return graph

@@ -84,6 +84,12 @@ class EdgeGraphOptions(Options):
     max_join_angle_deg: float = option(
         30.0, "Largest turn where two chains are joined, in degrees", ge=0, le=90
     )
+    min_corner_angle_deg: float = option(
+        45.0,
+        "Smallest turn of a corner, where chains are cut, in degrees; 180: nowhere",
+        gt=0,
+        le=180,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,11 +215,11 @@ class TracingOptions(Options):
         1.0, "Largest change of disparity along a chain, in pixels a pixel", gt=0
     )
     max_bridge_px: int = option(200, "Longest stretch without depth inside a run, in pixels", ge=0)
-    extension_px: int = option(16, "How far a run is followed beyond its ends, in pixels", ge=0)
+    extension_px: int = option(24, "How far a run is followed beyond its ends, in pixels", ge=0)
     point_spacing_px: int = option(
         4, "Distance of edge points along the driving chain, in pixels", ge=1, basic=True
     )
-    min_curve_points: int = option(4, "Edge points that a 3D edge must have", ge=2)
+    min_curve_points: int = option(3, "Edge points that a 3D edge must have", ge=2)
     min_observations: int = option(
         3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
     )

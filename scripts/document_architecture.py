@@ -23,7 +23,7 @@ ROOMS = {
     "COLMAP and pictures": (
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
-    "2D edges": ("detection", "edge_graph", "graph_store", "image_graphs"),
+    "2D edges": ("detection", "corners", "edge_graph", "graph_store", "image_graphs"),
     "3D edges by chains": (
         "view_selection", "chain_depths", "view_graphs", "cross_check", "refinement",
         "runs", "significance", "occlusion", "linking", "sorting", "traced_scene", "tracing",

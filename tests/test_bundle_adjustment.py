@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import curves
-import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -309,11 +308,10 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
         before, after = pose_errors(start, truth), pose_errors(refined.reconstruction, truth)
         assert max(np.divide(after, before)) < 0.8
         remaining.append(after)
-    limit = 0.5 if cv2.__version__ >= "5" else 0.6  # the chains of OpenCV 4.10 give 0.53
     for robust in (False, True):
         alone = pycolmap.Reconstruction(start)
         adjust_by_colmap(alone, poses=True, robust=robust)
-        assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < limit
+        assert max(np.divide(np.mean(remaining, axis=0), pose_errors(alone, truth))) < 0.6
 
 
 def test_the_papers_edges_are_traced_once_where_poses_are_kept():
