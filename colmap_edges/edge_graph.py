@@ -64,35 +64,40 @@ class EdgeGraph:
         return owners_of(self.polyline_offsets)
 
 
-def build_edge_graph(chains: Chains, view: View, options: EdgeGraphOptions) -> EdgeGraph:
+def build_edge_graph(
+    chains: Chains, view: View, options: EdgeGraphOptions
+) -> tuple[EdgeGraph, FloatArray]:
     """Make the 2D edge graph of a view from its chains.
 
     Args:
         chains: sub-pixel chains of the view's image.
         view: gives the undistortion; points it cannot undistort are left out with their chain.
-        options: joining, smoothing and filter.
+        options: joining, corners, smoothing and filter.
 
     Returns:
-        The edge graph, filtered by regular length when the options say so.
+        The edge graph, filtered by regular length when the options say so, and (K, 2) the points
+        of chains that it has not.
     """
     finite = np.isfinite(view.ideal_from_image(chains.points))
-    chains = drop_chains(chains, finite[:, 0] & finite[:, 1])
+    chains, dropped = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
     pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
     graph = assemble(pieces, closed, view, options)
     if options.filter_regular_length:
-        graph = keep_polylines(graph, regular_polylines(graph, options))
-    return graph
+        kept = regular_polylines(graph, options)
+        dropped = np.concatenate([dropped, graph.points[~kept[graph.polyline_ids]]])
+        graph = keep_polylines(graph, kept)
+    return graph, dropped
 
 
-def drop_chains(chains: Chains, usable: BoolArray) -> Chains:
-    """Leave out every chain with a point that is not usable."""
+def drop_chains(chains: Chains, usable: BoolArray) -> tuple[Chains, FloatArray]:
+    """Leave out every chain with a point that is not usable; and the (K, 2) points left out."""
     if usable.all():
-        return chains
+        return chains, np.zeros((0, 2))
     ids = owners_of(chains.offsets)
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
-    return chains.select(keep, np.diff(chains.offsets)[~bad])
+    return chains.select(keep, np.diff(chains.offsets)[~bad]), chains.points[~keep]
 
 
 def join_chains(

@@ -121,11 +121,9 @@ def work_on_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, I
     try:
         return graph_of_image(work, index, view)
     except ImageError as error:
-        graph = build_edge_graph(NO_CHAINS, view, work.edge_graph)
+        graph, dropped = build_edge_graph(NO_CHAINS, view, work.edge_graph)
         key = graph_key(np.zeros(0, np.uint8), view, work) if work.cache else ""
-        found = DetectedEdges(
-            graph=graph, dropped=np.zeros((0, 2)), num_chains=0, num_chain_pixels=0
-        )
+        found = DetectedEdges(graph=graph, dropped=dropped, num_chains=0, num_chain_pixels=0)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
         return graph, ImageRecord(counts=counts_of(found), key=key, damage=error)
@@ -172,22 +170,13 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 def detect_edges(image: Picture, view: View, work: ImageWork) -> DetectedEdges:
     """Detect the edges of one image."""
     chains = detect_chains(gray_of(image), work.detection)
-    graph = build_edge_graph(chains, view, work.edge_graph)
+    graph, dropped = build_edge_graph(chains, view, work.edge_graph)
     return DetectedEdges(
         graph=graph,
-        dropped=dropped_points(chains, graph),
+        dropped=dropped,
         num_chains=len(chains.offsets) - 1,
         num_chain_pixels=len(chains.points),
     )
-
-
-def dropped_points(chains: Chains, graph: EdgeGraph) -> FloatArray:
-    """(K, 2) points of chains that the graph has not."""
-    if len(chains.points) == len(graph.points):
-        return np.zeros((0, 2))
-    kind = np.dtype([("x", np.float64), ("y", np.float64)])
-    found, kept = (np.ascontiguousarray(p).view(kind)[:, 0] for p in (chains.points, graph.points))
-    return chains.points[~np.isin(found, kept)]
 
 
 def counts_of(found: DetectedEdges) -> ImageCounts:

@@ -316,7 +316,7 @@ def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[Gra
 
     def make(index: int) -> int:
         view = model.views[index]
-        graph = build_edge_graph(see_city(city, view), view, options.edge_graph)
+        graph, _ = build_edge_graph(see_city(city, view), view, options.edge_graph)
         store.add(index, graph)
         return len(graph.points)
 

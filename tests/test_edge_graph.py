@@ -47,7 +47,7 @@ def make_chains(*parts):
 
 
 def build(chains, view=VIEW, **options):
-    return build_edge_graph(chains, view, EdgeGraphOptions(**options))
+    return build_edge_graph(chains, view, EdgeGraphOptions(**options))[0]
 
 
 def no_chains():
@@ -191,10 +191,12 @@ def test_filter_keeps_whole_components_of_the_longest():
     parts += [(p, 1) for p in short[7:]]
     everything = build(make_chains(*parts))
     assert everything.num_polylines == len(parts)
-    kept = build(make_chains(*parts), filter_regular_length=True, top_regular_length_ratio=0.05)
+    options = EdgeGraphOptions(filter_regular_length=True, top_regular_length_ratio=0.05)
+    kept, dropped = build_edge_graph(make_chains(*parts), VIEW, options)
     assert kept.num_polylines == 3
     assert len(kept.points) == len(long) + len(branch) + len(corner)
     assert kept.points[:, 1].max() < 75
+    assert sorted(dropped.tolist()) == sorted(np.concatenate(short).tolist())
     top = regular_polylines(everything, EdgeGraphOptions(top_regular_length_ratio=0.1))
     assert top.sum() == 4  # of 18, the two longest: `long` and a short one
 
@@ -240,10 +242,11 @@ def test_chains_with_unusable_points_are_dropped_whole():
     chains = make_chains(*parts)
     usable = np.ones(63, bool)
     usable[25] = False
-    left = drop_chains(chains, usable)
+    left, dropped = drop_chains(chains, usable)
     assert left.offsets.tolist() == [0, 21, 42]
     np.testing.assert_array_equal(left.points, np.concatenate([parts[0][0], parts[2][0]]))
-    assert drop_chains(chains, np.ones(63, bool)) is chains
+    np.testing.assert_array_equal(dropped, parts[1][0])
+    assert drop_chains(chains, np.ones(63, bool))[0] is chains
 
 
 def test_distorted_lines_are_straight_in_ideal_pixels():

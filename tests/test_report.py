@@ -9,9 +9,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from colmap_edges.detection import Chains
 from colmap_edges.edges import Edges3D
-from colmap_edges.image_graphs import DetectedEdges, dropped_points
+from colmap_edges.image_graphs import DetectedEdges
 from colmap_edges.model import load_model
 from colmap_edges.options import EdgeGraphOptions, PipelineOptions
 from colmap_edges.pipeline import Paths, run
@@ -97,19 +96,6 @@ def test_edge_figures_by_hand():
     assert views_per_edge(edges, 3).tolist() == [3, 2]
     residuals = np.array([1, 2, 3, 2, np.nan, 4, 6])
     assert residual_per_edge(edges, residuals).tolist() == [2, 5]
-
-
-def test_dropped_points_are_those_the_graph_has_not():
-    points = np.array([[1, 2], [3, 4], [5, 6], [7, 8.5]])
-    chains = chains_of(points)
-    graph = curves.bare_graph(points[[3, 1]], [2])
-    assert dropped_points(chains, graph).tolist() == [[1, 2], [5, 6]]
-    assert len(dropped_points(chains, curves.bare_graph(points, [4]))) == 0
-
-
-def chains_of(points):
-    sides = np.zeros((len(points), 2), np.uint8)
-    return Chains(points=points, normals=points, sides=sides, offsets=np.array([0, len(points)]))
 
 
 def many_edges(model, count, per_edge, views_each):
