@@ -67,7 +67,7 @@ def find_corners(
     """(K,) points at corners, ascending, and (K, 2) where the lines along them cross."""
     around, inner = with_wrapped_ends(chains.offsets, closed, REACH)
     points = chains.points[around]
-    bent = inner[turns(points, inner) >= np.radians(min_angle_deg - NOISE_DEG)]
+    bent = np.flatnonzero(inner & is_bent(points, min_angle_deg - NOISE_DEG))
     before = fit_lines(points[bent + np.arange(-REACH, 1 - ROUNDED)[:, None]])
     after = fit_lines(points[bent + np.arange(ROUNDED, REACH + 1)[:, None]])
     cosines = np.einsum("ij,ij->i", before.directions, after.directions)
@@ -89,11 +89,11 @@ def find_corners(
 
 def with_wrapped_ends(
     offsets: IntArray, closed: BoolArray, reach: int
-) -> tuple[IntArray, IntArray]:
+) -> tuple[IntArray, BoolArray]:
     """Indices of all points, those of closed chains with `reach` points more at both ends.
 
     Returns:
-        (n,) indices, (m,) places in them that have `reach` points of their chain on both sides.
+        (n,) indices, (n,) whether `reach` points of the same chain are on both sides.
     """
     lengths = np.diff(offsets)
     wraps = np.where(closed & (lengths > 2 * reach), reach, 0)
@@ -101,16 +101,21 @@ def with_wrapped_ends(
     ids = np.repeat(np.arange(len(lengths)), counts)
     ranks = ranks_of(counts)
     indices = offsets[ids] + (ranks - wraps[ids]) % lengths[ids]
-    return indices, np.flatnonzero((ranks >= reach) & (ranks < counts[ids] - reach))
+    return indices, (ranks >= reach) & (ranks < counts[ids] - reach)
 
 
-def turns(points: FloatArray, places: IntArray) -> FloatArray:
-    """(m,) angle from the chord before a place to that after it, from the ends of both arms."""
-    before = points[places - ROUNDED] - points[places - REACH]
-    after = points[places + REACH] - points[places + ROUNDED]
-    sines = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    angles: FloatArray = np.abs(np.arctan2(sines, np.einsum("ij,ij->i", before, after)))
-    return angles
+def is_bent(points: FloatArray, min_angle_deg: float) -> BoolArray:
+    """(n,) whether the chords of the arms before and after each of (n, 2) points turn so much.
+
+    Of points that have `REACH` others on both sides; false for the first and last ones.
+    """
+    bent = np.zeros(len(points), bool)
+    if len(points) > 2 * REACH:
+        x, y = (points[ARM - 1 :] - points[: 1 - ARM]).T
+        (ax, bx), (ay, by) = ((c[: -REACH - ROUNDED], c[REACH + ROUNDED :]) for c in (x, y))
+        limit = np.cos(np.radians(min_angle_deg)) * np.sqrt((ax**2 + ay**2) * (bx**2 + by**2))
+        bent[REACH:-REACH] = ax * bx + ay * by <= limit
+    return bent
 
 
 def fit_lines(points: FloatArray) -> Lines:

@@ -68,9 +68,10 @@ def depths_at(
         return np.zeros(0), np.zeros(0)
     polyline = graph.polyline_ids[positions.astype(np.int64)]
     first, end = depths.sample_offsets[polyline], depths.sample_offsets[polyline + 1]
-    step = np.where(end - first > 1, depths.samples[np.minimum(first + 1, end - 1)], 0)
-    step = np.maximum(step - np.where(end - first > 1, depths.samples[first], 0), 1)
-    place = np.clip((positions - depths.samples[first]) / step, 0, end - first - 1)
+    intervals = end - first - 1
+    span = depths.samples[end - 1] - depths.samples[first]
+    place = (positions - depths.samples[first]) * intervals / np.maximum(span, 1)  # evenly spaced
+    place = np.clip(place, 0, intervals)
     low = first + place.astype(np.int64)
     high = np.minimum(low + 1, end - 1)
     weight = place - np.floor(place)

@@ -128,7 +128,7 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
     """Options of later rounds: where fewer chains are left, less agreement is enough."""
     return replace(
         options,
-        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 4),
+        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 3),
         tracing=replace(
             options.tracing, min_agreeing_views=max(1, options.tracing.min_agreeing_views - 1)
         ),
