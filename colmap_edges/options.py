@@ -124,7 +124,7 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        20, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
+        24, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
         1.5,
@@ -455,7 +455,7 @@ class PipelineOptions(Options):
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "view_selection": {"num_neighbors": 5, "num_witnesses": 20},
-        "chain_depth": {"sample_step_px": 28},
+        "chain_depth": {"sample_step_px": 36},
         "tracing": {"point_spacing_px": 6},
     },
     "medium": {},
