@@ -65,7 +65,7 @@ def find_corners(
     chains: Chains, closed: BoolArray, min_angle_deg: float
 ) -> tuple[IntArray, FloatArray]:
     """(K,) points at corners, ascending, and (K, 2) where the lines along them cross."""
-    around, inner = with_wrapped_ends(chains.offsets, closed, REACH)
+    around, inner = with_wrapped_ends(chains.offsets, closed)
     points = chains.points[around]
     bent = np.flatnonzero(inner & is_bent(points, min_angle_deg - NOISE_DEG))
     before = fit_lines(points[bent + np.arange(-REACH, 1 - ROUNDED)[:, None]])
@@ -87,21 +87,19 @@ def find_corners(
     return around[bent[best]], crossings[best]
 
 
-def with_wrapped_ends(
-    offsets: IntArray, closed: BoolArray, reach: int
-) -> tuple[IntArray, BoolArray]:
-    """Indices of all points, those of closed chains with `reach` points more at both ends.
+def with_wrapped_ends(offsets: IntArray, closed: BoolArray) -> tuple[IntArray, BoolArray]:
+    """Indices of all points, those of closed chains with `REACH` points more at both ends.
 
     Returns:
-        (n,) indices, (n,) whether `reach` points of the same chain are on both sides.
+        (n,) indices, (n,) whether `REACH` points of the same chain are on both sides.
     """
     lengths = np.diff(offsets)
-    wraps = np.where(closed & (lengths > 2 * reach), reach, 0)
+    wraps = np.where(closed & (lengths > 2 * REACH), REACH, 0)
     counts = lengths + 2 * wraps
     ids = np.repeat(np.arange(len(lengths)), counts)
     ranks = ranks_of(counts)
     indices = offsets[ids] + (ranks - wraps[ids]) % lengths[ids]
-    return indices, (ranks >= reach) & (ranks < counts[ids] - reach)
+    return indices, (ranks >= REACH) & (ranks < counts[ids] - REACH)
 
 
 def is_bent(points: FloatArray, min_angle_deg: float) -> BoolArray:

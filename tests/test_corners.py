@@ -1,10 +1,12 @@
 """Corners of chains: found where they are, not on bends; chains go through them and end there."""
 
 import itertools
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import test_edge_graph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,20 +18,10 @@ from colmap_edges.options import DetectionOptions
 
 
 def make_chains(*parts):
-    """Chains of (N, 2) points, normals to the left of their direction."""
-    normals = []
-    for points in parts:
-        tangents = np.gradient(points, axis=0)
-        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-        normals.append(np.column_stack([-tangents[:, 1], tangents[:, 0]]))
-    lengths = np.array([len(points) for points in parts], np.int64)
-    points = np.concatenate([np.zeros((0, 2)), *parts])
-    return Chains(
-        points=points,
-        normals=np.concatenate([np.zeros((0, 2)), *normals]),
-        sides=np.tile(np.arange(len(points), dtype=np.uint8)[:, None], 2),
-        offsets=offsets_of(lengths),
-    )
+    """Chains of (N, 2) points, normals to the left of their direction, sides that differ."""
+    chains = test_edge_graph.make_chains(*((points, 1) for points in parts))
+    numbers = np.arange(len(chains.points), dtype=np.uint8)
+    return replace(chains, sides=np.tile(numbers[:, None], 2))
 
 
 def path(*vertices):
