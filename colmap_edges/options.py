@@ -59,6 +59,13 @@ class DetectionOptions(Options):
     """Image -> pixel chains (EdgeDrawing)."""
 
     min_chain_length_px: int = option(12, "Shortest chain kept, in pixels", ge=2, basic=True)
+    gamma: float = option(
+        2.2,
+        "Exponent from the images' grays to light; 1 for cameras whose grays are light itself",
+        gt=0,
+        le=4,
+        basic=True,
+    )
     sigma_px: float = option(
         1.0, "Gaussian blur before gradients of the sub-pixel step, in pixels", gt=0
     )

@@ -188,12 +188,24 @@ def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
     enough, uncertain, scatter = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
     sure = enough & (uncertain <= uncertainty_px)
-    tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
     return Limits(
         uncertainty_px=uncertainty_px,
         residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
-        log_chance=np.log10(options.max_false_edges / max(tests, 1)),
+        log_chance=chance_limit(traced, options),
     )
+
+
+def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
+    """log10 of the chance that a piece may have, so that few of these curves are chance's."""
+    tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
+    return float(np.log10(options.max_false_edges / max(tests, 1)))
+
+
+def lasting_points(traced: Traced, options: TracingOptions) -> BoolArray:
+    """(N,) which points of one driver are observed enough, on pieces that chance did not make."""
+    enough = traced.num_observations >= options.min_observations
+    pieces, likely = find_pieces(traced, enough, chance_limit([traced], options), options)
+    return enough & likely[pieces]
 
 
 def sure_points(
@@ -255,6 +267,23 @@ def sort_pieces(
         The pieces that are edges, and those that scatter around any fixed curve: what moves over a
         body from view to view, as its outline and reflections do.
     """
+    pieces, good = find_pieces(traced, keep, limits.log_chance, options)
+    fixed = group_medians(traced.residuals, pieces, len(good)) <= limits.residual_px
+    return (
+        chosen(traced, pieces, keep & (good & fixed)[pieces]),
+        chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
+    )
+
+
+def find_pieces(
+    traced: Traced, keep: BoolArray, log_chance: float, options: TracingOptions
+) -> tuple[IntArray, BoolArray]:
+    """Split curves where points are dropped.
+
+    Returns:
+        (N,) piece of each point, and of each piece whether it is long enough and no likelier by
+        chance than 10 to the power of `log_chance`.
+    """
     ids = owners_of(traced.offsets)
     broken = np.ones(len(ids), bool)
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
@@ -263,12 +292,7 @@ def sort_pieces(
     # Points nearer to each other than that are not independent evidence.
     share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
-    good = (sizes >= options.min_curve_points) & (logs <= limits.log_chance)
-    fixed = group_medians(traced.residuals, pieces, len(sizes)) <= limits.residual_px
-    return (
-        chosen(traced, pieces, keep & (good & fixed)[pieces]),
-        chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
-    )
+    return pieces, (sizes >= options.min_curve_points) & (logs <= log_chance)
 
 
 def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:

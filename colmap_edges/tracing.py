@@ -31,7 +31,7 @@ from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.runs import find_curves
 from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.sorting import Traced, link, row_medians, sort_out
+from colmap_edges.sorting import Traced, lasting_points, link, row_medians, sort_out
 from colmap_edges.traced_scene import (
     Scene,
     in_whole_graphs,
@@ -204,8 +204,8 @@ def trace_views(
         found, in_runs[view] = result
         if found is not None:
             traced[view] = found
-            # A point with too few observations will not last, so it covers nothing.
-            lasting = found.num_observations >= options.tracing.min_observations
+            # What will not last covers nothing, so that what is there can still be found.
+            lasting = lasting_points(found, options.tracing)
             mark_covered(
                 scene.covered,
                 scene.polyline_offsets,

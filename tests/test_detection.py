@@ -1,22 +1,28 @@
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
-from colmap_edges.detection import detect_chains, detect_pixel_chains
+from colmap_edges.detection import detect_chains, detect_pixel_chains, gray_of, light_of
 from colmap_edges.kernels import _kernels
 from colmap_edges.options import DetectionOptions
 
 SIZE = 64
 
 
-def step_image(angle_deg, offset, size=SIZE, supersampling=32):
+def image_of(share, dark=40, bright=210, gamma=2.2):
+    """(H, W) uint8 grays of pixels of which (H, W) shares are bright: sums of light, encoded."""
+    light = (1 - share) * (dark / 255) ** gamma + share * (bright / 255) ** gamma
+    return np.rint(255 * light ** (1 / gamma)).astype(np.uint8)
+
+
+def step_image(angle_deg, offset, size=SIZE, supersampling=32, gamma=2.2):
     """Anti-aliased step: bright where n . (x - centre) > offset, in COLMAP's pixels."""
     normal = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
     fine = (np.arange(size * supersampling) + 0.5) / supersampling - size / 2
     bright = fine[None, :] * normal[0] + fine[:, None] * normal[1] > offset
     blocks = bright.reshape(size, supersampling, size, supersampling).mean(axis=(1, 3))
-    return np.rint(40 + 170 * blocks).astype(np.uint8), normal
+    return image_of(blocks, gamma=gamma), normal
 
 
 @pytest.mark.parametrize("angle_deg", [0, 17, 43, 90, 133, 251])
@@ -31,6 +37,32 @@ def test_step_edge_is_found_to_a_tenth_of_a_pixel(angle_deg, offset):
     assert np.abs(error).max() < 0.11  # the worst is where the normal is diagonal
     assert np.sqrt(np.mean(error**2)) < 0.07
     np.testing.assert_allclose(chains.normals[inside] @ normal, 1, atol=0.01)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+@pytest.mark.parametrize("turned_deg", [0, 180])
+def test_edges_are_where_light_changes_whatever_the_tone_curve(gamma, turned_deg):
+    errors = {}
+    for assumed in (1.0, 2.2):
+        signed = []
+        for angle, offset in product((3, 24, 67, 84), (-0.4, -0.15, 0.1, 0.35)):
+            image, normal = step_image(angle + turned_deg, offset, gamma=gamma)
+            points = detect_chains(image, DetectionOptions(gamma=assumed)).points - SIZE / 2
+            inside = (np.abs(points) < SIZE / 2 - 6).all(axis=1)
+            signed.append(points[inside] @ normal - offset)
+        errors[assumed] = np.mean(np.concatenate(signed))
+    wrong = errors[3.2 - gamma]
+    assert abs(errors[gamma]) < 0.01
+    assert 0.08 < (wrong if gamma == 1 else -wrong) < 0.25  # grays put an edge on the dark side
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2])
+def test_grays_come_back_from_light(gamma):
+    gray = np.arange(2, 256, dtype=np.uint8)
+    light = light_of(gray[None], gamma)
+    assert light.min() > 0
+    assert light.max() == 1
+    np.testing.assert_array_equal(gray_of(light[0], gamma), gray)
 
 
 @pytest.mark.parametrize("column", [20, 33])
@@ -48,7 +80,7 @@ def disc_image(radius=20.0):
     fine = (np.arange(4 * SIZE) + 0.5) / 4 - SIZE / 2
     dark = np.hypot(fine[None, :], fine[:, None]) < radius
     blocks = dark.reshape(SIZE, 4, SIZE, 4).mean(axis=(1, 3))
-    return np.rint(220 - 170 * blocks).astype(np.uint8)
+    return image_of(1 - blocks, 50, 220)
 
 
 def test_chains_are_connected_pixels_of_the_least_length():
@@ -100,8 +132,8 @@ def refine_reference(gradient_x, gradient_y, pixels):
             bilinear(gx, at_x, at_y) * normal[:, 0] + bilinear(gy, at_x, at_y) * normal[:, 1]
         )
 
-    before, after = magnitude(-1), magnitude(1)
-    curvature = before - 2 * size + after
+    before, after = (np.log(np.maximum(magnitude(step) / size, 1e-3)) for step in (-1, 1))
+    curvature = before + after
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = np.where(curvature < 0, np.clip((before - after) / (2 * curvature), -1, 1), 0)
     return pixels + shift[:, None] * normal, normal
@@ -110,7 +142,7 @@ def refine_reference(gradient_x, gradient_y, pixels):
 @pytest.mark.parametrize("seed", range(5))
 def test_refinement_equals_the_reference_on_random_gradients(seed):
     rng = np.random.default_rng(seed)
-    gradient_x, gradient_y = rng.integers(-1020, 1021, (2, 23, 31)).astype(np.int16)
+    gradient_x, gradient_y = rng.integers(-1020, 1021, (2, 23, 31)).astype(np.float32)
     pixels = np.concatenate(
         [
             rng.integers(0, (31, 23), (300, 2)).astype(float),

@@ -18,7 +18,7 @@
 namespace colmap_edges {
 namespace {
 
-using Gradient = InArray<int16_t, nb::ndim<2>>;
+using Gradient = InArray<float, nb::ndim<2>>;
 using Points2D = InArray<double, nb::shape<-1, 2>>;
 using Offsets = InArray<int64_t, nb::ndim<1>>;
 
@@ -32,8 +32,8 @@ nb::tuple RefineSubpixelArrays(Gradient gradient_x, Gradient gradient_y, Points2
   {
     nb::gil_scoped_release release;
     const int64_t height = gradient_x.shape(0), width = gradient_x.shape(1);
-    RefineSubpixel(Gradients<int16_t>{gradient_x.data(), gradient_y.data(), width, height},
-                   pixels.data(), count, points.data(), normals.data());
+    RefineSubpixel(Gradients{gradient_x.data(), gradient_y.data(), width, height}, pixels.data(),
+                   count, points.data(), normals.data());
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(normals), {count, 2}));

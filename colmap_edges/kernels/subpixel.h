@@ -37,9 +37,8 @@ struct PixelCell {
 };
 
 // The two gradients of an image, row major.
-template <typename Value>
 struct Gradients {
-  const Value *x, *y;
+  const float *x, *y;
   int64_t width, height;
 
   Vec2 At(double column, double row) const {
@@ -48,11 +47,11 @@ struct Gradients {
   }
 };
 
-// Moves each pixel to the maximum of a parabola through the gradient along its direction at -1, 0
-// and 1 px; at most 1 px. Writes the points and the unit gradient directions.
-template <typename Value>
-void RefineSubpixel(const Gradients<Value>& gradients, const double* pixels, int64_t num_pixels,
-                    double* points, double* normals) {
+// Moves each pixel to the maximum of a parabola through the logarithm of the gradient along its
+// direction at -1, 0 and 1 px, as across a blurred step the gradient is a Gaussian; at most 1 px.
+// Writes the points and the unit gradient directions.
+inline void RefineSubpixel(const Gradients& gradients, const double* pixels, int64_t num_pixels,
+                           double* points, double* normals) {
   for (int64_t i = 0; i < num_pixels; ++i) {
     const Vec2 pixel = {pixels[2 * i], pixels[2 * i + 1]};
     Vec2 n = gradients.At(pixel.x, pixel.y);
@@ -63,8 +62,10 @@ void RefineSubpixel(const Gradients<Value>& gradients, const double* pixels, int
     double shift = 0;
     if (norm > 0) {
       n = {n.x / norm, n.y / norm};
-      const double before = magnitude(pixel - n), after = magnitude(pixel + n);
-      const double curvature = before - 2 * norm + after;
+      constexpr double kLeast = 1e-3;  // of the gradient; of nothing there is no logarithm
+      const double before = std::log(std::max(magnitude(pixel - n) / norm, kLeast));
+      const double after = std::log(std::max(magnitude(pixel + n) / norm, kLeast));
+      const double curvature = before + after;
       if (curvature < 0) shift = std::clamp(0.5 * (before - after) / curvature, -1.0, 1.0);
     }
     points[2 * i] = pixel.x + shift * n.x, points[2 * i + 1] = pixel.y + shift * n.y;
