@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,7 +15,7 @@ from colmap_edges.options import ViewSelectionOptions
 
 RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
 NEAR_POINTS = 16  # SfM points around a place that tell its depths
-NEAR_MARGIN = 0.25  # of all inverse depths of the view, added to theirs on both sides
+NEAR_MARGIN = 0.15  # of all inverse depths of the view, added to theirs on both sides
 MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
 
 
@@ -37,18 +38,30 @@ class DepthRange:
 
         Those of the nearest SfM points with a margin, for what stands before or behind them.
         """
-        low, high = self.overall
         if len(self.pixels) <= NEAR_POINTS or len(ideal) == 0:
-            return np.tile([low, high], (len(ideal), 1))
-        _, near = cKDTree(self.pixels).query(ideal, NEAR_POINTS)
+            return np.tile(self.overall, (len(ideal), 1))
+        corner, size, ranges = self.cells
+        column, row = np.clip((ideal - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)).T
+        found: FloatArray = ranges[row.astype(np.int64), column.astype(np.int64)]
+        return found
+
+    @cached_property
+    def cells(self) -> tuple[FloatArray, float, FloatArray]:
+        """Ranges around the middles of square cells, of about four SfM points each.
+
+        Returns:
+            Corner and size of the first cell in ideal pixels, (rows, columns, 2) ranges.
+        """
+        low, high = self.overall
+        corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
+        size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
+        x, y = (np.arange(0, length, size) + size / 2 for length in extent)
+        middles = np.stack(np.meshgrid(x, y), axis=-1) + corner
+        _, near = cKDTree(self.pixels).query(middles, NEAR_POINTS)
         inverse = self.inverse_depths[near]
         margin = NEAR_MARGIN * (high - low)
-        return np.column_stack(
-            [
-                np.maximum(inverse.min(axis=1) - margin, low),
-                np.minimum(inverse.max(axis=1) + margin, high),
-            ]
-        )
+        ranges = np.stack([inverse.min(axis=-1) - margin, inverse.max(axis=-1) + margin], axis=-1)
+        return corner, size, np.clip(ranges, low, high)
 
 
 @dataclass(frozen=True, kw_only=True)
