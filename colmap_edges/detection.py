@@ -1,8 +1,7 @@
 """Image -> sub-pixel edge chains (paper: 2D Edge-Graphs).
 
 Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
-moved to the maximum of the gradient of light along its normal, where the accuracy of all that
-follows starts.
+moved along its normal to where light changes most, where the accuracy of all that follows starts.
 """
 
 from __future__ import annotations
@@ -68,9 +67,7 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
     """
     pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
     light = cv2.GaussianBlur(light_of(image, options.gamma), (0, 0), options.sigma_px)
-    gradient_x = cv2.Sobel(light, cv2.CV_32F, 1, 0)
-    gradient_y = cv2.Sobel(light, cv2.CV_32F, 0, 1)
-    points, normals = _kernels.refine_subpixel(gradient_x, gradient_y, pixels)
+    points, normals = _kernels.refine_subpixel(light, pixels)
     dark, bright = (
         gray_of(sample_image(light, points + distance * normals), options.gamma)
         for distance in (-SIDE_DISTANCE_PX, SIDE_DISTANCE_PX)

@@ -66,9 +66,7 @@ class DetectionOptions(Options):
         le=4,
         basic=True,
     )
-    sigma_px: float = option(
-        1.0, "Gaussian blur before gradients of the sub-pixel step, in pixels", gt=0
-    )
+    sigma_px: float = option(1.0, "Gaussian blur of the sub-pixel step, in pixels", gt=0)
 
 
 @dataclass(frozen=True, kw_only=True)

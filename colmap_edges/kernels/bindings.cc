@@ -18,22 +18,19 @@
 namespace colmap_edges {
 namespace {
 
-using Gradient = InArray<float, nb::ndim<2>>;
+using GrayImage = InArray<float, nb::ndim<2>>;
 using Points2D = InArray<double, nb::shape<-1, 2>>;
 using Offsets = InArray<int64_t, nb::ndim<1>>;
 
-nb::tuple RefineSubpixelArrays(Gradient gradient_x, Gradient gradient_y, Points2D pixels) {
-  if (gradient_x.shape(0) != gradient_y.shape(0) || gradient_x.shape(1) != gradient_y.shape(1)) {
-    throw std::invalid_argument("gradient_x and gradient_y differ in shape");
-  }
+nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
   const size_t count = pixels.shape(0);
-  if (count > 0 && gradient_x.size() == 0) throw std::invalid_argument("the image is empty");
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
   std::vector<double> points(2 * count), normals(2 * count);
   {
     nb::gil_scoped_release release;
-    const int64_t height = gradient_x.shape(0), width = gradient_x.shape(1);
-    RefineSubpixel(Gradients{gradient_x.data(), gradient_y.data(), width, height}, pixels.data(),
-                   count, points.data(), normals.data());
+    const int64_t height = image.shape(0), width = image.shape(1);
+    RefineSubpixel(Image{image.data(), width, height}, pixels.data(), count, points.data(),
+                   normals.data());
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(normals), {count, 2}));
@@ -327,9 +324,9 @@ NB_MODULE(_kernels, m) {
   namespace nb = nanobind;
   using namespace nb::literals;
   m.doc() = "Hot loops of colmap_edges";
-  m.def("refine_subpixel", &colmap_edges::RefineSubpixelArrays, "gradient_x"_a, "gradient_y"_a,
-        "pixels"_a,
-        "(N, 2) pixels moved to the gradient maximum along the normal, and (N, 2) unit normals.");
+  m.def("refine_subpixel", &colmap_edges::RefineSubpixelArrays, "image"_a, "pixels"_a,
+        "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
+        "gradient directions.");
   m.def("bilinear", &colmap_edges::BilinearArrays, "image"_a, "points"_a,
         "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,

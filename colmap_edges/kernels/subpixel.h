@@ -1,4 +1,4 @@
-// Sub-pixel positions of edge pixels: the gradient maximum along the gradient direction.
+// Sub-pixel positions of edge pixels: where the image changes most along its gradient.
 #pragma once
 
 #include <algorithm>
@@ -36,36 +36,43 @@ struct PixelCell {
   }
 };
 
-// The two gradients of an image, row major.
-struct Gradients {
-  const float *x, *y;
+// An image, row major; outside it is as on the border.
+struct Image {
+  const float* data;
   int64_t width, height;
 
-  Vec2 At(double column, double row) const {
-    const PixelCell cell(width, height, column, row);
-    return {cell.In(x), cell.In(y)};
+  double Pixel(int64_t column, int64_t row) const {
+    return data[std::clamp<int64_t>(row, 0, height - 1) * width +
+                std::clamp<int64_t>(column, 0, width - 1)];
+  }
+
+  double At(const Vec2& point) const { return PixelCell(width, height, point.x, point.y).In(data); }
+
+  // Sobel's gradient.
+  Vec2 Gradient(int64_t x, int64_t y) const {
+    const double falling = Pixel(x + 1, y + 1) - Pixel(x - 1, y - 1);
+    const double rising = Pixel(x + 1, y - 1) - Pixel(x - 1, y + 1);
+    return {2 * (Pixel(x + 1, y) - Pixel(x - 1, y)) + rising + falling,
+            2 * (Pixel(x, y + 1) - Pixel(x, y - 1)) + falling - rising};
   }
 };
 
-// Moves each pixel to the maximum of a parabola through the logarithm of the gradient along its
-// direction at -1, 0 and 1 px, as across a blurred step the gradient is a Gaussian; at most 1 px.
-// Writes the points and the unit gradient directions.
-inline void RefineSubpixel(const Gradients& gradients, const double* pixels, int64_t num_pixels,
+// Moves each pixel along its gradient to where the image changes most: to the maximum of a parabola
+// through the differences over 2 px at -1, 0 and 1 px; at most 1 px. Writes the points and the unit
+// gradient directions.
+inline void RefineSubpixel(const Image& image, const double* pixels, int64_t num_pixels,
                            double* points, double* normals) {
   for (int64_t i = 0; i < num_pixels; ++i) {
     const Vec2 pixel = {pixels[2 * i], pixels[2 * i + 1]};
-    Vec2 n = gradients.At(pixel.x, pixel.y);
-    const auto magnitude = [&](const Vec2& at) {
-      return std::abs(Dot(gradients.At(at.x, at.y), n));
-    };
+    Vec2 n = image.Gradient(std::llround(pixel.x), std::llround(pixel.y));
     const double norm = std::hypot(n.x, n.y);
     double shift = 0;
     if (norm > 0) {
       n = {n.x / norm, n.y / norm};
-      constexpr double kLeast = 1e-3;  // of the gradient; of nothing there is no logarithm
-      const double before = std::log(std::max(magnitude(pixel - n) / norm, kLeast));
-      const double after = std::log(std::max(magnitude(pixel + n) / norm, kLeast));
-      const double curvature = before + after;
+      double across[5];
+      for (int k = 0; k < 5; ++k) across[k] = image.At(pixel + double(k - 2) * n);
+      const double before = across[2] - across[0], after = across[4] - across[2];
+      const double curvature = before - 2 * (across[3] - across[1]) + after;
       if (curvature < 0) shift = std::clamp(0.5 * (before - after) / curvature, -1.0, 1.0);
     }
     points[2 * i] = pixel.x + shift * n.x, points[2 * i + 1] = pixel.y + shift * n.y;
