@@ -66,10 +66,10 @@ def find_corners(
 ) -> tuple[IntArray, FloatArray]:
     """(K,) points at corners, ascending, and (K, 2) where the lines along them cross."""
     around, inner = with_wrapped_ends(chains.offsets, closed)
-    points = chains.points[around]
+    points = chains.points.take(around, axis=0)
     bent = np.flatnonzero(inner & is_bent(points, min_angle_deg - NOISE_DEG))
-    before = fit_lines(points[bent + np.arange(-REACH, 1 - ROUNDED)[:, None]])
-    after = fit_lines(points[bent + np.arange(ROUNDED, REACH + 1)[:, None]])
+    steps = np.arange(ROUNDED, REACH + 1)[:, None]
+    before, after = (fit_lines(points.take(bent + s, axis=0)) for s in (-steps[::-1], steps))
     cosines = np.einsum("ij,ij->i", before.directions, after.directions)
     crossings = cross(before, after)
     distances = np.linalg.norm(crossings - points[bent], axis=1)

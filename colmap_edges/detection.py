@@ -46,11 +46,12 @@ class Chains:
     offsets: IntArray
 
     def select(self, index: BoolArray | IntArray, lengths: IntArray) -> Chains:
-        """The points at a numpy index, cut into chains of these lengths."""
+        """Those points, by mask or index, cut into chains of these lengths."""
+        rows = np.flatnonzero(index) if index.dtype == bool else index
         return Chains(
-            points=self.points[index],
-            normals=self.normals[index],
-            sides=self.sides[index],
+            points=self.points.take(rows, axis=0),
+            normals=self.normals.take(rows, axis=0),
+            sides=self.sides.take(rows, axis=0),
             offsets=offsets_of(lengths),
         )
 

@@ -41,19 +41,29 @@ struct Image {
   const float* data;
   int64_t width, height;
 
-  double Pixel(int64_t column, int64_t row) const {
-    return data[std::clamp<int64_t>(row, 0, height - 1) * width +
-                std::clamp<int64_t>(column, 0, width - 1)];
+  // Sobel's gradient at the pixel nearest to a point.
+  Vec2 Gradient(const Vec2& point) const {
+    const int64_t x = std::clamp<int64_t>(std::llround(point.x), 0, width - 1);
+    const int64_t y = std::clamp<int64_t>(std::llround(point.y), 0, height - 1);
+    const int64_t left = std::max<int64_t>(x - 1, 0), right = std::min(x + 1, width - 1);
+    const float* above = data + std::max<int64_t>(y - 1, 0) * width;
+    const float* row = data + y * width;
+    const float* below = data + std::min(y + 1, height - 1) * width;
+    const double falling = below[right] - above[left], rising = above[right] - below[left];
+    return {2 * (row[right] - row[left]) + rising + falling,
+            2 * (below[x] - above[x]) + falling - rising};
   }
 
-  double At(const Vec2& point) const { return PixelCell(width, height, point.x, point.y).In(data); }
-
-  // Sobel's gradient.
-  Vec2 Gradient(int64_t x, int64_t y) const {
-    const double falling = Pixel(x + 1, y + 1) - Pixel(x - 1, y - 1);
-    const double rising = Pixel(x + 1, y - 1) - Pixel(x - 1, y + 1);
-    return {2 * (Pixel(x + 1, y) - Pixel(x - 1, y)) + rising + falling,
-            2 * (Pixel(x, y + 1) - Pixel(x, y - 1)) + falling - rising};
+  // Bilinear value.
+  double At(const Vec2& point) const {
+    if (point.x >= 0 && point.y >= 0 && point.x < width - 1 && point.y < height - 1) {
+      const int64_t x = int64_t(point.x), y = int64_t(point.y);
+      const float *top = data + y * width + x, *bottom = top + width;
+      const double fx = point.x - double(x), fy = point.y - double(y);
+      return (1 - fy) * ((1 - fx) * top[0] + fx * top[1]) +
+             fy * ((1 - fx) * bottom[0] + fx * bottom[1]);
+    }
+    return PixelCell(width, height, point.x, point.y).In(data);
   }
 };
 
@@ -64,8 +74,8 @@ inline void RefineSubpixel(const Image& image, const double* pixels, int64_t num
                            double* points, double* normals) {
   for (int64_t i = 0; i < num_pixels; ++i) {
     const Vec2 pixel = {pixels[2 * i], pixels[2 * i + 1]};
-    Vec2 n = image.Gradient(std::llround(pixel.x), std::llround(pixel.y));
-    const double norm = std::hypot(n.x, n.y);
+    Vec2 n = image.Gradient(pixel);
+    const double norm = Norm(n);
     double shift = 0;
     if (norm > 0) {
       n = {n.x / norm, n.y / norm};
