@@ -67,7 +67,8 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
         Chains at sub-pixel positions, in the detector's order.
     """
     pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
-    light = cv2.GaussianBlur(light_of(image, options.gamma), (0, 0), options.sigma_px)
+    light = light_of(image, options.gamma)
+    cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     dark, bright = (
         gray_of(sample_image(light, points + distance * normals), options.gamma)
