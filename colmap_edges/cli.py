@@ -390,6 +390,9 @@ def on_signal(number: int, _frame: Any) -> NoReturn:
 
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
+    # Each image or view has a thread of its own; those of BLAS would wait for them at full speed,
+    # and round by how many they are. It looks when numpy is loaded, by the command that needs it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     run: Callable[..., Any] = cli.main
     try:
         code = run(argv, prog_name="colmap-edges", standalone_mode=False)

@@ -52,6 +52,23 @@ def test_help_imports_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.parametrize("own", [None, "3"])
+def test_blas_has_one_thread_unless_the_user_says_otherwise(own):
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    script = (
+        "import os; from colmap_edges.cli import main\n"
+        "try: main(['--version'])\n"
+        "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=environment | ({"OPENBLAS_NUM_THREADS": own} if own else {}),
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.splitlines()[-1] == (own or "1")
+
+
 def test_version():
     pattern = rf"colmap-edges {re.escape(colmap_edges.__version__)}, pycolmap \d.*, OpenCV \d.*, "
     assert re.search(pattern + r"numpy \d.*, CGAL \d", call("--version"))
