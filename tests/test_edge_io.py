@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import curves
 import ezdxf
@@ -104,6 +105,21 @@ def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
     assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]
     scene = trimesh.load(tmp_path / "edges.glb")
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [2, 3, 3]])
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-9, 0.0), (1e7, 0.0), (1.0, 4.5e6)])
+def test_text_keeps_points_at_any_scale(square_and_line, tmp_path, scale, offset):
+    points = square_and_line.points / 3 * scale + offset
+    edges = replace(square_and_line, points=points)
+    write_obj(edges, tmp_path / "edges.obj")
+    lines = (tmp_path / "edges.obj").read_text().splitlines()
+    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    np.testing.assert_allclose(vertices, points, rtol=1e-11, atol=0)
+    write_dxf(edges, tmp_path / "edges.dxf")
+    document = ezdxf.readfile(tmp_path / "edges.dxf")
+    polylines = document.modelspace().query("POLYLINE")
+    found = np.array([tuple(point) for polyline in polylines for point in polyline.points()])
+    np.testing.assert_allclose(found, points, rtol=1e-11, atol=0)
 
 
 def test_dxf_has_a_3d_polyline_an_edge(square_and_line, tmp_path):
