@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from colmap_edges.kernels import _kernels
+from colmap_edges.model import Model
 from colmap_edges.occlusion import find_hidden
 
 
@@ -104,6 +105,15 @@ def test_sfm_points_hide_edge_points():
     views = known.row(3, step=0.1)
     assert hidden_points(known.model_of(views, front), behind).all()
     assert not hidden_points(known.model_of(views), behind).any()
+
+
+def test_the_list_of_sfm_observations_is_made_once_not_for_every_view(monkeypatch):
+    asked = []
+    listed = Model.track_points.fget
+    monkeypatch.setattr(Model, "track_points", property(lambda m: asked.append(1) or listed(m)))
+    model = known.model_of(known.row(5, step=0.1), lattice(0.0))
+    hidden_points(model, lattice(1.0, step=0.1, half=0.2))
+    assert len(asked) == 1
 
 
 def test_a_slanted_surface_hides_nothing_of_itself():
