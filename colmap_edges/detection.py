@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from colmap_edges.array_types import (
-    BoolArray,
     ByteArray,
     Float32Array,
     FloatArray,
@@ -45,9 +44,8 @@ class Chains:
     sides: ByteArray
     offsets: IntArray
 
-    def select(self, index: BoolArray | IntArray, lengths: IntArray) -> Chains:
-        """Those points, by mask or index, cut into chains of these lengths."""
-        rows = np.flatnonzero(index) if index.dtype == bool else index
+    def select(self, rows: IntArray, lengths: IntArray) -> Chains:
+        """The points of these rows, cut into chains of these lengths."""
         return Chains(
             points=self.points.take(rows, axis=0),
             normals=self.normals.take(rows, axis=0),
@@ -71,7 +69,7 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     dark, bright = (
-        gray_of(sample_image(light, points + distance * normals), options.gamma)
+        gray_of_light(sample_image(light, points + distance * normals), options.gamma)
         for distance in (-SIDE_DISTANCE_PX, SIDE_DISTANCE_PX)
     )
     return Chains(
@@ -91,7 +89,7 @@ def light_of(image: Picture, gamma: float) -> Float32Array:
     return np.asarray(cv2.LUT(image, light_table(gamma)), np.float32)
 
 
-def gray_of(light: Float32Array, gamma: float) -> ByteArray:
+def gray_of_light(light: Float32Array, gamma: float) -> ByteArray:
     """(N,) uint8 gray of (N,) light, the reverse of `light_of`."""
     return np.asarray(gray_table(gamma)[np.round(light * LIGHT_STEPS).astype(np.int64)])
 

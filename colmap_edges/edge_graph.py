@@ -97,7 +97,8 @@ def drop_chains(chains: Chains, usable: BoolArray) -> tuple[Chains, FloatArray]:
     ids = owners_of(chains.offsets)
     bad = np.bincount(ids[~usable], minlength=len(chains.offsets) - 1) > 0
     keep = ~bad[ids]
-    return chains.select(keep, np.diff(chains.offsets)[~bad]), chains.points[~keep]
+    lengths = np.diff(chains.offsets)[~bad]
+    return chains.select(np.flatnonzero(keep), lengths), chains.points[~keep]
 
 
 def join_chains(

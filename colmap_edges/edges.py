@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class Edges3D:
         """(N,) edge of each point."""
         return owners_of(self.edge_offsets)
 
-    @property
+    @cached_property
     def track_points(self) -> IntArray:
         """(T,) point of each observation."""
         return owners_of(self.track_offsets)

@@ -115,7 +115,7 @@ class Model:
     unposed_names: tuple[str, ...]
     reconstruction: Any
 
-    @property
+    @cached_property
     def track_points(self) -> IntArray:
         """(T,) point of each observation."""
         return owners_of(self.track_offsets)

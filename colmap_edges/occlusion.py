@@ -44,12 +44,11 @@ def find_hidden(
     hidden = np.zeros(len(track_points), bool)
     own_rows = rows_by_view(track_views, len(model.views))
     sfm_rows = rows_by_view(model.track_views, len(model.views))
-    sfm_points = model.track_points
     for view, own, sfm in zip(model.views, own_rows, sfm_rows, strict=True):
         if len(own) == 0:
             continue
         seen = track_points[own]
-        around = model.points3D_xyz[sfm_points[sfm]]
+        around = model.points3D_xyz[model.track_points[sfm]]
         nearer, agreeing = count_around(
             view,
             np.concatenate([points[seen], around]),

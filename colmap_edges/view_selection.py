@@ -36,9 +36,10 @@ class DepthRange:
     def at(self, ideal: FloatArray) -> FloatArray:
         """(N, 2) smallest and largest inverse depth at (N, 2) ideal pixels.
 
-        Those of the nearest SfM points with a margin, for what stands before or behind them.
+        Those of the SfM points nearest to the middle of its cell, with a margin for what stands
+        before or behind them.
         """
-        if len(self.pixels) <= NEAR_POINTS or len(ideal) == 0:
+        if len(self.pixels) <= NEAR_POINTS:
             return np.tile(self.overall, (len(ideal), 1))
         corner, size, ranges = self.cells
         column, row = np.clip((ideal - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)).T

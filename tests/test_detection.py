@@ -3,7 +3,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from colmap_edges.detection import detect_chains, detect_pixel_chains, gray_of, light_of
+from colmap_edges.detection import detect_chains, detect_pixel_chains, gray_of_light, light_of
 from colmap_edges.kernels import _kernels
 from colmap_edges.options import DetectionOptions
 
@@ -62,7 +62,7 @@ def test_grays_come_back_from_light(gamma):
     light = light_of(gray[None], gamma)
     assert light.min() > 0
     assert light.max() == 1
-    np.testing.assert_array_equal(gray_of(light[0], gamma), gray)
+    np.testing.assert_array_equal(gray_of_light(light[0], gamma), gray)
 
 
 @pytest.mark.parametrize("column", [20, 33])

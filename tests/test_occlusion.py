@@ -4,8 +4,8 @@ import curves as known
 import numpy as np
 import pytest
 
+from colmap_edges import model
 from colmap_edges.kernels import _kernels
-from colmap_edges.model import Model
 from colmap_edges.occlusion import find_hidden
 
 
@@ -109,10 +109,10 @@ def test_sfm_points_hide_edge_points():
 
 def test_the_list_of_sfm_observations_is_made_once_not_for_every_view(monkeypatch):
     asked = []
-    listed = Model.track_points.fget
-    monkeypatch.setattr(Model, "track_points", property(lambda m: asked.append(1) or listed(m)))
-    model = known.model_of(known.row(5, step=0.1), lattice(0.0))
-    hidden_points(model, lattice(1.0, step=0.1, half=0.2))
+    listed = model.owners_of
+    monkeypatch.setattr(model, "owners_of", lambda offsets: asked.append(1) or listed(offsets))
+    seen = known.model_of(known.row(5, step=0.1), lattice(0.0))
+    hidden_points(seen, lattice(1.0, step=0.1, half=0.2))
     assert len(asked) == 1
 
 

@@ -54,17 +54,7 @@ struct Image {
             2 * (below[x] - above[x]) + falling - rising};
   }
 
-  // Bilinear value.
-  double At(const Vec2& point) const {
-    if (point.x >= 0 && point.y >= 0 && point.x < width - 1 && point.y < height - 1) {
-      const int64_t x = int64_t(point.x), y = int64_t(point.y);
-      const float *top = data + y * width + x, *bottom = top + width;
-      const double fx = point.x - double(x), fy = point.y - double(y);
-      return (1 - fy) * ((1 - fx) * top[0] + fx * top[1]) +
-             fy * ((1 - fx) * bottom[0] + fx * bottom[1]);
-    }
-    return PixelCell(width, height, point.x, point.y).In(data);
-  }
+  double At(const Vec2& point) const { return PixelCell(width, height, point.x, point.y).In(data); }
 };
 
 // Moves each pixel along its gradient to where the image changes most: to the maximum of a parabola
