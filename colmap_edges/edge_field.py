@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -69,6 +69,7 @@ class EdgeField:
         kernel: the searchable C++ counterpart.
         points: (N, 2) float64 image pixels, COLMAP's origin.
         ideal: (N, 2) float64 ideal pixels.
+        colors: (N, 3) uint8 RGB.
         next_points: (N,) int64 next point of the polyline, -1 at the end of an open one.
         polyline_offsets: (P + 1,) int64.
         polyline_views: (P,) int32 view of each polyline.
@@ -79,6 +80,7 @@ class EdgeField:
     kernel: Any
     points: FloatArray
     ideal: FloatArray
+    colors: ByteArray
     next_points: IntArray
     polyline_offsets: IntArray
     polyline_views: Int32Array
@@ -107,6 +109,10 @@ class EdgeField:
         """(N, 2) ideal pixels of places."""
         return self._interpolate(self.ideal, positions)
 
+    def colors_at(self, positions: ChainPositions) -> FloatArray:
+        """(N, 3) colours at places."""
+        return self._interpolate(self.colors, positions)
+
     def tangents(self, positions: ChainPositions) -> FloatArray:
         """(N, 2) unit tangents of the chains at places, in ideal pixels."""
         tangents: FloatArray = self.kernel.tangents(positions.segments, positions.fractions)[1]
@@ -133,9 +139,10 @@ class EdgeField:
             distances=distances,
         )
 
-    def _interpolate(self, points: FloatArray, positions: ChainPositions) -> FloatArray:
-        start, end = points[positions.segments], points[self.next_points[positions.segments]]
-        result: FloatArray = start + positions.fractions[:, None] * (end - start)
+    def _interpolate(self, values: FloatArray | ByteArray, positions: ChainPositions) -> FloatArray:
+        segments, fractions = positions.segments, positions.fractions[:, None]
+        start, end = values[segments], values[self.next_points[segments]]
+        result: FloatArray = (1 - fractions) * start + fractions * end
         return result
 
 
@@ -164,6 +171,7 @@ def build_edge_field(views: Sequence[View], graphs: Sequence[EdgeGraph]) -> Edge
         kernel=kernel,
         points=np.concatenate([np.zeros((0, 2)), *(g.points for g in graphs)]),
         ideal=ideal,
+        colors=np.concatenate([np.zeros((0, 3), np.uint8), *(g.colors for g in graphs)]),
         next_points=next_points(offsets, closed),
         polyline_offsets=offsets,
         polyline_views=polyline_views,

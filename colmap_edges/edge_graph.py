@@ -14,7 +14,7 @@ from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Arra
 from colmap_edges.corners import cut_at_corners
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.detection import Chains
-from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
+from colmap_edges.joining import end_points, match_best_first, points_along, walk_joined
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import EdgeGraphOptions
@@ -33,6 +33,7 @@ class EdgeGraph:
         ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
         normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
         sides: (N, 2) uint8 gray on the dark and on the bright side.
+        colors: (N, 3) uint8 RGB of the image there.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
         closed: (P,) bool; the last point of a closed polyline connects to its first.
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
@@ -46,6 +47,7 @@ class EdgeGraph:
     ideal: FloatArray
     normals: FloatArray
     sides: ByteArray
+    colors: ByteArray
     polyline_offsets: IntArray
     closed: BoolArray
     end_nodes: Int32Array
@@ -113,14 +115,9 @@ def join_chains(
         The joined chains and (C,) whether each is closed.
     """
     partner = match_ends(chains, max_gap_px, max_angle_deg)
-    pieces, lengths, closed = [], [], []
-    for path, is_closed in walk_joined(partner):
-        for end in path:
-            pieces.append(points_from(end, chains.offsets[end // 2], chains.offsets[end // 2 + 1]))
-        lengths.append(sum(len(piece) for piece in pieces[len(pieces) - len(path) :]))
-        closed.append(is_closed)
-    order = np.concatenate(pieces) if pieces else np.zeros(0, np.int64)
-    return chains.select(order, np.array(lengths, np.int64)), np.array(closed, bool)
+    paths = walk_joined(partner)
+    order, lengths = points_along(paths, chains.offsets[:-1], chains.offsets[1:])
+    return chains.select(order, lengths), np.array([closed for _, closed in paths], bool)
 
 
 def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
@@ -172,6 +169,7 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
         ideal=ideal,
         normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
         sides=chains.sides,
+        colors=chains.colors,
         polyline_offsets=chains.offsets,
         closed=closed,
         end_nodes=end_nodes,
@@ -201,30 +199,9 @@ def find_nodes(
     links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
     num_nodes, nodes = connected_components(links, directed=False)
     through = np.full(num_nodes, -1, np.int32)
-    touched = touched_polylines(chains, positions, width, height)
+    touched = _kernels.touched_chains(chains.points, chains.offsets, width, height)
     np.maximum.at(through, nodes, touched)
     return nodes.reshape(-1, 2).astype(np.int32), through
-
-
-def touched_polylines(chains: Chains, positions: FloatArray, width: int, height: int) -> Int32Array:
-    """(2C,) polyline whose inside the end touches (3x3 pixels), other than its own, or -1."""
-    labels = np.full((height + 2, width + 2), -1, np.int32)
-    ids = owners_of(chains.offsets)
-    inner = np.ones(len(ids), bool)
-    inner[chains.offsets[:-1]] = inner[chains.offsets[1:] - 1] = False
-    pixels = np.floor(chains.points[inner]).astype(int)
-    labels[np.clip(pixels[:, 1] + 1, 0, height + 1), np.clip(pixels[:, 0] + 1, 0, width + 1)] = ids[
-        inner
-    ]
-    x = np.clip(np.floor(positions[:, 0]).astype(int) + 1, 1, width)
-    y = np.clip(np.floor(positions[:, 1]).astype(int) + 1, 1, height)
-    own = np.arange(len(positions)) // 2
-    touched = np.full(len(positions), -1, np.int32)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            found = labels[y + dy, x + dx]
-            touched = np.where((found != own) & (found > touched), found, touched)
-    return touched
 
 
 def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
@@ -294,6 +271,7 @@ def keep_polylines(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
         ideal=graph.ideal[points],
         normals=graph.normals[points],
         sides=graph.sides[points],
+        colors=graph.colors[points],
         polyline_offsets=offsets_of(np.diff(graph.polyline_offsets)[keep]),
         closed=graph.closed[keep],
         end_nodes=graph.end_nodes[keep],
@@ -328,6 +306,7 @@ def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
         ideal=graph.ideal[kept],
         normals=graph.normals[kept],
         sides=graph.sides[kept],
+        colors=graph.colors[kept],
         polyline_offsets=offsets_of(lengths),
         closed=graph.closed[ids[starts]] & whole,
         end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),

@@ -62,16 +62,10 @@ def edge_lengths(edges: Edges3D) -> FloatArray:
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
-def write_ply(edges: Edges3D, colors: ByteArray, path: Path) -> None:
-    """Write a binary PLY with `vertex` and `edge` elements.
-
-    Args:
-        edges: N points together.
-        colors: (N, 3) uint8 RGB of the points.
-        path: file to write.
-    """
+def write_ply(edges: Edges3D, path: Path) -> None:
+    """Write a binary PLY with `vertex` and `edge` elements."""
     vertices = np.empty(edges.num_points, PLY_VERTEX)
-    vertices["xyz"], vertices["rgb"] = edges.points, colors
+    vertices["xyz"], vertices["rgb"] = edges.points, edges.colors
     segments = edge_segments(edges)
     header = PLY_HEADER.format(vertices=len(vertices), edges=len(segments))
     path.write_bytes(header.encode() + vertices.tobytes() + segments.astype("<i4").tobytes())
@@ -98,21 +92,18 @@ def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
         yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
 
 
-def write_glb(edges: Edges3D, colors: ByteArray, path: Path) -> None:
+def write_glb(edges: Edges3D, path: Path) -> None:
     """Write a binary glTF with lines, each edge in the mean colour of its points.
 
     World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
     as the format knows no empty scene.
-
-    Args:
-        edges: N points together.
-        colors: (N, 3) uint8 RGB of the points.
-        path: file to write.
     """
     if edges.num_edges == 0:
         return
     ids, segments = edges.edge_ids, edge_segments(edges)
-    sums = np.column_stack([np.bincount(ids, channel, edges.num_edges) for channel in colors.T])
+    sums = np.column_stack(
+        [np.bincount(ids, channel, edges.num_edges) for channel in edges.colors.T]
+    )
     rgba = np.full((edges.num_edges, 4), 255, np.uint8)
     rgba[:, :3] = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None])
     corners = edges.points.astype("<f4")[segments.ravel()]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import entries_of, offsets_of, owners_of
 
 
@@ -27,6 +27,7 @@ class Edges3D:
         track_points2D: (T, 2) float64 observed edge points, image pixels, COLMAP's origin.
         sigmas: (N,) float64 standard deviation of a point, world units; NaN where unknown.
         end_nodes: (E, 2) int32; edges with the same node id at an end meet there; -1 is none.
+        colors: (N, 3) uint8 RGB, the mean of the images where they observe the point.
         outlines: curves that are no edges, since they move over a body from view to view as its
             outline and its reflections do, but near its surface: only the mesh uses them.
     """
@@ -39,6 +40,7 @@ class Edges3D:
     track_points2D: FloatArray
     sigmas: FloatArray
     end_nodes: Int32Array
+    colors: ByteArray
     outlines: Edges3D | None = None
 
     @property
@@ -86,7 +88,17 @@ class Edges3D:
             track_points2D=self.track_points2D[rows],
             sigmas=self.sigmas[order],
             end_nodes=end_nodes,
+            colors=self.colors[order],
         )
+
+
+def mean_colors(values: FloatArray, track_offsets: IntArray) -> ByteArray:
+    """(N, 3) colours of points from (T, 3) those of their observations; black without any."""
+    counts = np.diff(track_offsets)
+    points = owners_of(track_offsets)
+    sums = np.column_stack([np.bincount(points, channel, len(counts)) for channel in values.T])
+    colors: ByteArray = np.rint(sums / np.maximum(counts, 1)[:, None]).astype(np.uint8)
+    return colors
 
 
 def arrays_of_edges(edges: Edges3D) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from colmap_edges.correspondences import Pepcs
 from colmap_edges.edge_field import ChainPositions, EdgeField
-from colmap_edges.edges import Edges3D
+from colmap_edges.edges import Edges3D, mean_colors
 from colmap_edges.options import FollowingOptions
 
 MIN_SELECTION_VIEWS = 3  # fewest observations that give evidence (paper: PEPC-selection)
@@ -62,6 +62,7 @@ def follow_edges(
         track_points2D=field.image_points(track),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(closed), 2), -1, np.int32),
+        colors=mean_colors(field.colors_at(track), track_offsets),
     )
     counts = np.bincount(outcomes, minlength=len(OUTCOMES))
     return edges, dict(zip(OUTCOMES, counts.tolist(), strict=True))

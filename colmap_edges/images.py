@@ -1,4 +1,4 @@
-"""Pictures: where photographs are, reading them, sampling their colours; encoding."""
+"""Pictures: where photographs are, reading them; encoding."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 
 from colmap_edges.array_types import ByteArray, Picture
-from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.model import Model, View, views_with_rows
+from colmap_edges.model import View
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
 COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -145,20 +143,6 @@ def encoded(kind: str, picture: Picture, options: Sequence[int] = ()) -> bytes:
     if not done:
         raise ColmapEdgesError(f"cannot encode a picture of {picture.shape} as {kind}")
     return bytes(data.tobytes())
-
-
-def sample_colors(edges: Edges3D, model: Model, image_path: Path) -> ByteArray:
-    """Colours (N, 3) uint8 RGB of edge points: the mean over their observations, as COLMAP's."""
-    sums = np.zeros((edges.num_points, 3))
-    owners = edges.track_points
-    for view, rows in views_with_rows(model.views, edges.track_views):
-        if len(rows):
-            image = read_image(view, image_path)
-            values = _kernels.bilinear(image, edges.track_points2D[rows] - 0.5)
-            np.add.at(sums, owners[rows], values)
-    counts = np.maximum(np.diff(edges.track_offsets), 1)
-    colors: ByteArray = np.rint(sums / counts[:, None])[:, ::-1].astype(np.uint8)
-    return colors
 
 
 @contextmanager

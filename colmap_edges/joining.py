@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from colmap_edges.array_types import BoolArray, FloatArray, IntArray
+from colmap_edges.csr import ranks_of
 
 
 def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
@@ -44,7 +45,7 @@ def match_best_first(
 def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
     """Paths of joined pieces: lists of the end at which each piece is entered, and closedness."""
     count = len(partner) // 2
-    seen = np.zeros(count, bool)
+    seen = [False] * count
     ends = partner.tolist()
     paths = []
     free = [end for end in range(2 * count) if ends[end] < 0]
@@ -60,6 +61,18 @@ def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
     return paths
 
 
-def points_from(end: int, begin: int, stop: int) -> IntArray:
-    """The points begin:stop of a piece from one of its ends to the other."""
-    return np.arange(begin, stop) if end % 2 == 0 else np.arange(stop - 1, begin - 1, -1)
+def points_along(
+    paths: list[tuple[list[int], bool]], begins: IntArray, stops: IntArray
+) -> tuple[IntArray, IntArray]:
+    """The points along paths of pieces, of which piece p has the points begins[p]:stops[p].
+
+    Returns:
+        The points of all paths one after the other, and (len(paths),) how many each has.
+    """
+    ends = np.array([end for path, _ in paths for end in path], np.int64)
+    path_ids = np.repeat(np.arange(len(paths)), [len(path) for path, _ in paths])
+    begins, stops, backward = begins[ends // 2], stops[ends // 2], ends % 2 == 1
+    lengths = stops - begins
+    ranks = ranks_of(lengths) * np.repeat(np.where(backward, -1, 1), lengths)
+    order: IntArray = np.repeat(np.where(backward, stops - 1, begins), lengths) + ranks
+    return order, np.bincount(path_ids, lengths, len(paths)).astype(np.int64)

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
-from colmap_edges.joining import end_points, match_best_first, points_from, walk_joined
+from colmap_edges.joining import end_points, match_best_first, points_along, walk_joined
 from colmap_edges.options import LinkingOptions
 
 REACH = 4  # points from an end that tell its direction and spacing
@@ -55,20 +55,12 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
     partner = match_ends(ends, np.diff(edges.edge_offsets), options)
     skip = overlaps(edges, ends, partner)
     begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
-    order, lengths, closed, tips = [], [], [], []
-    for path, is_closed in walk_joined(partner):
-        pieces = [points_from(end, begin[end // 2], stop[end // 2]) for end in path]
-        order.extend(pieces)
-        lengths.append(sum(len(piece) for piece in pieces))
-        closed.append(is_closed)
-        tips.append((path[0], path[-1] ^ 1))
-    loops = np.array(closed, bool)
-    return edges.reordered(
-        np.concatenate(order),
-        offsets_of(np.array(lengths, np.int64)),
-        loops,
-        find_nodes(ends, np.array(tips), loops, options),
-    )
+    paths = walk_joined(partner)
+    order, lengths = points_along(paths, begin, stop)
+    loops = np.array([closed for _, closed in paths], bool)
+    tips = np.array([(path[0], path[-1] ^ 1) for path, _ in paths])
+    nodes = find_nodes(ends, tips, loops, options)
+    return edges.reordered(order, offsets_of(lengths), loops, nodes)
 
 
 def find_ends(edges: Edges3D) -> Ends:

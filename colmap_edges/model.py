@@ -324,7 +324,6 @@ def write_model(
     edges: Edges3D,
     path: Path | str,
     output_type: str = "BIN",
-    colors: ByteArray | None = None,
     residuals: FloatArray | None = None,
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
@@ -337,7 +336,6 @@ def write_model(
         edges: the edge points and their tracks.
         path: folder to write to; made when missing.
         output_type: BIN or TXT.
-        colors: (N, 3) uint8 RGB of the edge points; black when not given.
         residuals: (T,) those of `observation_residuals`, where they are known already.
 
     Returns:
@@ -345,7 +343,7 @@ def write_model(
     """
     path = Path(path)
     path.mkdir(exist_ok=True)
-    points = new_points(model, edges, colors, residuals)
+    points = new_points(model, edges, residuals)
     try:
         if output_type == "BIN":
             model.reconstruction.write_binary(str(path))
@@ -370,7 +368,6 @@ def write_text(reconstruction: Any, path: Path) -> None:
 def extend_reconstruction(
     model: Model,
     edges: Edges3D,
-    colors: ByteArray | None = None,
     residuals: FloatArray | None = None,
 ) -> tuple[Any, IntArray]:
     """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
@@ -378,7 +375,7 @@ def extend_reconstruction(
     Returns:
         The reconstruction and the (N,) ids of the edge points in it.
     """
-    points = new_points(model, edges, colors, residuals)
+    points = new_points(model, edges, residuals)
     return with_points(model.reconstruction, points), points.ids
 
 
@@ -394,7 +391,6 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
 def new_points(
     model: Model,
     edges: Edges3D,
-    colors: ByteArray | None,
     residuals: FloatArray | None,
 ) -> NewPoints:
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
@@ -407,7 +403,7 @@ def new_points(
     return NewPoints(
         ids=first_id + np.arange(edges.num_points, dtype=np.int64),
         xyz=edges.points,
-        rgb=np.zeros((edges.num_points, 3), np.uint8) if colors is None else colors,
+        rgb=edges.colors,
         errors=sums / np.maximum(lengths, 1),
         track_offsets=edges.track_offsets,
         track_image_ids=image_ids[edges.track_views],
@@ -415,16 +411,14 @@ def new_points(
     )
 
 
-def with_edge_points(
-    model: Model, edges: Edges3D, point3D_ids: IntArray, colors: ByteArray
-) -> Model:
+def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
     """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
     offsets = model.track_offsets[-1] + edges.track_offsets[1:]
     return replace(
         model,
         points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
         point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
-        points3D_rgb=np.concatenate([model.points3D_rgb, colors]),
+        points3D_rgb=np.concatenate([model.points3D_rgb, edges.colors]),
         track_offsets=np.concatenate([model.track_offsets, offsets]),
         track_views=np.concatenate([model.track_views, edges.track_views]),
         track_points2D=np.concatenate([model.track_points2D, edges.track_points2D]),

@@ -39,7 +39,6 @@ from colmap_edges.images import (
     check_images_exist,
     encoded,
     path_of_image,
-    sample_colors,
     single_threaded_opencv,
 )
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
@@ -215,7 +214,7 @@ def run_edges(
     if model is not given:
         viewer.show_model(model)
     viewer.show_edges(edges, len(model.views))
-    extended = write_stage(model, edges, image_path, folder, options, stages)
+    extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
         mesh = mesh_stage(model, edges, extended, folder, options, stages)
@@ -255,8 +254,8 @@ def reconstruct(
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         graphs = detect_stage(model, image_path, options, stages, None, workers)
         model, edges = edge_stages(model, graphs, options, stages, workers)
-    colors, residuals = sample_colors(edges, model, image_path), observation_residuals(model, edges)
-    extended, ids = extend_reconstruction(model, edges, colors, residuals)
+    residuals = observation_residuals(model, edges)
+    extended, ids = extend_reconstruction(model, edges, residuals)
     return EdgeReconstruction(
         edges=edges,
         point3D_ids=ids,
@@ -565,7 +564,6 @@ def key_of_edges(model: Model, graph_keys: list[str], options: PipelineOptions) 
 def write_stage(
     model: Model,
     edges: Edges3D,
-    image_path: Path,
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
@@ -576,13 +574,12 @@ def write_stage(
         The model with the edge points after its own.
     """
     with stages.stage("write") as stage:
-        colors = sample_colors(edges, model, image_path)
         residuals = observation_residuals(model, edges)
         sparse = folder / "sparse"
-        ids = write_model(model, edges, sparse, options.output_type, colors, residuals)
-        write_ply(edges, colors, folder / "edges.ply")
+        ids = write_model(model, edges, sparse, options.output_type, residuals)
+        write_ply(edges, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
-        write_glb(edges, colors, folder / "edges.glb")
+        write_glb(edges, folder / "edges.glb")
         write_dxf(edges, folder / "edges.dxf")
         write_json(edges, model, ids, residuals, folder / "edges.json")
         stage.counts = {
@@ -591,7 +588,7 @@ def write_stage(
             "observations": len(residuals),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
-    return with_edge_points(model, edges, ids, colors)
+    return with_edge_points(model, edges, ids)
 
 
 def mesh_stage(

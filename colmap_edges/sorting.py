@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.edges import Edges3D
+from colmap_edges.edges import Edges3D, mean_colors
 from colmap_edges.linking import link_edges
 from colmap_edges.model import Model, rows_by_view
 from colmap_edges.occlusion import find_hidden
@@ -312,46 +312,54 @@ def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
 
 def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
     """Put the curves of all drivers together as 3D edges with tracks."""
-    points, sigmas, lengths, track_lengths, track_views, positions = [], [], [], [], [], []
+    points, sigmas, lengths, track_lengths, track_views, track_positions = [], [], [], [], [], []
     for part in parts:
         points.append(part.points)
         sigmas.append(part.sigmas)
         lengths.append(np.diff(part.offsets))
         track_lengths.append(part.num_observations)
         track_views.append(part.views[part.positions.indices])
-        positions.append(part.positions.data)
+        track_positions.append(part.positions.data)
     views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
+    positions = np.concatenate([np.zeros(0), *track_positions])
+    pixels, colors = look_up(graphs, views, positions)
+    track_offsets = offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths]))
     num_edges = int(sum(len(length) for length in lengths))
     return Edges3D(
         points=np.concatenate([np.zeros((0, 3)), *points]),
         edge_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *lengths])),
         closed=np.zeros(num_edges, bool),
-        track_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths])),
+        track_offsets=track_offsets,
         track_views=views,
-        track_points2D=observed_pixels(graphs, views, np.concatenate([np.zeros(0), *positions])),
+        track_points2D=pixels,
         sigmas=np.concatenate([np.zeros(0), *sigmas]),
         end_nodes=np.full((num_edges, 2), -1, np.int32),
+        colors=mean_colors(colors, track_offsets),
     )
 
 
-def observed_pixels(
+def look_up(
     graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
-) -> FloatArray:
-    """(T, 2) image pixels of observations at (T,) positions on the chains of (T,) views."""
-    pixels = np.zeros((len(positions), 2))
+) -> tuple[FloatArray, FloatArray]:
+    """Image pixels (T, 2) and colours (T, 3) at (T,) positions on the chains of (T,) views."""
+    pixels, colors = np.zeros((len(positions), 2)), np.zeros((len(positions), 3))
     for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
         if len(rows):
-            pixels[rows] = image_points(graphs[view], positions[rows])
-    return pixels
+            graph = graphs[view]
+            pixels[rows] = at_positions(graph, graph.points, positions[rows])
+            colors[rows] = at_positions(graph, graph.colors, positions[rows])
+    return pixels, colors
 
 
-def image_points(graph: EdgeGraph, positions: FloatArray) -> FloatArray:
-    """(N, 2) image pixels at fractional positions on the chains of a graph."""
+def at_positions(
+    graph: EdgeGraph, values: FloatArray | ByteArray, positions: FloatArray
+) -> FloatArray:
+    """What (N, k) values of the points of a graph are at (M,) fractional positions between them."""
     low = positions.astype(np.int64)
     polyline = graph.polyline_ids[low]
     last = graph.polyline_offsets[polyline + 1] - 1
     wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
     high = np.where(low < last, low + 1, wrapped)
     weight = (positions - low)[:, None]
-    points: FloatArray = (1 - weight) * graph.points[low] + weight * graph.points[high]
-    return points
+    found: FloatArray = (1 - weight) * values[low] + weight * values[high]
+    return found

@@ -9,7 +9,7 @@ import numpy as np
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import entries_of, offsets_of, owners_of, ranks_of
 from colmap_edges.edge_field import ChainPositions, EdgeField, pose_arrays
-from colmap_edges.edges import Edges3D
+from colmap_edges.edges import Edges3D, mean_colors
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import views_with_rows
 from colmap_edges.options import SamplingOptions, VisibilityOptions
@@ -24,12 +24,14 @@ class Observations:
         views: (T,) int32.
         pixels: (T, 2) float64 image pixels, COLMAP's origin.
         ideal: (T, 2) float64 the same in ideal pixels.
+        colors: (T, 3) float64 RGB.
     """
 
     points: IntArray
     views: Int32Array
     pixels: FloatArray
     ideal: FloatArray
+    colors: FloatArray
 
     def select(self, index: BoolArray | IntArray) -> Observations:
         """The observations at a numpy index."""
@@ -38,6 +40,7 @@ class Observations:
             views=self.views[index],
             pixels=self.pixels[index],
             ideal=self.ideal[index],
+            colors=self.colors[index],
         )
 
 
@@ -49,7 +52,11 @@ def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
         if len(rows):
             ideal[rows] = view.ideal_from_image(edges.track_points2D[rows])
     return Observations(
-        points=points, views=edges.track_views, pixels=edges.track_points2D, ideal=ideal
+        points=points,
+        views=edges.track_views,
+        pixels=edges.track_points2D,
+        ideal=ideal,
+        colors=edges.colors[points].astype(np.float64),
     )
 
 
@@ -63,6 +70,7 @@ def merge(*parts: Observations) -> Observations:
         views=views[order],
         pixels=np.concatenate([part.pixels for part in parts])[order],
         ideal=np.concatenate([part.ideal for part in parts])[order],
+        colors=np.concatenate([part.colors for part in parts])[order],
     )
 
 
@@ -126,12 +134,14 @@ def expand_visibility(
 
 def with_observations(edges: Edges3D, points: FloatArray, observed: Observations) -> Edges3D:
     """The same edges with new points and tracks."""
+    offsets = track_offsets(observed.points, len(points))
     return replace(
         edges,
         points=points,
-        track_offsets=track_offsets(observed.points, len(points)),
+        track_offsets=offsets,
         track_views=observed.views.astype(np.int32),
         track_points2D=observed.pixels,
+        colors=mean_colors(observed.colors, offsets),
     )
 
 
@@ -165,6 +175,7 @@ def further_observations(
         views=np.repeat(np.array([f[1] for f in found], np.int32), [len(f[0]) for f in found]),
         pixels=field.image_points(positions),
         ideal=field.ideal_points(positions),
+        colors=field.colors_at(positions),
     )
 
 
@@ -431,6 +442,7 @@ def observe_samples(
         views=views[order],
         pixels=field.image_points(places),
         ideal=field.ideal_points(places),
+        colors=field.colors_at(places),
     )
 
 

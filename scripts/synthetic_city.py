@@ -281,6 +281,7 @@ def see_city(city: City, view: View, seed: int = 0) -> Chains:
         points=points[kept],
         normals=left[kept],
         sides=np.clip(gray[kept], 0, 255).astype(np.uint8),
+        colors=np.full((int(kept.sum()), 3), 128, np.uint8),
         offsets=offsets_of(np.unique(runs[kept], return_counts=True)[1]),
     )
 
@@ -326,9 +327,8 @@ def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[Gra
 
 def write_results(model: Model, edges: Edges3D, folder: Path) -> None:
     """Write the model with edge points, and the edges as PLY and JSON."""
-    colors = np.full((edges.num_points, 3), 128, np.uint8)
-    ids = write_model(model, edges, folder / "sparse", "BIN", colors)
-    write_ply(edges, colors, folder / "edges.ply")
+    ids = write_model(model, edges, folder / "sparse")
+    write_ply(edges, folder / "edges.ply")
     write_json(edges, model, ids, observation_residuals(model, edges), folder / "edges.json")
 
 

@@ -138,6 +138,7 @@ def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
         "ideal": points,
         "normals": np.zeros_like(points),
         "sides": np.zeros(points.shape, np.uint8),
+        "colors": np.zeros((len(points), 3), np.uint8),
         "polyline_offsets": offsets,
         "closed": np.broadcast_to(closed, count).astype(bool),
         "end_nodes": np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
@@ -180,4 +181,5 @@ def no_edges() -> Edges3D:
         track_points2D=np.zeros((0, 2)),
         sigmas=np.zeros(0),
         end_nodes=np.zeros((0, 2), np.int32),
+        colors=np.zeros((0, 3), np.uint8),
     )

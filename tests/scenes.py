@@ -348,6 +348,7 @@ def true_edges(model, scene, spacing=0.05, noise_px=0.0, seed=0) -> Edges3D:
         track_points2D=np.concatenate(pixels),
         sigmas=np.full(len(xyz), np.nan),
         end_nodes=np.full((len(closed), 2), -1, np.int32),
+        colors=rng.integers(0, 256, (len(xyz), 3)).astype(np.uint8),
     )
 
 

@@ -10,10 +10,12 @@ import test_edge_graph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from colmap_edges.corners import cut_at_corners, find_corners, fit_lines
+from colmap_edges import corners
+from colmap_edges.corners import cut_at_corners, find_corners
 from colmap_edges.csr import offsets_of
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.edge_graph import join_chains
+from colmap_edges.kernels import _kernels
 from colmap_edges.options import DetectionOptions
 
 
@@ -133,12 +135,14 @@ def test_corners_of_a_blurred_image_are_found_to_a_fraction_of_a_pixel():
     image = cv2.GaussianBlur(
         cv2.resize(fine, (180, 180), interpolation=cv2.INTER_AREA), (0, 0), 0.7
     )
-    chains, closed = join_chains(detect_chains(image, DetectionOptions()), 4.0, 30.0)
-    corners, crossings = find_corners(chains, closed, 45.0)
+    chains, closed = join_chains(
+        detect_chains(cv2.merge([image] * 3), DetectionOptions()), 4.0, 30.0
+    )
+    found, crossings = find_corners(chains, closed, 45.0)
     away = np.linalg.norm(crossings[:, None] - vertices, axis=2)
     assert sorted(away.argmin(axis=1).tolist()) == [0, 1, 2, 3]
     assert away.min(axis=1).max() < 0.4
-    before = np.linalg.norm(chains.points[corners][:, None] - vertices, axis=2).min(axis=1)
+    before = np.linalg.norm(chains.points[found][:, None] - vertices, axis=2).min(axis=1)
     assert before.min() > 0.8  # how far the chain passes from them
 
 
@@ -152,6 +156,7 @@ def test_chains_too_short_for_corners_are_left_alone(lengths, closed):
         points=points,
         normals=points,
         sides=np.zeros((len(points), 2), np.uint8),
+        colors=np.zeros((len(points), 3), np.uint8),
         offsets=offsets_of(np.array(lengths, np.int64)),
     )
     pieces, still = cut_at_corners(chains, np.full(len(lengths), closed), 45.0)
@@ -170,23 +175,85 @@ def test_nothing_of_random_walks_is_lost(seed):
         parts.append(np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0))
     chains = make_chains(*parts)
     closed = random.random(4) < 0.5
-    corners, _ = find_corners(chains, closed, 45.0)
+    found, _ = find_corners(chains, closed, 45.0)
     pieces, still = cut_at_corners(chains, closed, 45.0)
-    assert len(pieces.points) == len(chains.points) + len(corners)
-    per_chain = np.bincount(np.searchsorted(chains.offsets, corners, "right") - 1, minlength=4)
+    assert len(pieces.points) == len(chains.points) + len(found)
+    per_chain = np.bincount(np.searchsorted(chains.offsets, found, "right") - 1, minlength=4)
     expected = np.where(closed, np.maximum(per_chain, 1), per_chain + 1)
     assert len(still) == expected.sum()
     assert still.sum() == (closed & (per_chain == 0)).sum()
-    assert (np.diff(corners) > 0).all()
+    assert (np.diff(found) > 0).all()
 
 
-def test_lines_are_the_least_squares_lines():
-    random = np.random.default_rng(1)
-    steps = np.cumsum(random.uniform(0.5, 1, (6, 50, 2)) * random.choice([-1, 1], (50, 2)), axis=0)
-    lines = fit_lines(steps)
-    for row in range(50):
-        points = steps[:, row]
-        _, values, axes = np.linalg.svd(points - points.mean(axis=0))
-        direction = axes[0] * np.sign(axes[0] @ (points[-1] - points[0]))
-        np.testing.assert_allclose(lines.directions[row], direction, atol=1e-9)
-        np.testing.assert_allclose(lines.scatters[row], values[1] / np.sqrt(6), atol=1e-7)
+def line_through(points):
+    """Mean, forward unit direction and scatter of the least-squares line."""
+    center = points.mean(axis=0)
+    _, values, axes = np.linalg.svd(points - center)
+    direction = axes[0] * np.where(axes[0] @ (points[-1] - points[0]) < 0, -1, 1)
+    return center, direction, values[1] / np.sqrt(len(points))
+
+
+def corner_at(points, min_angle_deg):
+    """Where lines cross, and how far from the point in the middle of 17, if there is a corner."""
+    before, here, after = points[:6], points[8], points[11:]
+    chords = before[-1] - before[0], after[-1] - after[0]
+    norms = np.linalg.norm(chords[0]) * np.linalg.norm(chords[1])
+    if chords[0] @ chords[1] > np.cos(np.radians(min_angle_deg - corners.NOISE_DEG)) * norms:
+        return None
+    (a, u, scatter_a), (b, v, scatter_b) = line_through(before), line_through(after)
+    if u @ v > np.cos(np.radians(min_angle_deg)) or max(scatter_a, scatter_b) > 0.35:
+        return None
+    crossing = a + np.linalg.solve(np.column_stack([u, -v]), b - a)[0] * u
+    distance = np.linalg.norm(crossing - here)
+    opened = 1 / np.sqrt(max((1 + u @ v) / 2, 1e-6)) - 1
+    onward = (crossing - before[-1]) @ u > 0 and (after[0] - crossing) @ v > 0
+    return (distance, crossing) if distance <= min(0.5 + 4 * opened, 5) and onward else None
+
+
+def corners_of_chain(points, closed, min_angle_deg):
+    """Corners of one chain, point by point, the nearest to it first; 6 points stay free around."""
+    count = len(points)
+    if count <= 16:
+        return []
+    found = []
+    for i in range(count) if closed else range(8, count - 8):
+        corner = corner_at(points[np.arange(i - 8, i + 9) % count], min_angle_deg)
+        if corner is not None:
+            found.append((corner[0], i, corner[1]))
+    kept = []
+    for _, i, crossing in sorted(found, key=lambda corner: corner[0]):
+        gaps = [abs(i - j) for j, _ in kept]
+        if all((min(gap, count - gap) if closed else gap) > 6 for gap in gaps):
+            kept.append((i, crossing))
+    return sorted(kept, key=lambda corner: corner[0])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_kernel_finds_the_corners_that_a_search_by_hand_finds(seed):
+    random = np.random.default_rng(seed)
+    parts = []
+    for length in random.integers(3, 120, 15):
+        heading = np.cumsum(random.choice([0, 0, 0, 0, 0.1, -0.1, 0.9, -0.9, 1.5], length))
+        steps = np.column_stack([np.cos(heading), np.sin(heading)])
+        parts.append(np.cumsum(steps + random.normal(0, 0.05, steps.shape), axis=0))
+    closed = random.random(15) < 0.5
+    chains = make_chains(*parts)
+    found, crossings = find_corners(chains, closed, 45.0)
+    expected = [
+        (first + i, crossing)
+        for first, part, loop in zip(chains.offsets, parts, closed, strict=False)
+        for i, crossing in corners_of_chain(part, loop, 45.0)
+    ]
+    assert len(expected) > 0
+    assert found.tolist() == [i for i, _ in expected]
+    np.testing.assert_allclose(crossings, [crossing for _, crossing in expected], atol=1e-6)
+
+
+def test_kernel_refuses_what_does_not_fit_together():
+    limits = (3, 6, 0.8, 0.7, 0.35, 0.5, 4.0, 5.0)
+    with pytest.raises(ValueError, match="offsets"):
+        _kernels.find_corners(np.zeros((3, 2)), np.array([0, 4]), np.zeros(1, bool), *limits)
+    with pytest.raises(ValueError, match="as many chains"):
+        _kernels.find_corners(np.zeros((3, 2)), np.array([0, 3]), np.zeros(2, bool), *limits)
+    with pytest.raises(ValueError, match="too short"):
+        _kernels.find_corners(np.zeros((3, 2)), np.array([0, 3]), np.zeros(1, bool), 0, *limits[1:])

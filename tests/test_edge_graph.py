@@ -42,6 +42,7 @@ def make_chains(*parts):
         points=np.concatenate([points for points, _ in parts]),
         normals=np.concatenate(normals),
         sides=np.zeros((sum(len(points) for points, _ in parts), 2), np.uint8),
+        colors=np.zeros((sum(len(points) for points, _ in parts), 3), np.uint8),
         offsets=offsets_of(np.array([len(points) for points, _ in parts])),
     )
 
@@ -56,6 +57,7 @@ def no_chains():
         points=nothing,
         normals=nothing,
         sides=nothing.astype(np.uint8),
+        colors=np.zeros((0, 3), np.uint8),
         offsets=np.zeros(1, np.int64),
     )
 
@@ -134,6 +136,40 @@ def test_t_junction_names_the_polyline_that_passes_through():
     labels = component_labels(graph)
     assert labels[polyline] == labels[through]
     assert len(set(labels.tolist())) == 2
+
+
+def touched_by_labels(points, offsets, width, height):
+    """Chains that ends touch, by an image in which every inner point writes its chain."""
+    labels = np.full((height + 2, width + 2), -1)
+    for chain, (first, last) in enumerate(itertools.pairwise(offsets)):
+        for x, y in np.floor(points[first + 1 : last - 1]).astype(int) + 1:
+            labels[y, x] = chain
+    touched = []
+    for chain, (first, last) in enumerate(itertools.pairwise(offsets)):
+        for x, y in np.floor(points[[first, last - 1]]).astype(int) + 1:
+            around = labels[y - 1 : y + 2, x - 1 : x + 2]
+            touched.append(around[around != chain].max(initial=-1))
+    return touched
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_kernel_finds_the_chains_that_ends_touch(seed):
+    random = np.random.default_rng(seed)
+    lengths = random.integers(1, 12, 40)
+    points = random.uniform(0, (30, 20), (lengths.sum(), 2))
+    offsets = offsets_of(lengths)
+    touched = _kernels.touched_chains(points, offsets, 30, 20)
+    assert touched.tolist() == touched_by_labels(points, offsets, 30, 20)
+    assert 0 < np.mean(touched >= 0) < 1
+
+
+def test_ends_outside_the_image_touch_what_is_beside_them():
+    points = np.array([[5, -0.4], [5, 4], [9, 9], [2, 7], [5, 0.2], [8, 7], [99.0, -50]])
+    touched = _kernels.touched_chains(points, np.array([0, 3, 6, 7]), 30, 20)
+    assert touched.tolist() == [1, -1, -1, -1, -1, -1]
+    assert _kernels.touched_chains(points[:0], np.array([0, 0]), 30, 20).tolist() == [-1, -1]
+    with pytest.raises(ValueError, match="empty"):
+        _kernels.touched_chains(points, np.array([0, 7]), 30, 0)
 
 
 def test_meeting_ends_share_a_node():

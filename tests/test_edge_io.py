@@ -36,6 +36,7 @@ def square_and_line():
         track_points2D=np.zeros((14, 2)),
         sigmas=np.full(7, np.nan),
         end_nodes=np.array([[-1, -1], [4, 5]], np.int32),
+        colors=np.repeat(np.array([[200, 100, 50], [9, 9, 9]], np.uint8), [4, 3], axis=0),
     )
 
 
@@ -51,23 +52,24 @@ def test_lengths(square_and_line):
 def test_no_edges_at_all(tmp_path):
     none = curves.no_edges()
     assert edge_segments(none).shape == (0, 2)
-    write_ply(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.ply")
+    write_ply(none, tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")
-    write_glb(none, np.zeros((0, 3), np.uint8), tmp_path / "edges.glb")
+    write_glb(none, tmp_path / "edges.glb")
     write_dxf(none, tmp_path / "edges.dxf")
     assert len(ezdxf.readfile(tmp_path / "edges.dxf").modelspace()) == 0
     assert b"element edge 0" in (tmp_path / "edges.ply").read_bytes()
 
 
 def test_meshlab_reads_ply(square_and_line, tmp_path):
-    colors = np.arange(21, dtype=np.uint8).reshape(7, 3)
-    write_ply(square_and_line, colors, tmp_path / "edges.ply")
+    write_ply(square_and_line, tmp_path / "edges.ply")
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(tmp_path / "edges.ply"))
     mesh = meshes.current_mesh()
     np.testing.assert_allclose(mesh.vertex_matrix(), square_and_line.points)
     assert mesh.edge_matrix().tolist() == edge_segments(square_and_line).tolist()
-    np.testing.assert_allclose(mesh.vertex_color_matrix()[:, :3] * 255, colors, atol=1e-3)
+    np.testing.assert_allclose(
+        mesh.vertex_color_matrix()[:, :3] * 255, square_and_line.colors, atol=1e-3
+    )
 
 
 def test_obj_names_every_polyline(square_and_line, tmp_path):
@@ -97,9 +99,7 @@ def read_glb_lines(path):
 
 
 def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
-    colors = np.full((7, 3), 9, np.uint8)
-    colors[:4] = [200, 100, 50]
-    write_glb(square_and_line, colors, tmp_path / "edges.glb")
+    write_glb(square_and_line, tmp_path / "edges.glb")
     lines, rgba = read_glb_lines(tmp_path / "edges.glb")
     np.testing.assert_array_equal(lines, square_and_line.points[edge_segments(square_and_line)])
     assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]

@@ -24,6 +24,7 @@ def edges_of(*pieces):
         track_points2D=np.column_stack([owners, views]).astype(float),
         sigmas=np.arange(len(points), dtype=float),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
+        colors=np.arange(3 * len(points)).reshape(-1, 3).astype(np.uint8),
     )
 
 
@@ -64,6 +65,7 @@ def test_tracks_go_with_their_points():
         own = slice(after.track_offsets[row], after.track_offsets[row + 1])
         assert after.track_points2D[own, 0].tolist() == [origin] * (origin % 3 + 1)
         assert after.track_views[own].tolist() == list(range(origin % 3 + 1))
+        np.testing.assert_array_equal(after.colors[row], before.colors[origin])
     assert sorted(after.sigmas) == list(range(40))
 
 

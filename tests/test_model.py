@@ -22,14 +22,9 @@ from colmap_edges.model import (
 needs_colmap = pytest.mark.skipif(
     shutil.which("colmap") is None, reason="COLMAP's executable is not installed"
 )
-COLORS_SEED = 3
 
 
-def random_colors(edges):
-    return np.random.default_rng(COLORS_SEED).integers(0, 256, (edges.num_points, 3), np.uint8)
-
-
-def extended_by_pycolmap(model, edges, colors):
+def extended_by_pycolmap(model, edges):
     """What `write_model` writes, by pycolmap's own one-point-at-a-time API."""
     reconstruction = pycolmap.Reconstruction(model.reconstruction)
     errors = observation_residuals(model, edges)
@@ -40,7 +35,7 @@ def extended_by_pycolmap(model, edges, colors):
             image = reconstruction.images[model.views[v].image_id]
             track.add_element(image.image_id, len(image.points2D))
             image.points2D.append(pycolmap.Point2D(xy))
-        point3D_id = reconstruction.add_point3D(edges.points[i], track, colors[i])
+        point3D_id = reconstruction.add_point3D(edges.points[i], track, edges.colors[i])
         reconstruction.points3D[point3D_id].error = errors[rows].mean()
     return reconstruction
 
@@ -70,9 +65,8 @@ def snapshot(reconstruction):
 
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
 def test_write_equals_pycolmaps_own_api(scene_model, scene_edges, tmp_path, output_type):
-    colors = random_colors(scene_edges)
-    ids = write_model(scene_model, scene_edges, tmp_path / "ours", output_type, colors)
-    reference = extended_by_pycolmap(scene_model, scene_edges, colors)
+    ids = write_model(scene_model, scene_edges, tmp_path / "ours", output_type)
+    reference = extended_by_pycolmap(scene_model, scene_edges)
     ours = pycolmap.Reconstruction(str(tmp_path / "ours"))
     assert ours.is_valid()
     for found, expected in zip(snapshot(ours), snapshot(reference), strict=True):

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 import colmap_edges
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images import sample_colors
-from colmap_edges.model import extend_reconstruction, load_model
-from colmap_edges.options import PipelineOptions
+from colmap_edges.model import load_model
+from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.output import check_output_path, new_folder
 from colmap_edges.overlay import draw_edges
 from colmap_edges.pipeline import Paths, run, thread_count, write_stage
@@ -231,12 +230,10 @@ def test_edges_are_drawn_where_they_are_seen(scene, scene_model):
 
 
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
-def test_write_stage_writes_model_and_edges(
-    scene_model, scene_edges, scene_paths, tmp_path, output_type
-):
+def test_write_stage_writes_model_and_edges(scene_model, scene_edges, tmp_path, output_type):
     stages = Stages()
     options = PipelineOptions(output_type=output_type)
-    extended = write_stage(scene_model, scene_edges, scene_paths[0], tmp_path, options, stages)
+    extended = write_stage(scene_model, scene_edges, tmp_path, options, stages)
     suffix = output_type.lower()
     assert (tmp_path / "sparse" / f"points3D.{suffix}").is_file()
     written = load_model(tmp_path / "sparse")
@@ -324,13 +321,19 @@ def test_every_public_name_can_be_imported():
         _ = colmap_edges.no_such_name
 
 
-def test_colors_are_colmaps_own(scene_model, scene_paths, scene_edges):
-    ours = sample_colors(scene_edges, scene_model, scene_paths[0])
-    extended, ids = extend_reconstruction(scene_model, scene_edges)
+@pytest.mark.parametrize("method", ["chains", "paper"])
+def test_colors_are_nearly_colmaps_own(scene, scene_paths, method):
+    # Ours are interpolated along chains between colours of 8 bits.
+    options = PipelineOptions(tracing=TracingOptions(method=method))
+    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0], options)
+    extended = result.reconstruction
+    ours = np.array([extended.points3D[i].color for i in result.point3D_ids])
+    np.testing.assert_array_equal(ours, result.edges.colors)
     extended.extract_colors_for_all_images(str(scene_paths[0]))
-    theirs = np.array([extended.points3D[i].color for i in ids])
-    inside = np.abs(ours.astype(int) - theirs).max(axis=1)
-    assert np.mean(inside <= 1) > 0.99
+    theirs = np.array([extended.points3D[i].color for i in result.point3D_ids])
+    apart = np.abs(ours.astype(int) - theirs).max(axis=1)
+    assert np.median(apart) == 0
+    assert np.percentile(apart, 90) <= 2
 
 
 def test_threads_default_to_the_allowed_cores():

@@ -92,6 +92,7 @@ def test_edge_figures_by_hand():
         track_points2D=np.zeros((7, 2)),
         sigmas=np.zeros(4),
         end_nodes=np.zeros((2, 2), np.int32),
+        colors=np.zeros((4, 3), np.uint8),
     )
     assert views_per_edge(edges, 3).tolist() == [3, 2]
     residuals = np.array([1, 2, 3, 2, np.nan, 4, 6])
@@ -112,6 +113,7 @@ def many_edges(model, count, per_edge, views_each):
         track_points2D=rng.uniform(0, 300, (tracks, 2)),
         sigmas=np.zeros(count * per_edge),
         end_nodes=np.full((count, 2), -1, np.int32),
+        colors=np.zeros((count * per_edge, 3), np.uint8),
     )
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.edge_graph import keep_points
 from colmap_edges.options import PipelineOptions, TracingOptions
-from colmap_edges.sorting import image_points
+from colmap_edges.sorting import at_positions
 from colmap_edges.traced_scene import mark_covered, positions_among_all, without_short
 from colmap_edges.tracing import trace_edges
 
@@ -101,5 +101,7 @@ def test_positions_are_told_on_whole_graphs():
     on_left = np.array([0.25, 12.5, 20.0, len(left.points) - 0.5])  # the last across the seam
     positions = csr_array(np.column_stack([np.ones(4), on_left]))
     whole = positions_among_all(positions, np.array([1, 0]), [kept, np.arange(5)]).toarray()
-    np.testing.assert_allclose(image_points(graph, whole[:, 1]), image_points(left, on_left))
+    np.testing.assert_allclose(
+        at_positions(graph, graph.points, whole[:, 1]), at_positions(left, left.points, on_left)
+    )
     np.testing.assert_array_equal(whole[:, 0], 1)

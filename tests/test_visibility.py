@@ -50,6 +50,7 @@ def edges_of(curves, view_indices, spacing=60, views=VIEWS):
         track_points2D=pixels.transpose(1, 0, 2).reshape(-1, 2),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(curves), 2), -1, np.int32),
+        colors=np.arange(3 * len(points)).reshape(-1, 3).astype(np.uint8),
     )
 
 

@@ -322,6 +322,7 @@ def _edges(
         track_points2D=pixels,
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(edge_counts), 2), -1, dtype=np.int32),
+        colors=np.zeros((len(points), 3), np.uint8),
     )
 
 

@@ -44,4 +44,5 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
         track_points2D=written.track_points2D[taken],
         sigmas=np.full(len(rows), np.nan),
         end_nodes=np.array([r["end_nodes"] for r in records], dtype=np.int32).reshape(-1, 2),
+        colors=written.points3D_rgb[rows],
     )

@@ -7,7 +7,9 @@
 #include "arrays.h"
 #include "association.h"
 #include "chain_depths.h"
+#include "corners.h"
 #include "edge_view.h"
+#include "junctions.h"
 #include "observations.h"
 #include "occlusion.h"
 #include "polyline.h"
@@ -78,6 +80,50 @@ nb::tuple DouglasPeuckerArrays(Points2D points, Offsets offsets, double distance
   const size_t num_kept = kept.size(), num_offsets = kept_offsets.size();
   return nb::make_tuple(ToArray(std::move(kept), {num_kept}),
                         ToArray(std::move(kept_offsets), {num_offsets}));
+}
+
+nb::tuple FindCornersArrays(Points2D points, Offsets offsets, InArray<bool, nb::ndim<1>> closed,
+                            int64_t rounded, int64_t arm, double bent_cosine, double max_cosine,
+                            double max_scatter, double slack, double max_radius, double max_cut) {
+  CheckOffsets(offsets, points.shape(0));
+  if (closed.size() + 1 != offsets.size()) {
+    throw std::invalid_argument("closed and offsets are not of as many chains");
+  }
+  if (rounded < 1 || arm < 2) throw std::invalid_argument("rounded or arm is too short");
+  const CornerLimits limits = {rounded,     arm,   bent_cosine, max_cosine,
+                               max_scatter, slack, max_radius,  max_cut};
+  std::vector<Corner> corners;
+  {
+    nb::gil_scoped_release release;
+    for (size_t c = 0; c < closed.size(); ++c) {
+      const int64_t length = offsets(c + 1) - offsets(c);
+      FindCorners({points.data(), offsets(c), length, closed(c)}, limits, &corners);
+    }
+  }
+  const size_t count = corners.size();
+  std::vector<int64_t> indices(count);
+  std::vector<double> crossings(2 * count);
+  for (size_t i = 0; i < count; ++i) {
+    indices[i] = corners[i].point;
+    crossings[2 * i] = corners[i].crossing.x, crossings[2 * i + 1] = corners[i].crossing.y;
+  }
+  return nb::make_tuple(ToArray(std::move(indices), {count}),
+                        ToArray(std::move(crossings), {count, 2}));
+}
+
+OutArray<int32_t> TouchedChainsArrays(Points2D points, Offsets offsets, int64_t width,
+                                      int64_t height) {
+  CheckOffsets(offsets, points.shape(0));
+  if (width < 1 || height < 1) throw std::invalid_argument("the image is empty");
+  std::vector<int32_t> touched;
+  {
+    nb::gil_scoped_release release;
+    const auto point = [&](int64_t i) { return Vec2{points(i, 0), points(i, 1)}; };
+    touched =
+        TouchedChains(point, {offsets.data(), offsets.data() + offsets.size()}, width, height);
+  }
+  const size_t count = touched.size();
+  return ToArray(std::move(touched), {count});
 }
 
 std::vector<Vec2> ToVec2(const Points2D& points) {
@@ -332,6 +378,13 @@ NB_MODULE(_kernels, m) {
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,
         "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
+  m.def(
+      "find_corners", &colmap_edges::FindCornersArrays, "points"_a, "offsets"_a, "closed"_a,
+      "rounded"_a, "arm"_a, "bent_cosine"_a, "max_cosine"_a, "max_scatter"_a, "slack"_a,
+      "max_radius"_a, "max_cut"_a,
+      "(K,) points of chains at corners, ascending, and (K, 2) where the lines along them cross.");
+  m.def("touched_chains", &colmap_edges::TouchedChainsArrays, "points"_a, "offsets"_a, "width"_a,
+        "height"_a, "(2C,) chain whose inside each end touches, other than its own, or -1.");
   nb::class_<colmap_edges::EdgeView>(m, "EdgeView", "A view's edge graph with its pose and a grid.")
       .def("__init__", &colmap_edges::MakeEdgeView, "points"_a, "normals"_a, "sides"_a, "offsets"_a,
            "closed"_a, "rotation"_a, "translation"_a, "focal"_a);
