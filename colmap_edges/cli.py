@@ -20,6 +20,7 @@ import click
 from colmap_edges import __version__
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
+from colmap_edges.memory import reuse_freed_memory
 from colmap_edges.options import PRESETS, PipelineOptions
 from colmap_edges.stages import Progress, no_progress
 from colmap_edges.workspace import find_images, find_model
@@ -393,6 +394,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     # Each image or view has a thread of its own; those of BLAS would wait for them at full speed,
     # and round by how many they are. It looks when numpy is loaded, by the command that needs it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    reuse_freed_memory()
     run: Callable[..., Any] = cli.main
     try:
         code = run(argv, prog_name="colmap-edges", standalone_mode=False)

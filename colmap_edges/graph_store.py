@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import shutil
 import tempfile
 import weakref
@@ -17,21 +16,11 @@ import numpy as np
 
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.memory import return_freed_memory
 
 T = TypeVar("T")
 
 TRIM_EVERY = 64  # graphs dropped from memory
-
-
-def return_freed_memory() -> None:
-    """Have the C library return what was freed to the system, where it can (glibc).
-
-    It keeps what one thread freed for that thread alone: graphs of the threads that detected them
-    would be in memory twice, once as nothing.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 class Recent(Sequence[T], Generic[T]):

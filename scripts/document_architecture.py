@@ -18,7 +18,7 @@ TARGET = ROOT / "docs" / "architecture.md"
 ROOMS = {
     "ground": (
         "errors", "array_types", "csr", "joining", "options", "edges", "stages", "kernels", "cache",
-        "scheduling", "executors",
+        "scheduling", "executors", "memory",
     ),
     "COLMAP and pictures": (
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",

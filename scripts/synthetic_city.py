@@ -35,6 +35,7 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.executors import run_all
 from colmap_edges.flags import make_flags, normalize, options_from_flags
 from colmap_edges.graph_store import GraphStore
+from colmap_edges.memory import reuse_freed_memory
 from colmap_edges.model import Model, View, load_model, observation_residuals, write_model
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline import model_counts, open_workers, trace_stage
@@ -352,6 +353,7 @@ def main() -> None:
     parser.add_argument("--only_write", action="store_true", help="make the model, no more")
     parser.add_argument("--report", type=Path, help="JSON file to write; else printed")
     arguments, flags = parser.parse_known_args()
+    reuse_freed_memory()  # as the command line does
     try:
         options = parse_options(flags)
     except click.ClickException as error:

@@ -1,5 +1,6 @@
 import json
 import os
+import platform
 import re
 import resource
 import shutil
@@ -67,6 +68,26 @@ def test_blas_has_one_thread_unless_the_user_says_otherwise(own):
         text=True,
     )
     assert done.stdout.splitlines()[-1] == (own or "1")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries are not told")
+def test_large_arrays_live_where_freed_ones_did():
+    script = (
+        "import resource, threading; from colmap_edges.cli import main\n"
+        "try: main(['--version'])\n"
+        "except SystemExit: pass\n"
+        "import numpy as np\n"
+        "def faults():\n"
+        "    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "    worker = threading.Thread(target=np.ones, args=(8_000_000,))\n"
+        "    worker.start(); worker.join()\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before\n"
+        "print([faults() for _ in range(4)])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    faults = json.loads(done.stdout.splitlines()[-1])
+    assert faults[0] > 100
+    assert max(faults[1:]) < 0.2 * faults[0]
 
 
 def test_version():
