@@ -1,7 +1,7 @@
-"""COLMAP's binary model files as bytes: check them before use, append edge points to them.
+"""COLMAP's binary model files as bytes: check them before use, read points, append edge points.
 
 pycolmap hangs or kills the process on some damaged files, and takes seconds for what numpy
-appends in milliseconds; the formats are simple and fixed.
+reads or appends in milliseconds; the formats are simple and fixed.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ POINT3D = np.dtype(
 )
 TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
 IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
+NO_POINT3D = np.iinfo(np.uint64).max  # of a point2D that observes none
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
 
@@ -44,6 +45,41 @@ class ImageSpan:
     num_points2D: int
 
 
+@dataclass(frozen=True)
+class ModelPoints:
+    """The points of a model as they are in its files.
+
+    Attributes:
+        points2D: by image id, (n,) `POINT2D` records of its points2D.
+        points3D: (N,) `POINT3D` records, ids ascending.
+    """
+
+    points2D: dict[int, NDArray[np.void]]
+    points3D: NDArray[np.void]
+
+
+def is_binary(folder: Path) -> bool:
+    """Whether a folder holds a binary model, which is what pycolmap reads if it does."""
+    return all((folder / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D"))
+
+
+def read_points(folder: Path) -> ModelPoints:
+    """Read the points of the binary model in a folder.
+
+    Raises:
+        ColmapEdgesError: when a file is truncated or has bytes too many.
+    """
+    images, points3D = folder / "images.bin", folder / "points3D.bin"
+    data = images.read_bytes()
+    points2D = {
+        image.image_id: np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
+        for image in image_records(data, images)
+    }
+    data = points3D.read_bytes()
+    heads = gather(data, point3D_records(data, points3D)[0], POINT3D)
+    return ModelPoints(points2D, heads[np.argsort(heads["id"])])
+
+
 def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None:
     """Check sizes, counts and references of a binary model; text models are not looked at.
 
@@ -54,9 +90,9 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
     Raises:
         ColmapEdgesError: when a file is truncated, has bytes too many or points nowhere.
     """
-    files = {name: folder / f"{name}.bin" for name in ("cameras", "images", "points3D")}
-    if not all(path.is_file() for path in files.values()):
+    if not is_binary(folder):
         return
+    files = {name: folder / f"{name}.bin" for name in ("cameras", "images", "points3D")}
     check_cameras(files["cameras"], parameters_of_model)
     data = files["images"].read_bytes()
     images = image_records(data, files["images"])

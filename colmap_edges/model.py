@@ -17,10 +17,15 @@ from numpy.typing import NDArray
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.colmap_files import (
+    NO_POINT3D,
+    POINT2D,
+    ModelPoints,
     NewPoints,
     append_points,
     check_model_files,
     check_text_files,
+    is_binary,
+    read_points,
 )
 from colmap_edges.csr import offsets_of, order_of, owners_of
 from colmap_edges.edges import Edges3D
@@ -138,6 +143,7 @@ def load_model(path: Path | str) -> Model:
     try:
         check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
+        points = read_points(path) if is_binary(path) else None
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
@@ -146,7 +152,7 @@ def load_model(path: Path | str) -> Model:
         ) from error
     finally:
         pycolmap.logging.minloglevel = level
-    return model_from_reconstruction(reconstruction)
+    return model_from_reconstruction(reconstruction, points)
 
 
 def camera_parameter_counts() -> dict[int, int]:
@@ -156,8 +162,12 @@ def camera_parameter_counts() -> dict[int, int]:
     return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
 
 
-def model_from_reconstruction(reconstruction: Any) -> Model:
+def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
     """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed.
+
+    Args:
+        reconstruction: the model.
+        points: its points, where they are at hand.
 
     Raises:
         ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
@@ -170,14 +180,15 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
         ) from error
     posed = [image for image in images if image.has_pose]
     views = tuple(view_from_image(image) for image in posed)
-    points = sorted(reconstruction.points3D.items())
-    ids = np.array([point3D_id for point3D_id, _ in points], np.int64)
-    offsets, track_views, track_points2D = tracks_by_point(posed, ids)
+    points = points or points_of(reconstruction)
+    ids = points.points3D["id"].astype(np.int64)
+    observed = [points.points2D[image.image_id] for image in posed]
+    offsets, track_views, track_points2D = tracks_by_point(observed, ids)
     model = Model(
         views=views,
-        points3D_xyz=np.array([p.xyz for _, p in points], np.float64).reshape(-1, 3),
+        points3D_xyz=points.points3D["xyz"].astype(np.float64),
         point3D_ids=ids,
-        points3D_rgb=np.array([p.color for _, p in points], np.uint8).reshape(-1, 3),
+        points3D_rgb=points.points3D["rgb"].astype(np.uint8),
         track_offsets=offsets,
         track_views=track_views,
         track_points2D=track_points2D,
@@ -186,6 +197,13 @@ def model_from_reconstruction(reconstruction: Any) -> Model:
     )
     check_values(model)
     return model
+
+
+def points_of(reconstruction: Any) -> ModelPoints:
+    """The points of a reconstruction; by way of files, which is the fastest."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write_binary(folder)
+        return read_points(Path(folder))
 
 
 def check_values(model: Model) -> None:
@@ -227,28 +245,31 @@ def view_from_image(image: Any) -> View:
 
 
 def tracks_by_point(
-    images: list[Any], point3D_ids: IntArray
+    points2D: Sequence[NDArray[np.void]], point3D_ids: IntArray
 ) -> tuple[IntArray, Int32Array, FloatArray]:
-    """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2)."""
-    points, views, pixels = [], [], []
-    for index, image in enumerate(images):
-        observed = [(p.point3D_id, p.xy) for p in image.points2D if p.has_point3D()]
-        points.append(np.array([o[0] for o in observed], np.int64))
-        views.append(np.full(len(observed), index, np.int32))
-        pixels.append(np.array([o[1] for o in observed], np.float64).reshape(-1, 2))
-    if not images:
-        return np.zeros(len(point3D_ids) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
-    observed_ids = np.concatenate(points)
-    unknown = ~np.isin(observed_ids, point3D_ids)
-    if unknown.any():
+    """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2).
+
+    Args:
+        points2D: `POINT2D` records of each view.
+        point3D_ids: (N,) ascending.
+
+    Raises:
+        ColmapEdgesError: when a view observes a point that is not among them.
+    """
+    observed = [of_view[of_view["point3D_id"] != NO_POINT3D] for of_view in points2D]
+    every = np.concatenate([np.zeros(0, POINT2D), *observed])
+    ids = every["point3D_id"].astype(np.int64)
+    points = np.searchsorted(point3D_ids, ids)
+    known = np.append(point3D_ids, -1)[points] == ids
+    if not known.all():
         raise ColmapEdgesError(
-            f"the images of the model observe point3D {observed_ids[unknown][0]}, which it does "
+            f"the images of the model observe point3D {ids[~known][0]}, which it does "
             "not have; its images and points3D files do not belong together"
         )
-    rows = np.searchsorted(point3D_ids, observed_ids)
-    order = np.argsort(rows, kind="stable")
-    offsets = offsets_of(np.bincount(rows, minlength=len(point3D_ids)))
-    return offsets, np.concatenate(views)[order], np.concatenate(pixels)[order]
+    order = np.argsort(points, kind="stable")
+    offsets = offsets_of(np.bincount(points, minlength=len(point3D_ids)))
+    views = np.repeat(np.arange(len(observed), dtype=np.int32), [len(rows) for rows in observed])
+    return offsets, views[order], every["xy"][order]
 
 
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:

@@ -63,6 +63,34 @@ def snapshot(reconstruction):
     return cameras, images, points
 
 
+@pytest.mark.parametrize("kind", ["BIN", "TXT", "memory"])
+def test_points_and_tracks_are_those_that_pycolmap_tells(scene, tmp_path, kind):
+    given = pycolmap.Reconstruction(scene.reconstruction)
+    given.points3D[max(given.points3D)].color = (1, 2, 3)
+    for image_id in list(given.images)[:2]:
+        given.deregister_frame(given.images[image_id].frame_id)
+    for image in given.images.values():  # features that observe no point
+        image.points2D.append(pycolmap.Point2D(np.array([1.5, 2.5])))
+    if kind == "memory":
+        model = model_from_reconstruction(given)
+    else:
+        (given.write_binary if kind == "BIN" else given.write_text)(str(tmp_path))
+        model = load_model(tmp_path)
+    assert len(model.views) == len(scene.reconstruction.images) - 2
+    assert model.point3D_ids.tolist() == sorted(given.points3D)
+    for row, point3D_id in enumerate(model.point3D_ids):
+        point = given.points3D[point3D_id]
+        np.testing.assert_allclose(model.points3D_xyz[row], point.xyz, rtol=1e-15)
+        assert model.points3D_rgb[row].tolist() == point.color.tolist()
+        rows = slice(*model.track_offsets[row : row + 2])
+        images = [model.views[view].image_id for view in model.track_views[rows]]
+        seen = {e.image_id: e.point2D_idx for e in point.track.elements}
+        assert sorted(images) == sorted(seen)
+        for image_id, pixel in zip(images, model.track_points2D[rows], strict=True):
+            xy = given.images[image_id].points2D[seen[image_id]].xy
+            np.testing.assert_allclose(pixel, xy, rtol=1e-15)
+
+
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
 def test_write_equals_pycolmaps_own_api(scene_model, scene_edges, tmp_path, output_type):
     ids = write_model(scene_model, scene_edges, tmp_path / "ours", output_type)
