@@ -302,11 +302,11 @@ def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
     pieces = np.cumsum(first) - 1
     count = len(starts)
     return EdgeGraph(
-        points=graph.points[kept],
-        ideal=graph.ideal[kept],
-        normals=graph.normals[kept],
-        sides=graph.sides[kept],
-        colors=graph.colors[kept],
+        points=graph.points.take(kept, axis=0),
+        ideal=graph.ideal.take(kept, axis=0),
+        normals=graph.normals.take(kept, axis=0),
+        sides=graph.sides.take(kept, axis=0),
+        colors=graph.colors.take(kept, axis=0),
         polyline_offsets=offsets_of(lengths),
         closed=graph.closed[ids[starts]] & whole,
         end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),

@@ -361,5 +361,5 @@ def at_positions(
     wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
     high = np.where(low < last, low + 1, wrapped)
     weight = (positions - low)[:, None]
-    found: FloatArray = (1 - weight) * values[low] + weight * values[high]
+    found: FloatArray = (1 - weight) * values.take(low, axis=0) + weight * values.take(high, axis=0)
     return found
