@@ -25,7 +25,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
 SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
-REMAP_WIDTH = 1 << 14
 LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
 
 
@@ -73,14 +72,12 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
     light = light_of(gray, options.gamma)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
-    dark, bright = (
-        gray_of_light(sample_image(light, points + distance * normals), options.gamma)
-        for distance in (-SIDE_DISTANCE_PX, SIDE_DISTANCE_PX)
-    )
+    table = gray_table(options.gamma)
+    sides = _kernels.sample_sides(light, points, normals, SIDE_DISTANCE_PX, table)
     return Chains(
         points=points + 0.5,
         normals=normals,
-        sides=np.column_stack([dark, bright]),
+        sides=sides,
         colors=colors_at(image, points),
         offsets=offsets,
     )
@@ -101,11 +98,6 @@ def light_of(image: Picture, gamma: float) -> Float32Array:
     return np.asarray(cv2.LUT(image, light_table(gamma)), np.float32)
 
 
-def gray_of_light(light: Float32Array, gamma: float) -> ByteArray:
-    """(N,) uint8 gray of (N,) light, the reverse of `light_of`."""
-    return np.asarray(gray_table(gamma)[np.round(light * LIGHT_STEPS).astype(np.int64)])
-
-
 @cache
 def light_table(gamma: float) -> Float32Array:
     """(256,) light of each gray."""
@@ -114,22 +106,9 @@ def light_table(gamma: float) -> Float32Array:
 
 @cache
 def gray_table(gamma: float) -> ByteArray:
-    """(LIGHT_STEPS + 1,) gray of light from 0 to 1."""
+    """(LIGHT_STEPS + 1,) uint8 gray of light from 0 to 1, the reverse of `light_table`."""
     steps = np.arange(LIGHT_STEPS + 1) / LIGHT_STEPS
     return np.asarray(np.round(255 * steps ** (1 / gamma)), np.uint8)
-
-
-def sample_image(image: Float32Array, pixels: FloatArray) -> Float32Array:
-    """(N,) values at (N, 2) sub-pixel positions (OpenCV's origin), that of the border outside."""
-    count = len(pixels)
-    if count == 0:
-        return np.zeros(0, np.float32)
-    rows = -(-count // REMAP_WIDTH)  # remap takes no more columns than that
-    at = np.zeros((rows * REMAP_WIDTH, 2), np.float32)
-    at[:count] = pixels
-    maps = at.reshape(rows, REMAP_WIDTH, 2)
-    values = cv2.remap(image, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values.ravel()[:count], np.float32)
 
 
 def detect_pixel_chains(image: Picture, min_length_px: int) -> tuple[FloatArray, IntArray]:

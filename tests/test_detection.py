@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from colmap_edges.detection import detect_chains, detect_pixel_chains, gray_of_light, light_of
+from colmap_edges.detection import detect_chains, detect_pixel_chains, gray_table, light_of
 from colmap_edges.kernels import _kernels
 from colmap_edges.options import DetectionOptions
 
@@ -68,7 +68,30 @@ def test_grays_come_back_from_light(gamma):
     light = light_of(gray[None], gamma)
     assert light.min() > 0
     assert light.max() == 1
-    np.testing.assert_array_equal(gray_of_light(light[0], gamma), gray)
+    points = np.column_stack([np.arange(len(gray)), np.zeros(len(gray))])
+    across = np.tile([0.0, 1.0], (len(gray), 1))  # the only row goes on beyond the border
+    found = _kernels.sample_sides(light, points, across, 3.0, gray_table(gamma))
+    np.testing.assert_array_equal(found, np.column_stack([gray, gray]))
+
+
+def test_gray_beside_an_edge_is_that_of_the_image_there():
+    rng = np.random.default_rng(0)
+    light = rng.random((20, 30)).astype(np.float32)
+    points = rng.uniform(4, 15, (50, 2))
+    angles = rng.uniform(0, 2 * np.pi, 50)
+    normals = np.column_stack([np.cos(angles), np.sin(angles)])
+    table = np.arange(256).astype(np.uint8)
+    found = _kernels.sample_sides(light, points, normals, 2.5, table)
+    for side, away in enumerate((-2.5, 2.5)):
+        expected = np.round(255 * bilinear(light, *(points + away * normals).T))
+        np.testing.assert_allclose(found[:, side], expected, atol=1)
+    assert _kernels.sample_sides(light, points[:0], normals[:0], 2.5, table).shape == (0, 2)
+    with pytest.raises(ValueError, match="differ in number"):
+        _kernels.sample_sides(light, points, normals[1:], 2.5, table)
+    with pytest.raises(ValueError, match="table"):
+        _kernels.sample_sides(light, points, normals, 2.5, table[:0])
+    with pytest.raises(ValueError, match="image"):
+        _kernels.sample_sides(light[:0], points, normals, 2.5, table)
 
 
 @pytest.mark.parametrize("column", [20, 33])

@@ -38,6 +38,29 @@ nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
                         ToArray(std::move(normals), {count, 2}));
 }
 
+OutArray<uint8_t> SampleSidesArrays(GrayImage image, Points2D points, Points2D normals,
+                                    double distance, InArray<uint8_t, nb::ndim<1>> table) {
+  const size_t count = points.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
+  if (table.size() == 0) throw std::invalid_argument("the table is empty");
+  std::vector<uint8_t> sides(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
+    const double steps = double(table.size() - 1);
+    for (size_t i = 0; i < count; ++i) {
+      const Vec2 point = {points(i, 0), points(i, 1)}, normal = {normals(i, 0), normals(i, 1)};
+      for (int side = 0; side < 2; ++side) {
+        const double away = side == 0 ? -distance : distance;
+        const double value = std::clamp(values.At(point + away * normal), 0.0, 1.0);
+        sides[2 * i + side] = table(size_t(value * steps + 0.5));
+      }
+    }
+  }
+  return ToArray(std::move(sides), {count, 2});
+}
+
 using Colors = InArray<uint8_t, nb::shape<-1, -1, 3>>;
 
 OutArray<double> BilinearArrays(Colors image, Points2D points) {
@@ -373,6 +396,10 @@ NB_MODULE(_kernels, m) {
   m.def("refine_subpixel", &colmap_edges::RefineSubpixelArrays, "image"_a, "pixels"_a,
         "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
         "gradient directions.");
+  m.def("sample_sides", &colmap_edges::SampleSidesArrays, "image"_a, "points"_a, "normals"_a,
+        "distance"_a, "table"_a,
+        "(N, 2) values of an image, 0 to 1, looked up in a table, at a distance against and along "
+        "the normals.");
   m.def("bilinear", &colmap_edges::BilinearArrays, "image"_a, "points"_a,
         "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,
