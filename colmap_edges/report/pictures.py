@@ -98,7 +98,7 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     ends = np.cumsum(counts)
     index = np.repeat(first, counts) + step * ranks_of(counts)
     index[ends - 1] = np.where(graph.closed, first, last - 1)
-    return np.split(graph.points[index], ends[:-1]) if len(ends) else []
+    return np.split(graph.points.take(index, axis=0), ends[:-1]) if len(ends) else []
 
 
 def observed_segments(view: View, index: int, edges: Edges3D, segments: Int32Array) -> FloatArray:
