@@ -203,7 +203,13 @@ def points_of(reconstruction: Any) -> ModelPoints:
     """The points of a reconstruction; by way of files, which is the fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
-        return read_points(Path(folder))
+        try:
+            return read_points(Path(folder))
+        except (ColmapEdgesError, OSError) as error:  # pycolmap is silent on a full disk
+            raise ColmapEdgesError(
+                f"cannot write the model's points to {Path(folder).parent}: the disk is full "
+                f"({error}); free space there or set TMPDIR to another folder"
+            ) from error
 
 
 def check_values(model: Model) -> None:

@@ -1,6 +1,7 @@
 import shutil
 import struct
 import subprocess
+from pathlib import Path
 
 import curves
 import numpy as np
@@ -15,6 +16,7 @@ from colmap_edges.model import (
     load_model,
     model_from_reconstruction,
     observation_residuals,
+    points_of,
     rows_by_view,
     write_model,
 )
@@ -144,6 +146,19 @@ def test_input_points_poses_and_intrinsics_stay(scene_model, scene_edges, tmp_pa
 
 def iter_images(model):
     return model.reconstruction.images.items()
+
+
+def test_full_disk_while_points_are_read_is_one_clear_error(scene):
+    class OnFullDisk:
+        """Writes what fits, and says nothing, as pycolmap does."""
+
+        def write_binary(self, folder):
+            scene.reconstruction.write_binary(folder)
+            path = Path(folder) / "points3D.bin"
+            path.write_bytes(path.read_bytes()[:1000])
+
+    with pytest.raises(ColmapEdgesError, match=r"the disk is full .* TMPDIR"):
+        points_of(OnFullDisk())
 
 
 def test_extending_leaves_the_reconstruction_alone(scene_model, scene_edges):
