@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.array_types import ByteArray, Float32Array, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import ByteArray, Float32Array, FloatArray, IntArray
 from colmap_edges.edges import Edges3D
 from colmap_edges.model import Model
 
@@ -40,23 +40,9 @@ DXF_END_OF_POLYLINE = "0\nSEQEND\n"
 DXF_END = "0\nENDSEC\n0\nEOF\n"
 
 
-def edge_segments(edges: Edges3D) -> Int32Array:
-    """Segments (S, 2) between successive edge points; closed edges return to their first."""
-    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
-    starts = np.arange(edges.num_points)
-    ends = starts + 1
-    is_last = np.zeros(edges.num_points, bool)
-    is_last[last] = True
-    ends[last] = first
-    loops = np.zeros(edges.num_points, bool)
-    loops[last] = edges.closed
-    kept = ~is_last | loops
-    return np.column_stack([starts, ends])[kept].astype(np.int32)
-
-
 def edge_lengths(edges: Edges3D) -> FloatArray:
     """Length (E,) of each edge, world units."""
-    segments = edge_segments(edges)
+    segments = edges.segments
     lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
     owners = edges.edge_ids
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
@@ -66,7 +52,7 @@ def write_ply(edges: Edges3D, path: Path) -> None:
     """Write a binary PLY with `vertex` and `edge` elements."""
     vertices = np.empty(edges.num_points, PLY_VERTEX)
     vertices["xyz"], vertices["rgb"] = edges.points, edges.colors
-    segments = edge_segments(edges)
+    segments = edges.segments
     header = PLY_HEADER.format(vertices=len(vertices), edges=len(segments))
     path.write_bytes(header.encode() + vertices.tobytes() + segments.astype("<i4").tobytes())
 
@@ -100,7 +86,7 @@ def write_glb(edges: Edges3D, path: Path) -> None:
     """
     if edges.num_edges == 0:
         return
-    ids, segments = edges.edge_ids, edge_segments(edges)
+    ids, segments = edges.edge_ids, edges.segments
     sums = np.column_stack(
         [np.bincount(ids, channel, edges.num_edges) for channel in edges.colors.T]
     )

@@ -63,6 +63,20 @@ class Edges3D:
         """(T,) point of each observation."""
         return owners_of(self.track_offsets)
 
+    @cached_property
+    def segments(self) -> Int32Array:
+        """(S, 2) successive edge points; closed edges return to their first."""
+        first, last = self.edge_offsets[:-1], self.edge_offsets[1:] - 1
+        starts = np.arange(self.num_points)
+        ends = starts + 1
+        is_last = np.zeros(self.num_points, bool)
+        is_last[last] = True
+        ends[last] = first
+        loops = np.zeros(self.num_points, bool)
+        loops[last] = self.closed
+        kept = ~is_last | loops
+        return np.column_stack([starts, ends])[kept].astype(np.int32)
+
     def reordered(
         self,
         order: IntArray,

@@ -7,7 +7,6 @@ import numpy as np
 
 from colmap_edges.array_types import FloatArray, Int32Array, Picture
 from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
 from colmap_edges.images import gray_of
 from colmap_edges.model import Model
@@ -58,7 +57,7 @@ def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) ->
     owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == view_index]] = True
-    segments = edge_segments(edges)
+    segments = edges.segments
     segments = segments[observed[segments].all(axis=1)]
     pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])
     lines = fixed_point(pixels).reshape(-1, 2, 1, 2)

@@ -10,7 +10,6 @@ import trimesh
 
 from colmap_edges.edge_io import (
     edge_lengths,
-    edge_segments,
     write_dxf,
     write_glb,
     write_json,
@@ -42,7 +41,7 @@ def square_and_line():
 
 def test_segments_close_closed_edges_only(square_and_line):
     expected = [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6]]
-    assert edge_segments(square_and_line).tolist() == expected
+    assert square_and_line.segments.tolist() == expected
 
 
 def test_lengths(square_and_line):
@@ -51,7 +50,7 @@ def test_lengths(square_and_line):
 
 def test_no_edges_at_all(tmp_path):
     none = curves.no_edges()
-    assert edge_segments(none).shape == (0, 2)
+    assert none.segments.shape == (0, 2)
     write_ply(none, tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")
     write_glb(none, tmp_path / "edges.glb")
@@ -66,7 +65,7 @@ def test_meshlab_reads_ply(square_and_line, tmp_path):
     meshes.load_new_mesh(str(tmp_path / "edges.ply"))
     mesh = meshes.current_mesh()
     np.testing.assert_allclose(mesh.vertex_matrix(), square_and_line.points)
-    assert mesh.edge_matrix().tolist() == edge_segments(square_and_line).tolist()
+    assert mesh.edge_matrix().tolist() == square_and_line.segments.tolist()
     np.testing.assert_allclose(
         mesh.vertex_color_matrix()[:, :3] * 255, square_and_line.colors, atol=1e-3
     )
@@ -101,7 +100,7 @@ def read_glb_lines(path):
 def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
     write_glb(square_and_line, tmp_path / "edges.glb")
     lines, rgba = read_glb_lines(tmp_path / "edges.glb")
-    np.testing.assert_array_equal(lines, square_and_line.points[edge_segments(square_and_line)])
+    np.testing.assert_array_equal(lines, square_and_line.points[square_and_line.segments])
     assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]
     scene = trimesh.load(tmp_path / "edges.glb")
     np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [2, 3, 3]])

@@ -9,10 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from colmap_edges.array_types import FloatArray, Int32Array, Picture
+from colmap_edges.array_types import FloatArray, Picture
 from colmap_edges.csr import ranks_of
 from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.edge_io import edge_segments
 from colmap_edges.edges import Edges3D
 from colmap_edges.image_graphs import DetectedEdges
 from colmap_edges.images import encoded
@@ -86,7 +85,7 @@ def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None
     view = model.views[picture.view]
     lines: list[FloatArray] = []
     if edges is not None:
-        lines = [observed_segments(view, picture.view, edges, edge_segments(edges))]
+        lines = [observed_segments(view, picture.view, edges)]
     return layer(lines, picture.shape[1] / view.width, picture.shape, REPROJECTED_BGR)
 
 
@@ -101,12 +100,12 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     return np.split(graph.points.take(index, axis=0), ends[:-1]) if len(ends) else []
 
 
-def observed_segments(view: View, index: int, edges: Edges3D, segments: Int32Array) -> FloatArray:
+def observed_segments(view: View, index: int, edges: Edges3D) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
     owners = edges.track_points
     observed = np.zeros(edges.num_points, bool)
     observed[owners[edges.track_views == index]] = True
-    chosen = segments[observed[segments].all(axis=1)]
+    chosen = edges.segments[observed[edges.segments].all(axis=1)]
     pixels, _ = view.project(edges.points[chosen.ravel()])
     return pixels.reshape(-1, 2, 2)
 
