@@ -74,15 +74,13 @@ def sharpened(chains: Chains, corners: IntArray, crossings: FloatArray) -> Chain
     def moved(steps: int) -> IntArray:
         return np.asarray(starts + (corners - starts + steps) % lengths)
 
-    points, normals = chains.points.copy(), chains.normals.copy()
-    sides, colors = chains.sides.copy(), chains.colors.copy()
+    points, normals, sides = chains.points.copy(), chains.normals.copy(), chains.sides.copy()
     for steps in range(1 - ROUNDED, ROUNDED):
         here, trusted = moved(steps), moved(ROUNDED if steps > 0 else -ROUNDED)
         share = abs(steps) / ROUNDED
         points[here] = (1 - share) * crossings + share * chains.points[trusted]
         normals[here], sides[here] = chains.normals[trusted], chains.sides[trusted]
-        colors[here] = chains.colors[trusted]
-    return replace(chains, points=points, normals=normals, sides=sides, colors=colors)
+    return replace(chains, points=points, normals=normals, sides=sides)
 
 
 def cut(chains: Chains, closed: BoolArray, corners: IntArray) -> tuple[Chains, BoolArray]:

@@ -20,7 +20,6 @@ from colmap_edges.array_types import (
     Picture,
 )
 from colmap_edges.csr import offsets_of
-from colmap_edges.images import gray_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
@@ -36,14 +35,12 @@ class Chains:
         points: (N, 2) float64 image pixels, COLMAP's origin; one chain's are contiguous.
         normals: (N, 2) float64 unit gradient directions, dark to bright.
         sides: (N, 2) uint8 gray on the dark and on the bright side of the edge.
-        colors: (N, 3) uint8 RGB of the image at the points.
         offsets: (C + 1,) int64; chain c is points[offsets[c]:offsets[c + 1]].
     """
 
     points: FloatArray
     normals: FloatArray
     sides: ByteArray
-    colors: ByteArray
     offsets: IntArray
 
     def select(self, rows: IntArray, lengths: IntArray) -> Chains:
@@ -52,24 +49,22 @@ class Chains:
             points=self.points.take(rows, axis=0),
             normals=self.normals.take(rows, axis=0),
             sides=self.sides.take(rows, axis=0),
-            colors=self.colors.take(rows, axis=0),
             offsets=offsets_of(lengths),
         )
 
 
 def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
-    """Detect the edge chains of an image.
+    """Detect the edge chains of a grayscale image.
 
     Args:
-        image: (H, W, 3) uint8 in OpenCV's order of channels (BGR).
+        image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
 
     Returns:
         Chains at sub-pixel positions, in the detector's order.
     """
-    gray = gray_of(image)
-    pixels, offsets = detect_pixel_chains(gray, options.min_chain_length_px)
-    light = light_of(gray, options.gamma)
+    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
+    light = light_of(image, options.gamma)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     table = gray_table(options.gamma)
@@ -78,15 +73,8 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
         points=points + 0.5,
         normals=normals,
         sides=sides,
-        colors=colors_at(image, points),
         offsets=offsets,
     )
-
-
-def colors_at(image: Picture, pixels: FloatArray) -> ByteArray:
-    """(N, 3) uint8 RGB of a BGR image at (N, 2) sub-pixel positions (OpenCV's origin)."""
-    colors: ByteArray = np.rint(_kernels.bilinear(image, pixels)).astype(np.uint8)[:, ::-1]
-    return colors
 
 
 def light_of(image: Picture, gamma: float) -> Float32Array:

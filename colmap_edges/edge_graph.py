@@ -33,7 +33,7 @@ class EdgeGraph:
         ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
         normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
         sides: (N, 2) uint8 gray on the dark and on the bright side.
-        colors: (N, 3) uint8 RGB of the image there.
+        colors: (N, 3) uint8 RGB of the image there; black where it is not looked at.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
         closed: (P,) bool; the last point of a closed polyline connects to its first.
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
@@ -169,7 +169,7 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
         ideal=ideal,
         normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
         sides=chains.sides,
-        colors=chains.colors,
+        colors=np.zeros((len(ideal), 3), np.uint8),
         polyline_offsets=chains.offsets,
         closed=closed,
         end_nodes=end_nodes,

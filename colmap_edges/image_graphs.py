@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +14,7 @@ from colmap_edges.cache import Arrays, Cache, key_of
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images import decode_image, path_of_image, read_bytes
+from colmap_edges.images import colors_at, decode_image, gray_of, path_of_image, read_bytes
 from colmap_edges.model import View
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
 
@@ -23,7 +23,6 @@ NO_CHAINS = Chains(
     points=np.zeros((0, 2)),
     normals=np.zeros((0, 2)),
     sides=np.zeros((0, 2), np.uint8),
-    colors=np.zeros((0, 3), np.uint8),
     offsets=np.zeros(1, np.int64),
 )
 
@@ -170,10 +169,10 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 
 def detect_edges(image: Picture, view: View, work: ImageWork) -> DetectedEdges:
     """Detect the edges of one image."""
-    chains = detect_chains(image, work.detection)
+    chains = detect_chains(gray_of(image), work.detection)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
     return DetectedEdges(
-        graph=graph,
+        graph=replace(graph, colors=colors_at(image, graph.points)),
         dropped=dropped,
         num_chains=len(chains.offsets) - 1,
         num_chain_pixels=len(chains.points),

@@ -1,4 +1,4 @@
-"""Pictures: where photographs are, reading them; encoding."""
+"""Pictures: where photographs are, reading them, their colours; encoding."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from colmap_edges.array_types import ByteArray, Picture
+from colmap_edges.array_types import ByteArray, FloatArray, Picture
 from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
@@ -126,6 +127,12 @@ def decode(data: ByteArray, path: Path) -> Picture:
 def gray_of(image: Picture) -> Picture:
     """The picture (H, W, 3) without colour: (H, W)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def colors_at(image: Picture, points: FloatArray) -> ByteArray:
+    """(N, 3) uint8 RGB of a BGR picture (H, W, 3) at (N, 2) image pixels, COLMAP's origin."""
+    values = np.rint(_kernels.bilinear(image, points - 0.5)).astype(np.uint8)
+    return np.ascontiguousarray(values[:, ::-1])
 
 
 def encoded(kind: str, picture: Picture, options: Sequence[int] = ()) -> bytes:

@@ -346,20 +346,20 @@ def look_up(
     for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
         if len(rows):
             graph = graphs[view]
-            pixels[rows] = at_positions(graph, graph.points, positions[rows])
-            colors[rows] = at_positions(graph, graph.colors, positions[rows])
+            pixels[rows], colors[rows] = at_positions(
+                graph, positions[rows], graph.points, graph.colors
+            )
     return pixels, colors
 
 
 def at_positions(
-    graph: EdgeGraph, values: FloatArray | ByteArray, positions: FloatArray
-) -> FloatArray:
-    """What (N, k) values of the points of a graph are at (M,) fractional positions between them."""
+    graph: EdgeGraph, positions: FloatArray, *values: FloatArray | ByteArray
+) -> list[FloatArray]:
+    """What (N, k) values of a graph's points are at (M,) fractional positions: (M, k) of each."""
     low = positions.astype(np.int64)
     polyline = graph.polyline_ids[low]
     last = graph.polyline_offsets[polyline + 1] - 1
     wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
     high = np.where(low < last, low + 1, wrapped)
     weight = (positions - low)[:, None]
-    found: FloatArray = (1 - weight) * values.take(low, axis=0) + weight * values.take(high, axis=0)
-    return found
+    return [(1 - weight) * of.take(low, axis=0) + weight * of.take(high, axis=0) for of in values]

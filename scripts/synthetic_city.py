@@ -282,7 +282,6 @@ def see_city(city: City, view: View, seed: int = 0) -> Chains:
         points=points[kept],
         normals=left[kept],
         sides=np.clip(gray[kept], 0, 255).astype(np.uint8),
-        colors=np.full((int(kept.sum()), 3), 128, np.uint8),
         offsets=offsets_of(np.unique(runs[kept], return_counts=True)[1]),
     )
 

@@ -135,9 +135,7 @@ def test_corners_of_a_blurred_image_are_found_to_a_fraction_of_a_pixel():
     image = cv2.GaussianBlur(
         cv2.resize(fine, (180, 180), interpolation=cv2.INTER_AREA), (0, 0), 0.7
     )
-    chains, closed = join_chains(
-        detect_chains(cv2.merge([image] * 3), DetectionOptions()), 4.0, 30.0
-    )
+    chains, closed = join_chains(detect_chains(image, DetectionOptions()), 4.0, 30.0)
     found, crossings = find_corners(chains, closed, 45.0)
     away = np.linalg.norm(crossings[:, None] - vertices, axis=2)
     assert sorted(away.argmin(axis=1).tolist()) == [0, 1, 2, 3]
@@ -156,7 +154,6 @@ def test_chains_too_short_for_corners_are_left_alone(lengths, closed):
         points=points,
         normals=points,
         sides=np.zeros((len(points), 2), np.uint8),
-        colors=np.zeros((len(points), 3), np.uint8),
         offsets=offsets_of(np.array(lengths, np.int64)),
     )
     pieces, still = cut_at_corners(chains, np.full(len(lengths), closed), 45.0)

@@ -42,7 +42,6 @@ def make_chains(*parts):
         points=np.concatenate([points for points, _ in parts]),
         normals=np.concatenate(normals),
         sides=np.zeros((sum(len(points) for points, _ in parts), 2), np.uint8),
-        colors=np.zeros((sum(len(points) for points, _ in parts), 3), np.uint8),
         offsets=offsets_of(np.array([len(points) for points, _ in parts])),
     )
 
@@ -57,7 +56,6 @@ def no_chains():
         points=nothing,
         normals=nothing,
         sides=nothing.astype(np.uint8),
-        colors=np.zeros((0, 3), np.uint8),
         offsets=np.zeros(1, np.int64),
     )
 

@@ -9,7 +9,7 @@ import pytest
 import scenes
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images import check_images_exist, path_of_image, read_image
+from colmap_edges.images import check_images_exist, colors_at, path_of_image, read_image
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline import Paths, detect_stage, run
 from colmap_edges.stages import Stages
@@ -157,3 +157,18 @@ def test_a_model_cannot_make_us_read_or_write_outside(tmp_path, scene, command, 
 def test_names_that_no_file_has(scene_model, tmp_path, name):
     with pytest.raises(ColmapEdgesError, match="is not in"):
         check_images_exist([view_of(scene_model, name, 1, 1)], tmp_path)
+
+
+def test_colours_are_those_of_the_image_at_the_points():
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (40, 60, 3)).astype(np.uint8)  # OpenCV's BGR
+    points = rng.uniform((1, 1), (58, 38), (200, 2))
+    x, y = (points - 0.5).T  # pixel centres of COLMAP are at 0.5
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - left)[:, None], (y - top)[:, None]
+    above = (1 - fx) * image[top, left] + fx * image[top, left + 1]
+    below = (1 - fx) * image[top + 1, left] + fx * image[top + 1, left + 1]
+    expected = ((1 - fy) * above + fy * below)[:, ::-1]
+    found = colors_at(image, points)
+    assert found.dtype == np.uint8
+    assert np.abs(found - expected).max() <= 0.5 + 1e-9

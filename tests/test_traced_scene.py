@@ -102,6 +102,7 @@ def test_positions_are_told_on_whole_graphs():
     positions = csr_array(np.column_stack([np.ones(4), on_left]))
     whole = positions_among_all(positions, np.array([1, 0]), [kept, np.arange(5)]).toarray()
     np.testing.assert_allclose(
-        at_positions(graph, graph.points, whole[:, 1]), at_positions(left, left.points, on_left)
+        at_positions(graph, whole[:, 1], graph.points)[0],
+        at_positions(left, on_left, left.points)[0],
     )
     np.testing.assert_array_equal(whole[:, 0], 1)

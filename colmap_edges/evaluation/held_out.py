@@ -127,7 +127,7 @@ def left_out_view_errors(
         ColmapEdgesError: Too few images are left, or an image cannot be read.
     """
     from colmap_edges.detection import detect_chains
-    from colmap_edges.images import read_image
+    from colmap_edges.images import gray_of, read_image
     from colmap_edges.meshing import mesh
     from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline import reconstruct
@@ -150,7 +150,7 @@ def left_out_view_errors(
     errors = []
     for view in unused:
         image = read_image(view, image_path)
-        chains = detect_chains(image, options.detection).points
+        chains = detect_chains(gray_of(image), options.detection).points
         pixels = unhidden_pixels(found.points, view, caster)
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:
