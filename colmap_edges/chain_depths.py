@@ -19,11 +19,13 @@ from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 from colmap_edges.options import ChainDepthOptions
+from colmap_edges.side_likelihood import NOTHING_LEARNED, SideLikelihoods, estimate
 from colmap_edges.view_selection import DepthRange
 
-SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
+SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned,
+SURE_SHARE = 0.3  # or so many of a view's, the surest, where few views see an edge
 MIN_SURE = 200  # supports of such depths that are enough to learn from
-ANY_SIDE_DIFFERENCE = 255.0  # gray levels; no two sides differ by more
+CHANCE_PAIRS = 4  # pairs by chance for each of those
 END_PX = 6  # of polylines, where blur and what they meet there may have moved them
 
 
@@ -95,6 +97,7 @@ def compute_chain_depths(
     edge_views: Sequence[_kernels.EdgeView],
     graph: EdgeGraph,
     depth_range: DepthRange,
+    sides: SideLikelihoods,
     options: ChainDepthOptions,
     num_threads: int,
 ) -> ChainDepths:
@@ -106,13 +109,13 @@ def compute_chain_depths(
         edge_views: all views in the kernels' form.
         graph: the source's edge graph.
         depth_range: the inverse depths that the source sees.
-        options: sampling, agreement and continuity; no limit to sides where it is -1.
+        sides: what the gray beside an edge says of a match.
+        options: sampling, agreement and continuity.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         The S samples on the source's chains with the depths found and the crossings that agree.
     """
-    limit = options.max_side_difference
     samples, offsets = sample_chains(graph, options.sample_step_px)
     found = _kernels.chain_depths(
         edge_views[source],
@@ -122,7 +125,7 @@ def compute_chain_depths(
         depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
         max_disagreement_px=options.max_disagreement_px,
-        max_side_difference=limit if limit >= 0 else ANY_SIDE_DIFFERENCE,
+        side_likelihoods=sides.table(),
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
@@ -144,36 +147,32 @@ def compute_chain_depths(
     )
 
 
-def learn_side_difference(
+def learn_side_likelihoods(
     neighbors: tuple[IntArray, ...],
     edge_views: Sequence[_kernels.EdgeView],
     graphs: Sequence[EdgeGraph],
     ranges: tuple[DepthRange, ...],
     options: ChainDepthOptions,
     num_threads: int,
-) -> float:
-    """How much the more alike sides of one edge differ between views, in gray levels.
+) -> SideLikelihoods:
+    """How the sides of one edge differ between views, and how those of different edges do.
 
-    Depths that geometry alone makes sure tell it, for a few samples of a few views; so what
-    exposure, gloss or moving lights change is allowed for.
+    Depths that geometry alone makes sure tell it, for a few samples of a few views.
 
     Args:
         neighbors: V arrays (K,) of the views each view is compared with.
         edge_views: the V views in the kernels' form.
         graphs: their edge graphs.
         ranges: the inverse depths that each sees.
-        options: as for `compute_chain_depths`; the limit to learn is left aside.
+        options: as for `compute_chain_depths`.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        A limit for `max_side_difference`, `ANY_SIDE_DIFFERENCE` where too few depths are sure.
+        What sides say of a match: nothing where too few depths are sure.
     """
-    unlimited = replace(
-        options,
-        max_side_difference=ANY_SIDE_DIFFERENCE,
-        sample_step_px=4 * options.sample_step_px,
-    )
-    differences = []
+    few = replace(options, sample_step_px=4 * options.sample_step_px)
+    random = np.random.default_rng(0)
+    same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
     for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
         depths = compute_chain_depths(
             view,
@@ -181,17 +180,27 @@ def learn_side_difference(
             edge_views,
             graphs[view],
             ranges[view],
-            unlimited,
+            NOTHING_LEARNED,
+            few,
             num_threads,
         )
         owners = owners_of(depths.support_offsets)
-        sure = depths.scores[owners] > SURE_SCORE
+        sure = depths.scores[owners] >= sure_score(depths)
         own = graphs[view].sides[depths.samples[owners]].astype(int)
         for other in np.unique(depths.support_views):
-            rows = sure & (depths.support_views == other)
-            theirs = graphs[other].sides[depths.support_positions[rows].astype(int)]
-            differences.append(np.abs(own[rows] - theirs).min(axis=1))
-    every = np.concatenate([np.zeros(0, int), *differences])
-    if len(every) < MIN_SURE:
-        return ANY_SIDE_DIFFERENCE
-    return 1.5 * float(np.percentile(every, 90)) + 1
+            rows, theirs = sure & (depths.support_views == other), graphs[other].sides
+            same.append(np.abs(own[rows] - theirs[depths.support_positions[rows].astype(int)]))
+            elsewhere = random.integers(0, len(theirs), (CHANCE_PAIRS, int(rows.sum())))
+            chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))
+    examples = np.concatenate(same)
+    return (
+        NOTHING_LEARNED if len(examples) < MIN_SURE else estimate(examples, np.concatenate(chance))
+    )
+
+
+def sure_score(depths: ChainDepths) -> float:
+    """The score from which depths are sure enough to learn from."""
+    scores = depths.scores[depths.found]
+    if len(scores) == 0:
+        return SURE_SCORE
+    return min(SURE_SCORE, float(np.quantile(scores, 1 - SURE_SHARE)))

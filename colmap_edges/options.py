@@ -110,13 +110,13 @@ class ViewSelectionOptions(Options):
     )
     max_angle_deg: float = option(
         60.0,
-        "Largest triangulation angle between compared views, in degrees",
+        "Largest triangulation angle between compared views, in degrees, where enough are nearer",
         gt=0,
         le=180,
         basic=True,
     )
     max_witness_angle_deg: float = option(
-        90.0,
+        120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
         gt=0,
@@ -136,12 +136,6 @@ class ChainDepthOptions(Options):
         "Largest distance between agreeing crossings along the epipolar line, in pixels",
         gt=0,
         basic=True,
-    )
-    max_side_difference: float = option(
-        -1.0,
-        "Largest difference of the more alike sides of an edge in two views, in gray levels; "
-        "-1 learns it from the views",
-        ge=-1,
     )
     min_epipolar_angle_deg: float = option(
         5.0, "Smallest angle between an edge and the epipolar line, in degrees", ge=0, le=90
@@ -238,7 +232,7 @@ class TracingOptions(Options):
         1.5, "Largest median residual of a 3D edge's observations, in medians of all", gt=1
     )
     max_false_edges: float = option(
-        0.01, "Number of 3D edges that chance may make in the whole scene", gt=0
+        1.0, "Number of 3D edges that chance may make in the whole scene", gt=0
     )
 
 

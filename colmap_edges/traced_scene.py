@@ -23,6 +23,7 @@ from colmap_edges.graph_store import GraphStore, Recent
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, View
 from colmap_edges.options import TracingOptions
+from colmap_edges.side_likelihood import NOTHING_LEARNED, SideLikelihoods
 from colmap_edges.sorting import Sorted, Traced
 from colmap_edges.view_graphs import CachedEdgeViews, CachedGraphs, Some
 from colmap_edges.view_selection import Neighborhood
@@ -41,6 +42,7 @@ class Scene:
         polyline_offsets: those of the graphs, which are always in memory.
         covered: per view the points of its graph through which edges run already.
         whole: the graphs as they were made; those here may be parts of them.
+        sides: what the gray beside an edge says of a match.
         free: per view the points of the whole graph that the one here has; none when it has all.
     """
 
@@ -52,6 +54,7 @@ class Scene:
     polyline_offsets: Sequence[IntArray]
     covered: Sequence[BoolArray]
     whole: Sequence[EdgeGraph]
+    sides: SideLikelihoods = NOTHING_LEARNED
     free: Sequence[BoolArray] | None = None
 
     def part(self, view: int, others: IntArray, workers: Workers) -> Scene:
@@ -75,6 +78,7 @@ class Scene:
             polyline_offsets=Some(self.polyline_offsets, []),
             covered=Some(self.covered, [view]),
             whole=whole,
+            sides=self.sides,
         )
 
 

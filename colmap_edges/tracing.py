@@ -17,7 +17,7 @@ from colmap_edges.array_types import FloatArray, Int32Array, IntArray
 from colmap_edges.chain_depths import (
     ChainDepths,
     compute_chain_depths,
-    learn_side_difference,
+    learn_side_likelihoods,
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.csr import offsets_of
@@ -68,13 +68,12 @@ def trace_edges(
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
-    whole = make_scene(model, graphs, near)
-    learned = with_side_difference(whole, near, options, num_threads)
-    traced, stats = trace_round(whole, near, learned, workers, advance)
+    whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
+    traced, stats = trace_round(whole, near, options, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
-        found, more = trace_round(rest, near, for_what_remains(learned), workers, advance)
+        found, more = trace_round(rest, near, for_what_remains(options), workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
         # The surest curves, those of the first round, say what to ask of all.
@@ -84,22 +83,24 @@ def trace_edges(
     about = {
         "views": len(graphs),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
-        "max_side_difference": learned.chain_depth.max_side_difference,
+        "max_side_difference": whole.sides.limit,
     }
     return edges, about | stats | sorted_stats | linked
 
 
-def with_side_difference(
+def with_side_likelihoods(
     scene: Scene, near: Neighborhood, options: PipelineOptions, num_threads: int
-) -> PipelineOptions:
-    """The options with the difference of sides that is learned from the views, if it is to be."""
-    chain_depth = options.chain_depth
-    if chain_depth.max_side_difference >= 0:
-        return options
-    learned = learn_side_difference(
-        near.neighbors, scene.edge_views, scene.graphs, near.ranges, chain_depth, num_threads
+) -> Scene:
+    """The scene with what its views tell of the sides of edges."""
+    learned = learn_side_likelihoods(
+        near.neighbors,
+        scene.edge_views,
+        scene.graphs,
+        near.ranges,
+        options.chain_depth,
+        num_threads,
     )
-    return replace(options, chain_depth=replace(chain_depth, max_side_difference=learned))
+    return replace(scene, sides=learned)
 
 
 def trace_round(
@@ -128,7 +129,7 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
     """Options of later rounds: where fewer chains are left, less agreement is enough."""
     return replace(
         options,
-        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 3),
+        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 2),
         tracing=replace(
             options.tracing, min_agreeing_views=max(1, options.tracing.min_agreeing_views - 1)
         ),
@@ -169,6 +170,7 @@ def depths_of_view(
         scene.edge_views,
         scene.graphs[view],
         depth_range,
+        scene.sides,
         options,
         num_threads,
     )

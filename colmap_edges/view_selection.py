@@ -93,7 +93,11 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
         near, wide = neighbor_scores(
             model, observed, observers, view, ranges[view].overall, options
         )
-        neighbors.append(pick_diverse(model, view, near, options.num_neighbors))
+        chosen = pick_diverse(model, view, near, options.num_neighbors)
+        # Where too few look from nearby, those from further aside are better than none.
+        aside = np.where(np.isin(np.arange(len(wide)), chosen), 0, wide)
+        more = pick_diverse(model, view, aside, options.num_neighbors - len(chosen))
+        neighbors.append(np.concatenate([chosen, more]))
         seeing = np.flatnonzero(wide > 0)
         order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
         witnesses.append(np.sort(seeing[order]))
@@ -242,7 +246,7 @@ def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> Int
     directions = baselines / np.where(norms > 0, norms, 1)
     chosen: list[int] = []
     while len(chosen) < count and scores.max(initial=0) > 0:
-        best = int(np.argmax(scores))
+        best = int(np.argmax(scores >= scores.max() * (1 - 1e-9)))  # of equals, but for rounding
         chosen.append(int(candidates[best]))
         scores[best] = 0
         parallel = np.abs(directions @ directions[best])

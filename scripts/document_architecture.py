@@ -25,8 +25,9 @@ ROOMS = {
     ),
     "2D edges": ("detection", "corners", "edge_graph", "graph_store", "image_graphs"),
     "3D edges by chains": (
-        "view_selection", "chain_depths", "view_graphs", "cross_check", "refinement",
-        "runs", "significance", "occlusion", "linking", "sorting", "traced_scene", "tracing",
+        "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",
+        "refinement", "runs", "significance", "occlusion", "linking", "sorting", "traced_scene",
+        "tracing",
     ),
     "3D edges by the paper": (
         "edge_field", "matching", "correspondences", "following", "visibility", "paper_tracing",

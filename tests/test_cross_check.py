@@ -10,6 +10,7 @@ from colmap_edges.chain_depths import ChainDepths, compute_chain_depths, make_ed
 from colmap_edges.cross_check import count_agreeing_views, depths_at, lift, world_points
 from colmap_edges.csr import offsets_of
 from colmap_edges.options import ChainDepthOptions
+from colmap_edges.side_likelihood import NOTHING_LEARNED
 from colmap_edges.view_selection import DepthRange
 
 RANGE = DepthRange(overall=(0.05, 1.0), pixels=np.zeros((0, 2)), inverse_depths=np.zeros(0))
@@ -108,7 +109,7 @@ def traced():
     depths = [
         compute_chain_depths(
             v, np.delete(np.arange(5), v), edge_views, graphs[v], RANGE,
-            ChainDepthOptions(), 1,
+            NOTHING_LEARNED, ChainDepthOptions(), 1,
         )
         for v in range(5)
     ]  # fmt: skip

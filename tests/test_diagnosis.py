@@ -89,7 +89,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"trace": {"points_of_curves": 30}},
             "90 % of 300 edge points have uncertain depths",
-            "--Tracing.max_false_edges (now 0.01)",
+            "--Tracing.max_false_edges (now 1)",
         ),
         ({"edges": 0}, "no 3D edge came out", "--Tracing.min_curve_points"),
         ({"write": {"median_residual_px": 1.4}}, "miss their observations by 1.40 px", "adjuster"),

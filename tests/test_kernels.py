@@ -75,6 +75,9 @@ def random_pose(rng):
     return rotation, rng.normal(0, 0.5, 3)
 
 
+ANY_SIDES = np.ones((256, 256), np.float32)
+
+
 def edge_view(points, normals, offsets, closed, pose=None, focal=FOCAL, sides=None):
     rotation, translation = pose if pose else (np.eye(3), np.zeros(3))
     sides = np.zeros((len(points), 2), np.uint8) if sides is None else sides
@@ -328,7 +331,7 @@ def test_crossings_are_those_of_all_segments(seed):
             source, [view, view], np.array([index]), np.array([0, 1]), np.array([[low, high]]),
             steps=1.0,
             max_disagreement_px=0.1,
-            max_side_difference=255.0,
+            side_likelihoods=ANY_SIDES,
             min_angle_sin=0.0, visibility_rate=1.0, detection_rate=0.6, none_score=-1e9,
             break_penalty=0.0, max_clusters=6, num_threads=1,
         )  # fmt: skip
@@ -349,6 +352,68 @@ def test_crossings_are_those_of_all_segments(seed):
             at, _ = _kernels.chain_points(view, positions[:1])
             np.testing.assert_allclose(project(*pose, sample, depth[0]), at[0], atol=1e-6)
     assert counts.min() > 5, counts
+
+
+def two_crossings(their_sides):
+    """A chain through the origin, and two views that see chains at depths of 2 and of 4 there."""
+    along = np.linspace(-20, 20, 41)
+    points, normals = np.column_stack([np.zeros(41), along]), np.tile([[1.0, 0.0]], (82, 1))
+    source = edge_view(
+        points,
+        normals[:41],
+        np.array([0, 41]),
+        np.zeros(1, bool),
+        sides=gray_sides(41 * [(60, 180)]),
+    )
+    views = []
+    for shift in (0.5, 1.0):  # to the side, so that a depth of z is seen FOCAL * shift / z away
+        chains = [np.column_stack([np.full(41, FOCAL * shift / z), along]) for z in (2, 4)]
+        pose = np.eye(3), np.array([shift, 0.0, 0.0])
+        sides = gray_sides(np.repeat(their_sides, 41, axis=0))
+        offsets = np.array([0, 41, 82])
+        views.append(
+            edge_view(
+                np.concatenate(chains), normals, offsets, np.zeros(2, bool), pose, sides=sides
+            )
+        )
+    return source, views
+
+
+def gray_sides(values):
+    return np.array(values, np.uint8)
+
+
+def depth_by_sides(their_sides, table):
+    source, views = two_crossings(their_sides)
+    depths, _, scores, _, _, positions = _kernels.chain_depths(
+        source, views, np.array([20]), np.array([0, 1]), np.array([[0.1, 1.0]]), 1.0, 1.0, table,
+        0.1, 0.5, 0.8, 0.0, 4.0, 6, 1,
+    )  # fmt: skip
+    return depths[0], scores[0], len(positions)
+
+
+@pytest.mark.parametrize("true_depth", [2, 4])
+def test_depth_where_the_sides_look_alike_is_likelier(true_depth):
+    likelier = ANY_SIDES.copy()
+    likelier[:5, :5] = 3.0
+    alike, other = (63, 177), (63, 120)
+    sides = [alike, other] if true_depth == 2 else [other, alike]
+    depth, score, supports = depth_by_sides(sides, likelier)
+    assert depth == pytest.approx(1 / true_depth)
+    assert supports == 2
+    # What the sides say counts once a view that sees the edge, in proportion.
+    neither = depth_by_sides([other, other], likelier)[1]
+    seen = [np.exp(each / 2) - 0.5 for each in (score, neither)]
+    assert seen[0] == pytest.approx(3 * seen[1])
+
+
+def test_sides_without_likelihood_are_no_match():
+    table = ANY_SIDES.copy()
+    table[50:, 50:] = 0
+    sides = [(200, 20), (60, 20)]  # both sides differ; one does
+    depth, _, supports = depth_by_sides(sides, table)
+    assert (depth, supports) == (pytest.approx(1 / 4), 2)
+    assert depth_by_sides([(200, 20), (200, 20)], table)[2] == 0
 
 
 @pytest.mark.parametrize(
@@ -384,8 +449,8 @@ def test_bad_focal_lengths_and_samples_are_refused():
         )
     with pytest.raises(ValueError, match="not a point"):
         _kernels.chain_depths(
-            view, [view], np.array([1]), np.array([0, 1]), np.ones((1, 2)), 1.0, 1.5, 255.0, 0.1,
-            0.5, 0.6, 4.0, 4.0, 6, 1,
+            view, [view], np.array([1]), np.array([0, 1]), np.ones((1, 2)), 1.0, 1.5, ANY_SIDES,
+            0.1, 0.5, 0.6, 4.0, 4.0, 6, 1,
         )  # fmt: skip
 
 

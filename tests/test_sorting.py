@@ -25,8 +25,8 @@ def traced_curves(log_chances, num_observations, lengths):
 
 def test_curves_that_chance_may_have_made_do_not_last():
     options = TracingOptions(point_spacing_px=4)
-    traced = traced_curves([-4.0] * 20 + [-0.5] * 20, [5] * 40, [20, 20])
-    # 20 points at 4 px are evidence of 5: 10^-20 and 10^-2.5, against 0.01 in 60 tests.
+    traced = traced_curves([-4.0] * 20 + [-0.3] * 20, [5] * 40, [20, 20])
+    # 20 points at 4 px are evidence of 5: 10^-20 and 10^-1.5, against one in 60 tests.
     np.testing.assert_array_equal(lasting_points(traced, options), np.arange(40) < 20)
 
 

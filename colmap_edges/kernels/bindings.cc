@@ -175,7 +175,8 @@ void MakeEdgeView(EdgeView* self, Points2D points, Points2D normals,
 nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const EdgeView*>& neighbors,
                             Offsets samples, Offsets sample_offsets,
                             InArray<double, nb::shape<-1, 2>> inverse_depths, double steps,
-                            double max_disagreement_px, double max_side_difference,
+                            double max_disagreement_px,
+                            InArray<float, nb::shape<256, 256>> side_likelihoods,
                             double min_angle_sin, double visibility_rate, double detection_rate,
                             double none_score, double break_penalty, int max_clusters,
                             int num_threads) {
@@ -197,8 +198,8 @@ nb::tuple ChainDepthsArrays(const EdgeView& source, const std::vector<const Edge
     nb::gil_scoped_release release;
     result = ComputeChainDepths(
         source, neighbors, starts, offsets, ranges, steps,
-        {max_disagreement_px, max_side_difference, min_angle_sin, visibility_rate, detection_rate,
-         none_score, break_penalty, max_clusters},
+        {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
+         detection_rate, none_score, break_penalty, max_clusters},
         num_threads);
   }
   const size_t count = starts.size(), total = result.positions.size();
@@ -417,7 +418,7 @@ NB_MODULE(_kernels, m) {
            "closed"_a, "rotation"_a, "translation"_a, "focal"_a);
   m.def("chain_depths", &colmap_edges::ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
         "sample_offsets"_a, "inverse_depths"_a, "steps"_a, "max_disagreement_px"_a,
-        "max_side_difference"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
+        "side_likelihoods"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
         "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
   m.def("associate", &colmap_edges::AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,

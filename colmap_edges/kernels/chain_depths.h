@@ -19,12 +19,14 @@ namespace colmap_edges {
 
 struct ChainDepthParameters {
   double max_disagreement_px;  // between two hypotheses, along their epipolar lines
-  double max_side_difference;  // gray levels between the more alike sides of an edge in two views
-  double min_angle_sin;        // between edge and epipolar line
-  double visibility_rate;      // chance that an edge of one view is not hidden in another
-  double detection_rate;       // chance that it is detected there if so
-  double none_score;           // what a cluster's log likelihood ratio must exceed
-  double break_penalty;        // for a change from one cluster to another that does not go on
+  // (256, 256) by the differences, in gray levels, of the dark and of the bright sides of an edge
+  // in two views: how much likelier they are for one edge than by chance; 0 for no match.
+  const float* side_likelihoods;
+  double min_angle_sin;    // between edge and epipolar line
+  double visibility_rate;  // chance that an edge of one view is not hidden in another
+  double detection_rate;   // chance that it is detected there if so
+  double none_score;       // what a cluster's log likelihood ratio must exceed
+  double break_penalty;    // for a change from one cluster to another that does not go on
   int max_clusters;
 };
 
@@ -35,6 +37,7 @@ struct Hypothesis {
   double position;  // of the crossing on the neighbour's chain
   int32_t neighbor;
   int32_t polyline;
+  float likelihood;  // of its sides
 };
 
 struct Support {
@@ -107,10 +110,9 @@ class Sampler {
     std::vector<Seen> seen;
   };
 
-  // One side at least belongs to the body that the edge is on, and looks the same from elsewhere.
-  bool LookAlike(const Sides& a, const Sides& b) const {
+  float Likelihood(const Sides& a, const Sides& b) const {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
-    return std::min(dark, bright) <= p_.max_side_difference;
+    return p_.side_likelihoods[256 * dark + bright];
   }
   void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found);
   void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
@@ -181,7 +183,9 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   const bool wide = std::abs(u[0]) > std::abs(u[1]);
   indexes_[neighbor].VisitCrossings(a, wide_low, wide_high, &crossed_, [&](int64_t s, double t) {
     const double sin = std::abs(Cross(u, view.tangent(s)));
-    if (sin < p_.min_angle_sin || !LookAlike(sides0, view.sides(s))) return;
+    if (sin < p_.min_angle_sin) return;
+    const float likelihood = Likelihood(sides0, view.sides(s));
+    if (likelihood == 0) return;
     const int k = wide ? 0 : 1;
     const double q = view.point(s)[k], at = q + t * (view.point(view.Next(s))[k] - q);
     const double rho = (at * a[2] - f * a[k]) / (f * b[k] - at * b[2]);
@@ -196,8 +200,8 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
       return;
     }
     const double z = a[2] + rho * b[2];
-    hypotheses.push_back(
-        {rho, z * z / (speed * std::min(sin, sin0)), double(s) + t, neighbor, view.polyline(s)});
+    const double sigma = z * z / (speed * std::min(sin, sin0));
+    hypotheses.push_back({rho, sigma, double(s) + t, neighbor, view.polyline(s), likelihood});
   });
   if (hypotheses.size() == before) return;
   Seen& seen = found->seen[neighbor];
@@ -239,7 +243,7 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
 
 // Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
 // that a neighbour agrees is that of a crossing within the window of two hypotheses, x / (1 + x)
-// for x crossings expected there.
+// for x crossings expected there; how alike the sides are is further evidence.
 inline void Sampler::ScoreAll(const Found& found) {
   const std::vector<Hypothesis>& hypotheses = found.hypotheses;
   const double q = p_.detection_rate;
@@ -259,7 +263,8 @@ inline void Sampler::ScoreAll(const Found& found) {
       const double other = agree_[n] >= 0 ? hypotheses[agree_[n]].sigma : sigma;
       const double window = std::sqrt(2.0) * p_.max_disagreement_px * (sigma + other);
       const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
-      const double seen = agree_[n] >= 0 ? q * (1 + x) / x : (1 - q) * (1 + x);
+      const double seen =
+          agree_[n] >= 0 ? q * (1 + x) / x * hypotheses[agree_[n]].likelihood : (1 - q) * (1 + x);
       ratio *= p_.visibility_rate * seen + 1 - p_.visibility_rate;
     }
     scores_[u] = std::log(ratio);
