@@ -120,7 +120,8 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
         ahead = np.einsum(
             "ij,ij->i", edges.points[place] - ends.positions[joined], ends.outward[joined]
         )
-        passed = (ahead < 0.3 * ends.spacings[joined]) & (skip[other] == step) & (sizes > step + 2)
+        passed = (ahead < 0.3 * ends.spacings[joined]) & (skip[other] == step)
+        passed &= sizes > skip[other] + skip[other ^ 1] + 2  # something of every piece remains
         skip[other[passed]] += 1
     return skip
 

@@ -98,6 +98,19 @@ def test_overlapping_points_are_left_out():
     assert (turns > 0).all()
 
 
+@pytest.mark.parametrize("count", range(3, 9))
+def test_something_of_a_piece_remains_that_others_overlap_from_both_sides(count):
+    along = np.column_stack([np.arange(40.0), np.zeros(40), np.zeros(40)])
+    aside = np.array([0.0, 0.5, 0.0])  # so that the long ones cannot be joined to each other
+    first, middle = 20 - count // 2, along[20 - count // 2 :][:count]
+    before = along[: first + min(count, 4)] + aside
+    after = along[first + count - min(count, 4) :] - aside
+    linked = link(before, after, middle)
+    assert linked.num_edges == 1
+    assert 0 < np.isin(linked.points[:, 1], 0.0).sum() <= count
+    assert len(before) + len(after) < linked.num_points <= len(before) + len(after) + count
+
+
 def test_corners_and_parallels_are_not_joined():
     along = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     across = along[:, [1, 0, 2]] + np.array([19.5, 0.5, 0])
