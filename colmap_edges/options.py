@@ -132,7 +132,7 @@ class ChainDepthOptions(Options):
         24, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
-        1.5,
+        1.2,
         "Largest distance between agreeing crossings along the epipolar line, in pixels",
         gt=0,
         basic=True,
@@ -166,7 +166,7 @@ class RefinementOptions(Options):
         1.5, "Largest distance of an edge point to the chain that observes it, in pixels", gt=0
     )
     max_tangent_angle_deg: float = option(
-        15.0, "Largest angle between edge and observing chain, in degrees", gt=0, le=90
+        12.0, "Largest angle between edge and observing chain, in degrees", gt=0, le=90
     )
     robust_scale_px: float = option(
         0.7, "Residual from which an observation loses influence, in pixels", gt=0
