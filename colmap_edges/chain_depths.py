@@ -22,8 +22,8 @@ from colmap_edges.options import ChainDepthOptions
 from colmap_edges.side_likelihood import NOTHING_LEARNED, SideLikelihoods, estimate
 from colmap_edges.view_selection import DepthRange
 
-SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned,
-SURE_SHARE = 0.3  # or so many of a view's, the surest, where few views see an edge
+SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
+SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few views see an edge
 MIN_SURE = 200  # supports of such depths that are enough to learn from
 CHANCE_PAIRS = 4  # pairs by chance for each of those
 END_PX = 6  # of polylines, where blur and what they meet there may have moved them
@@ -193,9 +193,9 @@ def learn_side_likelihoods(
             elsewhere = random.integers(0, len(theirs), (CHANCE_PAIRS, int(rows.sum())))
             chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))
     examples = np.concatenate(same)
-    return (
-        NOTHING_LEARNED if len(examples) < MIN_SURE else estimate(examples, np.concatenate(chance))
-    )
+    if len(examples) < MIN_SURE:
+        return NOTHING_LEARNED
+    return estimate(examples, np.concatenate(chance))
 
 
 def sure_score(depths: ChainDepths) -> float:
