@@ -73,11 +73,11 @@ def trace_edges(
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
+        # The surest curves, those of the first round, say what to ask of all.
+        limits = kept.limits if traced else None
         found, more = trace_round(rest, near, for_what_remains(options), workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
-        # The surest curves, those of the first round, say what to ask of all.
-        limits = kept.limits
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     edges, linked = link(graphs, kept, options.linking)
     about = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import curves as known
 import numpy as np
 import pytest
@@ -51,6 +53,17 @@ def test_second_round_finds_what_few_views_see_among_much():
         assert np.linalg.norm(seen - second.track_points2D[at], axis=1).max() < 1
     assert stats["views"] == len(VIEWS)
     assert stats["samples"] > stats["samples_with_depth"] > stats["samples_in_runs"] > 0
+
+
+def test_second_round_stands_alone_where_the_first_finds_nothing():
+    tracing = TracingOptions(min_agreeing_views=3)  # of two others at most
+    model, graphs = known.model_of(VIEWS[3:6]), graphs_of_views(())[3:6]
+    nothing, _ = trace_edges(
+        model, graphs, PipelineOptions(tracing=replace(tracing, num_rounds=1)), 1
+    )
+    assert nothing.num_points == 0
+    edges, _ = trace_edges(model, graphs, PipelineOptions(tracing=tracing), 1)
+    assert edges.num_points > 100
 
 
 def test_what_is_left_is_cut_where_curves_run():
