@@ -73,7 +73,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"trace": {"samples_with_depth": 20, "samples_confirmed": 19, "samples_in_runs": 18}},
             "98 % of 1,000 samples on 2D edges found no depth",
-            "--ChainDepth.max_disagreement_px (now 1.5)",
+            "--ChainDepth.max_disagreement_px (now 1.2)",
         ),
         (
             {"trace": {"samples_confirmed": 70, "samples_in_runs": 60}},
