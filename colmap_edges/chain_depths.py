@@ -125,7 +125,7 @@ def compute_chain_depths(
         depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
         max_disagreement_px=options.max_disagreement_px,
-        side_likelihoods=sides.table(),
+        side_likelihoods=sides.table,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,

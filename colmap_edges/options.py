@@ -110,7 +110,8 @@ class ViewSelectionOptions(Options):
     )
     max_angle_deg: float = option(
         60.0,
-        "Largest triangulation angle between compared views, in degrees, where enough are nearer",
+        "Largest triangulation angle between compared views, in degrees; where too few are within "
+        "it, max_witness_angle_deg counts",
         gt=0,
         le=180,
         basic=True,

@@ -8,6 +8,7 @@ differ where it is another edge, is a matter of the scene and learned from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,7 @@ class SideLikelihoods:
     limit: float
     ratios: FloatArray
 
+    @cached_property
     def table(self) -> Float32Array:
         """(256, 256) ratios by the differences of the dark and of the bright sides, 0 for none."""
         levels = np.arange(256)

@@ -94,10 +94,12 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
             model, observed, observers, view, ranges[view].overall, options
         )
         chosen = pick_diverse(model, view, near, options.num_neighbors)
-        # Where too few look from nearby, those from further aside are better than none.
-        aside = np.where(np.isin(np.arange(len(wide)), chosen), 0, wide)
-        more = pick_diverse(model, view, aside, options.num_neighbors - len(chosen))
-        neighbors.append(np.concatenate([chosen, more]))
+        lacking = options.num_neighbors - len(chosen)
+        if lacking:  # those from further aside are better than none
+            aside = wide.copy()
+            aside[chosen] = 0
+            chosen = np.concatenate([chosen, pick_diverse(model, view, aside, lacking)])
+        neighbors.append(chosen)
         seeing = np.flatnonzero(wide > 0)
         order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
         witnesses.append(np.sort(seeing[order]))

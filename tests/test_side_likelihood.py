@@ -26,7 +26,7 @@ def by_chance(count):
 
 
 def test_nothing_learned_lets_every_match_be():
-    np.testing.assert_array_equal(NOTHING_LEARNED.table(), np.ones((256, 256), np.float32))
+    np.testing.assert_array_equal(NOTHING_LEARNED.table, np.ones((256, 256), np.float32))
 
 
 def test_every_difference_has_its_bin():
@@ -50,7 +50,7 @@ def test_histogram_by_counting():
 
 def test_alike_sides_are_likelier_and_unlike_ones_are_not():
     sides = estimate(same_edge(5000), by_chance(20000))
-    table = sides.table()
+    table = sides.table
     np.testing.assert_array_equal(table, table.T)
     assert 4 < sides.limit < 20
     assert table[1, 1] > 10 > table[1, 150] > table[6, 150]
@@ -64,19 +64,19 @@ def test_ratios_weigh_to_one_over_chance():
     """A likelihood ratio by its definition: over what chance makes it is one in the mean."""
     same, chance = same_edge(5000), by_chance(100000)
     sides = estimate(same, chance)
-    drawn = sides.table()[tuple(by_chance(100000).T)]
+    drawn = sides.table[tuple(by_chance(100000).T)]
     assert drawn[drawn > 0].mean() == pytest.approx(1, abs=0.05)
 
 
 def test_gloss_and_exposure_widen_what_is_alike():
     dull, glossy = (estimate(same_edge(5000, noise), by_chance(20000)) for noise in (2.0, 15.0))
     assert glossy.limit > 3 * dull.limit
-    assert glossy.table()[20, 20] > dull.table()[20, 20]
+    assert glossy.table[20, 20] > dull.table[20, 20]
 
 
 def test_few_examples_say_little():
     many, few = (estimate(np.zeros((n, 2), int), by_chance(20000)) for n in (5000, 5))
-    assert many.table()[0, 0] > 4 * few.table()[0, 0] > 1
+    assert many.table[0, 0] > 4 * few.table[0, 0] > 1
 
 
 def learned_from(noise, num_lines):
@@ -98,7 +98,7 @@ def learned_from(noise, num_lines):
 
 def test_what_sides_say_is_learned_from_the_views():
     sides = learned_from(noise=2.0, num_lines=150)
-    table = sides.table()
+    table = sides.table
     assert 3 < sides.limit < 15
     assert table[2, 2] > 5
     assert table[1, 120] < 1
