@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -22,6 +23,8 @@ from colmap_edges.array_types import (
 from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
+
+_Picture = TypeVar("_Picture", Picture, Float32Array)
 
 SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
 LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
@@ -53,18 +56,19 @@ class Chains:
         )
 
 
-def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
+def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0) -> Chains:
     """Detect the edge chains of a grayscale image.
 
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
+        scale: how many times the image is enlarged.
 
     Returns:
-        Chains at sub-pixel positions, in the detector's order.
+        Chains at sub-pixel positions of the enlarged image, in the detector's order.
     """
-    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
-    light = light_of(image, options.gamma)
+    pixels, offsets = detect_pixel_chains(resized(image, scale), options.min_chain_length_px)
+    light = resized(light_of(image, options.gamma), scale)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     table = gray_table(options.gamma)
@@ -75,6 +79,14 @@ def detect_chains(image: Picture, options: DetectionOptions) -> Chains:
         sides=sides,
         offsets=offsets,
     )
+
+
+def resized(picture: _Picture, scale: float) -> _Picture:
+    """The picture (H, W) enlarged `scale` times: pixel (x, y), COLMAP's origin, to scale (x, y)."""
+    if scale == 1:
+        return picture
+    larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(larger, picture.dtype)
 
 
 def light_of(image: Picture, gamma: float) -> Float32Array:

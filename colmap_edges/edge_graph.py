@@ -28,8 +28,8 @@ class EdgeGraph:
     """The 2D edge graph of one image: polylines between nodes, dense and sub-pixel.
 
     Attributes:
-        points: (N, 2) float64 dense chain points (about 1 px apart), image pixels, COLMAP's
-            origin; those of one polyline are contiguous.
+        points: (N, 2) float64 dense chain points, image pixels, COLMAP's origin; those of one
+            polyline are contiguous, and about a pixel of the enlarged image apart.
         ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
         normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
         sides: (N, 2) uint8 gray on the dark and on the bright side.
@@ -72,19 +72,20 @@ def build_edge_graph(
     """Make the 2D edge graph of a view from its chains.
 
     Args:
-        chains: sub-pixel chains of the view's image.
+        chains: sub-pixel chains of the view's image, enlarged `view.scale` times.
         view: gives the undistortion; points it cannot undistort are left out with their chain.
         options: joining, corners, smoothing and filter.
 
     Returns:
         The edge graph, filtered by regular length when the options say so, and (K, 2) the points
-        of chains that it has not.
+        of chains that it has not, both in pixels of the image as it is.
     """
-    finite = np.isfinite(view.ideal_from_image(chains.points))
+    finite = np.isfinite(view.ideal_from_image(chains.points / view.scale))
     chains, dropped = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
     pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
     graph = assemble(pieces, closed, view, options)
+    dropped = dropped / view.scale
     if options.filter_regular_length:
         kept = regular_polylines(graph, options)
         dropped = np.concatenate([dropped, graph.points[~kept[graph.polyline_ids]]])
@@ -158,14 +159,16 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
 
 def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOptions) -> EdgeGraph:
     """Undistort and smooth joined chains and find their nodes."""
-    ideal = view.ideal_from_image(chains.points)
-    across = view.ideal_from_image(chains.points + 0.5 * chains.normals) - ideal
-    end_nodes, node_polylines = find_nodes(chains, closed, view.width, view.height)
+    points = chains.points / view.scale
+    ideal = view.ideal_from_image(points)
+    across = view.ideal_from_image(points + 0.5 * chains.normals) - ideal
+    size = np.ceil(np.array([view.width, view.height]) * view.scale).astype(int)
+    end_nodes, node_polylines = find_nodes(chains, closed, *size.tolist())
     smoothed, smoothed_offsets = _kernels.douglas_peucker(
         chains.points, chains.offsets, options.max_smoothing_distance_px
     )
     return EdgeGraph(
-        points=chains.points,
+        points=points,
         ideal=ideal,
         normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
         sides=chains.sides,

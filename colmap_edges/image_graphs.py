@@ -169,7 +169,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 
 def detect_edges(image: Picture, view: View, work: ImageWork) -> DetectedEdges:
     """Detect the edges of one image."""
-    chains = detect_chains(gray_of(image), work.detection)
+    chains = detect_chains(gray_of(image), work.detection, view.scale)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
     return DetectedEdges(
         graph=replace(graph, colors=colors_at(image, graph.points)),
@@ -193,7 +193,7 @@ def counts_of(found: DetectedEdges) -> ImageCounts:
 def graph_key(data: ByteArray, view: View, work: ImageWork) -> str:
     """The key of the edge graph of an image file: all that the graph depends on."""
     camera = [view.camera.model.name, view.width, view.height, *map(float, view.camera.params)]
-    return key_of(data, camera, work.detection, work.edge_graph)
+    return key_of(data, camera, view.scale, work.detection, work.edge_graph)
 
 
 def arrays_of(found: DetectedEdges) -> Arrays:

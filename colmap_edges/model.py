@@ -38,7 +38,8 @@ class View:
 
     Pixels of a view come in two kinds: those of the image as it is (`points2D`, distorted,
     COLMAP's origin) and *ideal* ones: what a pinhole camera of focal length `focal_px` with the
-    principal point at (0, 0) would see. Geometry works in ideal pixels.
+    principal point at (0, 0) would see, of the image enlarged `scale` times. Geometry works in
+    ideal pixels.
     """
 
     image_id: int
@@ -48,11 +49,12 @@ class View:
     camera: Any  # pycolmap.Camera
     rotation: FloatArray  # (3, 3) of cam_from_world
     translation: FloatArray  # (3,) of cam_from_world
+    scale: float = 1.0  # how many times the image is enlarged before its edges are detected
 
     @cached_property
     def focal_px(self) -> float:
-        """Mean focal length in pixels."""
-        return float(self.camera.mean_focal_length())
+        """Mean focal length in pixels of the enlarged image."""
+        return self.scale * float(self.camera.mean_focal_length())
 
     @cached_property
     def center(self) -> FloatArray:
@@ -236,8 +238,8 @@ def check_values(model: Model) -> None:
         raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
 
 
-def view_from_image(image: Any) -> View:
-    """Make a `View` of a posed pycolmap image."""
+def view_from_image(image: Any, scale: float = 1.0) -> View:
+    """Make a `View` of a posed pycolmap image, enlarged `scale` times."""
     matrix = image.cam_from_world().matrix()
     return View(
         image_id=image.image_id,
@@ -247,6 +249,7 @@ def view_from_image(image: Any) -> View:
         camera=copy.copy(image.camera),  # the original dies with the reconstruction
         rotation=np.array(matrix[:, :3]),
         translation=np.array(matrix[:, 3]),
+        scale=scale,
     )
 
 
@@ -338,9 +341,10 @@ def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> 
     for point3D_id, xyz in zip(model.point3D_ids, points3D_xyz, strict=True):
         moved.points3D[point3D_id].xyz = xyz
     moved.update_point_3d_errors()
+    images = [moved.images[view.image_id] for view in model.views]
     return replace(
         model,
-        views=tuple(view_from_image(moved.images[view.image_id]) for view in model.views),
+        views=tuple(view_from_image(i, v.scale) for i, v in zip(images, model.views, strict=True)),
         points3D_xyz=points3D_xyz,
         reconstruction=moved,
     )

@@ -67,6 +67,13 @@ class DetectionOptions(Options):
         basic=True,
     )
     sigma_px: float = option(1.0, "Gaussian blur of the sub-pixel step, in pixels", gt=0)
+    min_blur_px: float = option(
+        0.8,
+        "Blur of edges (standard deviation, in pixels) below which images are enlarged, at most "
+        "twice and up to 3200 px; every pixel that options speak of is then one of these; 0: never",
+        ge=0,
+        basic=True,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -454,12 +461,14 @@ class PipelineOptions(Options):
 # What --quality sets; medium is the defaults.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
+        "detection": {"min_blur_px": 0.0},
         "view_selection": {"num_neighbors": 5, "num_witnesses": 20},
         "chain_depth": {"sample_step_px": 36},
         "tracing": {"point_spacing_px": 6},
     },
     "medium": {},
     "high": {
+        "detection": {"min_blur_px": 1.2},
         "view_selection": {"num_neighbors": 16, "num_witnesses": 60},
         "chain_depth": {"sample_step_px": 8},
         "tracing": {"point_spacing_px": 3},

@@ -22,6 +22,7 @@ from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
 from colmap_edges.edges import Edges3D, arrays_of_edges, edges_from_arrays
+from colmap_edges.enlargement import enlarged
 from colmap_edges.errors import ColmapEdgesError, ImageError, OptionError
 from colmap_edges.executors import Workers, cluster_workers, local_workers, run_all
 from colmap_edges.graph_store import GraphStore
@@ -200,6 +201,7 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
+    model = enlarged(model, image_path, options.detection)
     if command == "detect":
         detect_stage(model, image_path, options, stages, GraphWriter(folder), workers)
         return Contents(model=model)
@@ -251,6 +253,7 @@ def reconstruct(
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_images_exist(model.views, image_path)
+    model = enlarged(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         graphs = detect_stage(model, image_path, options, stages, None, workers)
         model, edges = edge_stages(model, graphs, options, stages, workers)
@@ -361,6 +364,7 @@ def detect_stage(
         report_damaged(damaged, len(records))
         names = [model.views[index].name for index in damaged]
         stage.counts = detection_counts([record.counts for record in records], names)
+        stage.counts["image_scale"] = max(view.scale for view in model.views)
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
     return store

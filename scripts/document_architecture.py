@@ -23,7 +23,9 @@ ROOMS = {
     "COLMAP and pictures": (
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
-    "2D edges": ("detection", "corners", "edge_graph", "graph_store", "image_graphs"),
+    "2D edges": (
+        "detection", "enlargement", "corners", "edge_graph", "graph_store", "image_graphs",
+    ),
     "3D edges by chains": (
         "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",
         "refinement", "runs", "significance", "occlusion", "linking", "sorting", "traced_scene",
@@ -52,7 +54,15 @@ ROOMS = {
 # Modules that may import a library that others must do without.
 LIBRARIES = {
     "pycolmap": ("model", "triangulation", "evaluation.poses"),
-    "cv2": ("detection", "images", "overlay", "report.pictures", "viewer", "evaluation.pictures"),
+    "cv2": (
+        "detection",
+        "enlargement",
+        "images",
+        "overlay",
+        "report.pictures",
+        "viewer",
+        "evaluation.pictures",
+    ),
     "networkx": ("matching",),
     "plotly": ("report.page",),
     "pymeshlab": ("meshing", "evaluation.clouds"),

@@ -9,6 +9,7 @@ from typing import Any
 import click
 import pycolmap
 
+from colmap_edges.enlargement import enlarged
 from colmap_edges.evaluation.poses import (
     adjust_by_colmap,
     at_true_cameras,
@@ -41,18 +42,21 @@ def main(demo_path: Path, noises: tuple[float, ...], seeds: tuple[int, ...], num
     options = PipelineOptions(refine_poses=True, num_threads=num_threads)
     rows: list[list[Any]] = []
     for name, source, levels in (("true", true, noises), ("COLMAP's own", sfm, (0.0,))):
-        model = model_from_reconstruction(source)
-        graphs = detect_stage(model, demo_path / "images", options, Stages())
+        images = demo_path / "images"
+        model = enlarged(model_from_reconstruction(source), images, options.detection)
+        graphs = detect_stage(model, images, options, Stages())
         for noise_px in levels:
             for seed in seeds if noise_px else (0,):
                 start = with_pose_noise(source, noise_px, seed) if noise_px else source
-                for by, result, *more in adjustments(start, graphs, options):
+                for by, result, *more in adjustments(start, images, graphs, options):
                     errors = pose_errors(result, truth)
                     rows.append([name, noise_px, seed, by, *errors, *more])
     click.echo(markdown(HEADER, rows))
 
 
-def adjustments(start: Any, graphs: list[Any], options: PipelineOptions) -> list[tuple[Any, ...]]:
+def adjustments(
+    start: Any, images: Path, graphs: Any, options: PipelineOptions
+) -> list[tuple[Any, ...]]:
     """Models by each adjustment, with the edge points before and after, and held-out gains."""
     rows: list[tuple[Any, ...]] = [("start", start, "", "")]
     for name, robust in (("SfM points (COLMAP)", False), ("SfM points (COLMAP, Cauchy)", True)):
@@ -60,7 +64,8 @@ def adjustments(start: Any, graphs: list[Any], options: PipelineOptions) -> list
         adjust_by_colmap(adjusted, poses=True, robust=robust)
         rows.append((name, adjusted, "", ""))
     stages = Stages()
-    refined, _ = edge_stages(model_from_reconstruction(start), graphs, options, stages)
+    model = enlarged(model_from_reconstruction(start), images, options.detection)
+    refined, _ = edge_stages(model, graphs, options, stages)
     traced, refining, *again = [stage["counts"] for stage in stages.records()]
     counts = " -> ".join(str(c["edge_points"]) for c in (traced, *again))
     gains = ", ".join(f"{gain:+.1%}" for gain in refining.get("held_out_gains", []))

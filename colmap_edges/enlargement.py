@@ -1,0 +1,102 @@
+"""How much images are enlarged before their edges are detected: until those are blurred enough.
+
+A detector that looks at 5 pixels sees the two sides of a bar of 3 pixels as one. Where images are
+sharp, as small copies of photographs are, pixels between theirs tell more edges apart and place
+them better; where the lens or a demosaicing has blurred them already, they only cost time.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from colmap_edges.array_types import FloatArray, Picture
+from colmap_edges.detection import detect_chains
+from colmap_edges.errors import ImageError
+from colmap_edges.images import gray_of, read_image
+from colmap_edges.model import Model, View
+from colmap_edges.options import DetectionOptions
+
+logger = logging.getLogger(__name__)
+
+MAX_SCALE = 2.0  # pixels between these have little left to tell
+MAX_SIZE_PX = 3200  # of an enlarged image, as large as COLMAP looks at images by itself
+SCALE_STEP = 0.25
+NUM_IMAGES = 5  # that are measured
+CROP_PX = 1024  # side of the middle of an image that is measured
+NUM_PROFILES = 4000  # across the edges of an image
+REACH_PX, STEP_PX = 4.0, 0.25  # of a profile to both sides, and between its samples
+PLATEAU = 5  # samples at each end of a profile whose mean is the gray of that side
+STRONGEST = 0.25  # share of the profiles, by contrast, whose widths count
+
+
+def enlarged(model: Model, image_path: Path, options: DetectionOptions) -> Model:
+    """The model with views enlarged as far as their images' sharpness asks for.
+
+    Args:
+        model: its views say where the images are; it is not changed.
+        image_path: folder of the images.
+        options: the blur that is enough.
+
+    Raises:
+        ColmapEdgesError: when an image is not of its camera's size.
+    """
+    largest = max(max(view.width, view.height) for view in model.views)
+    limit = min(MAX_SCALE, MAX_SIZE_PX / largest)
+    if limit < 1 + SCALE_STEP or options.min_blur_px == 0:
+        return model
+    every = np.linspace(0, len(model.views) - 1, min(NUM_IMAGES, len(model.views))).astype(int)
+    blur_px = typical_blur([model.views[i] for i in every], image_path, options)
+    wanted = options.min_blur_px / blur_px if blur_px else 1.0
+    scale = max(1.0, np.floor(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP) * SCALE_STEP)
+    logger.info("edges are blurred by %.2f px; images are enlarged %g times", blur_px, scale)
+    return replace(model, views=tuple(replace(view, scale=scale) for view in model.views))
+
+
+def typical_blur(views: Sequence[View], image_path: Path, options: DetectionOptions) -> float:
+    """Median blur of the images of these views in pixels; 0 where none shows edges."""
+    blurs = []
+    for view in views:
+        try:
+            blurs.append(measure_blur(gray_of(read_image(view, image_path)), options))
+        except ImageError:
+            continue  # detection tells of it
+    seen = [blur for blur in blurs if blur > 0]
+    return float(np.median(seen)) if seen else 0.0
+
+
+def measure_blur(gray: Picture, options: DetectionOptions) -> float:
+    """How much the edges in the middle of an image (H, W) are blurred, in pixels.
+
+    The standard deviation of the Gaussian that makes steps as steep as the strongest edges are;
+    0 where there are none.
+    """
+    top, left = (max(0, (size - CROP_PX) // 2) for size in gray.shape)
+    crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
+    chains = detect_chains(crop, options)
+    every = np.arange(0, len(chains.points), max(1, len(chains.points) // NUM_PROFILES))
+    profiles = profiles_across(crop, chains.points[every], chains.normals[every])
+    if len(profiles) == 0:
+        return 0.0
+    contrasts = profiles[:, -PLATEAU:].mean(axis=1) - profiles[:, :PLATEAU].mean(axis=1)
+    slopes = np.diff(profiles, axis=1).max(axis=1) / STEP_PX
+    strong = (contrasts >= np.quantile(contrasts, 1 - STRONGEST)) & (contrasts > 0)
+    widths = contrasts[strong] / (slopes[strong] * np.sqrt(2 * np.pi))
+    return float(np.median(widths)) if len(widths) else 0.0
+
+
+def profiles_across(gray: Picture, points: FloatArray, normals: FloatArray) -> FloatArray:
+    """(N, S) grays along the normals (N, 2), dark to bright, of (N, 2) image pixels."""
+    offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
+    if len(points) == 0:
+        return np.zeros((0, len(offsets)))
+    places = points[:, None] - 0.5 + offsets[None, :, None] * normals[:, None]
+    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
+    light = gray.astype(np.float32)
+    sampled = cv2.remap(light, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, np.float64)
