@@ -27,7 +27,6 @@ SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few vi
 MIN_SURE = 200  # supports of such depths that are enough to learn from
 CHANCE_PAIRS = 4  # pairs by chance for each of those
 END_PX = 6  # of polylines, where blur and what they meet there may have moved them
-SHORT_STEP_PX = 4  # between the three samples of a polyline that has room for no more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,16 +76,14 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
     """Samples evenly along each polyline, at most `step` points apart.
 
-    The first and the last are `END_PX` from its ends, and there is one between them where they are
-    twice `SHORT_STEP_PX` apart; on a polyline that is too short there is one sample.
+    The first and the last are `END_PX` from its ends; on one that is too short there is one sample.
 
     Returns:
         (S,) indices of points, (P + 1,) offsets of the polylines' samples.
     """
     lengths = np.diff(graph.polyline_offsets)
     inner = lengths - 1 - 2 * END_PX
-    fewest = np.clip(inner // SHORT_STEP_PX, 1, 2)
-    intervals = np.where(inner > 0, np.maximum(-(-inner // step), fewest), 0)
+    intervals = np.where(inner > 0, -(-inner // step), 0)
     ids = np.repeat(np.arange(len(lengths)), intervals + 1)
     ranks = ranks_of(intervals + 1)
     along = END_PX + np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)
