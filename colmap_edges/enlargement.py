@@ -24,7 +24,7 @@ from colmap_edges.options import DetectionOptions
 
 logger = logging.getLogger(__name__)
 
-MAX_SCALE = 2.0  # pixels between these have little left to tell
+MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
 MAX_SIZE_PX = 3200  # of an enlarged image, as large as COLMAP looks at images by itself
 SCALE_STEP = 0.25
 NUM_IMAGES = 5  # that are measured

@@ -70,7 +70,7 @@ class DetectionOptions(Options):
     min_blur_px: float = option(
         0.8,
         "Blur of edges (standard deviation, in pixels) below which images are enlarged, at most "
-        "twice and up to 3200 px; every pixel that options speak of is then one of these; 0: never",
+        "1.5 times and up to 3200 px; all pixels that options speak of are then these; 0: never",
         ge=0,
         basic=True,
     )

@@ -22,8 +22,7 @@ from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import LinkingOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene,
-MIN_IMAGE_RESIDUAL_PX = 0.1  # nor less than this in pixels of images that are not enlarged
+MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -107,7 +106,7 @@ def sort_out(
         The pieces that are kept, and counts of what was dropped by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
-    limits = limits or find_limits(traced, options, max(view.scale for view in model.views))
+    limits = limits or find_limits(traced, options)
     sure, stats = sure_points(traced, limits, options)
     kept, start = Sorted(edges=[], outlines=[], limits=limits), 0
     for each in traced:
@@ -184,21 +183,14 @@ def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
     return replace(traced, positions=csr_array(rest, shape=positions.shape))
 
 
-def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
-    """What curves may have, by the medians of all points with observations enough.
-
-    Args:
-        traced: the curves of every driver.
-        options: ratios to the medians.
-        scale: how many times the images are enlarged.
-    """
+def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
+    """What curves may have, by the medians of all points with observations enough."""
     enough, uncertain, scatter = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
     sure = enough & (uncertain <= uncertainty_px)
-    scatter_px = options.max_residual_ratio * median_of(scatter[sure])
     return Limits(
         uncertainty_px=uncertainty_px,
-        residual_px=max(MIN_RESIDUAL_PX, MIN_IMAGE_RESIDUAL_PX * scale, scatter_px),
+        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
         log_chance=chance_limit(traced, options),
     )
 
