@@ -1,8 +1,9 @@
 """How much images are enlarged before their edges are detected: until those are blurred enough.
 
-A detector that looks at 5 pixels sees the two sides of a bar of 3 pixels as one. Where images are
-sharp, as small copies of photographs are, pixels between theirs tell more edges apart and place
-them better; where the lens or a demosaicing has blurred them already, they only cost time.
+Detection blurs by a pixel, which moves the two edges of a thin bar apart and makes one of edges that
+are nearer to each other. Where images are sharp, as small copies of photographs are, pixels between
+theirs tell more edges apart and place them better; where the lens or a demosaicing has blurred them
+already, they only cost time.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ def enlarged(model: Model, image_path: Path, options: DetectionOptions) -> Model
     every = np.linspace(0, len(model.views) - 1, min(NUM_IMAGES, len(model.views))).astype(int)
     blur_px = typical_blur([model.views[i] for i in every], image_path, options)
     wanted = options.min_blur_px / blur_px if blur_px else 1.0
-    scale = max(1.0, np.floor(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP) * SCALE_STEP)
+    steps = int(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP)
+    scale = max(1.0, steps * SCALE_STEP)
     logger.info("edges are blurred by %.2f px; images are enlarged %g times", blur_px, scale)
     return replace(model, views=tuple(replace(view, scale=scale) for view in model.views))
 
