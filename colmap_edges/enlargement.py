@@ -1,9 +1,9 @@
 """How much images are enlarged before their edges are detected: until those are blurred enough.
 
-Detection blurs by a pixel, which moves the two edges of a thin bar apart and makes one of edges that
-are nearer to each other. Where images are sharp, as small copies of photographs are, pixels between
-theirs tell more edges apart and place them better; where the lens or a demosaicing has blurred them
-already, they only cost time.
+Detection blurs by a pixel, which moves the two edges of a thin bar apart and makes one of edges
+that are nearer to each other. Where images are sharp, as small copies of photographs are, pixels
+between theirs tell more edges apart and place them better; where the lens or a demosaicing has
+blurred them already, they only cost time.
 """
 
 from __future__ import annotations

@@ -70,7 +70,8 @@ class DetectionOptions(Options):
     min_blur_px: float = option(
         0.8,
         "Blur of edges (standard deviation, in pixels) below which images are enlarged, at most "
-        "1.5 times and up to 3200 px; all pixels that options speak of are then these; 0: never",
+        "1.5 times and up to 3200 px; other options' pixels are then these, unless they say "
+        "otherwise; 0: never",
         ge=0,
         basic=True,
     )
@@ -141,7 +142,8 @@ class ChainDepthOptions(Options):
     )
     max_disagreement_px: float = option(
         1.2,
-        "Largest distance between agreeing crossings along the epipolar line, in pixels",
+        "Largest distance between agreeing crossings along the epipolar line, in pixels of the "
+        "given images",
         gt=0,
         basic=True,
     )
@@ -168,10 +170,15 @@ class RefinementOptions(Options):
     """Least squares on the depths of curves."""
 
     search_radius_px: float = option(
-        4.0, "Radius in which observations are first looked for, in pixels", gt=0
+        4.0,
+        "Radius in which observations are first looked for, in pixels of the given images",
+        gt=0,
     )
     max_residual_px: float = option(
-        1.5, "Largest distance of an edge point to the chain that observes it, in pixels", gt=0
+        1.5,
+        "Largest distance of an edge point to the chain that observes it, in pixels of the given "
+        "images",
+        gt=0,
     )
     max_tangent_angle_deg: float = option(
         12.0, "Largest angle between edge and observing chain, in degrees", gt=0, le=90

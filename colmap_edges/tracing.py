@@ -67,6 +67,7 @@ def trace_edges(
     if workers is None:
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
+    options = in_enlarged_pixels(options, max(view.scale for view in model.views))
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, workers, advance)
@@ -123,6 +124,23 @@ def trace_round(
     depths = [without_supports(found) for found in depths]
     traced, in_runs = trace_views(scene, depths, counts, options, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
+
+
+def in_enlarged_pixels(options: PipelineOptions, scale: float) -> PipelineOptions:
+    """Options whose tolerances are in pixels of images enlarged `scale` times.
+
+    Poses and distortion are off by pixels of the images as they are given.
+    """
+    depths, refinement = options.chain_depth, options.refinement
+    return replace(
+        options,
+        chain_depth=replace(depths, max_disagreement_px=scale * depths.max_disagreement_px),
+        refinement=replace(
+            refinement,
+            search_radius_px=scale * refinement.search_radius_px,
+            max_residual_px=scale * refinement.max_residual_px,
+        ),
+    )
 
 
 def for_what_remains(options: PipelineOptions) -> PipelineOptions:

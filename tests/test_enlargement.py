@@ -15,6 +15,7 @@ from colmap_edges.model import load_model, moved_model
 from colmap_edges.options import DetectionOptions, PipelineOptions
 from colmap_edges.pipeline import detect_stage, reconstruct
 from colmap_edges.stages import Stages
+from colmap_edges.tracing import in_enlarged_pixels
 
 OPTIONS = DetectionOptions(gamma=1.0)  # what is drawn here is light
 SIZE = (320, 240)
@@ -184,3 +185,13 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
         seen = scene.samples[scene.sample_views >= 3]
         assert np.mean(cKDTree(edges.points).query(seen)[0] < 0.03) > 0.8
     assert errors[1.5] < 1.1 * errors[1.0]
+
+
+def test_tolerances_are_in_pixels_of_the_given_images():
+    given = PipelineOptions()
+    used = in_enlarged_pixels(given, 1.5)
+    assert used.chain_depth.max_disagreement_px == 1.5 * given.chain_depth.max_disagreement_px
+    assert used.refinement.search_radius_px == 1.5 * given.refinement.search_radius_px
+    assert used.refinement.max_residual_px == 1.5 * given.refinement.max_residual_px
+    assert used.chain_depth.sample_step_px == given.chain_depth.sample_step_px
+    assert in_enlarged_pixels(given, 1.0) == given
