@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -57,7 +56,7 @@ def enlarged(model: Model, image_path: Path, options: DetectionOptions) -> Model
     steps = int(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP)
     scale = max(1.0, steps * SCALE_STEP)
     logger.info("edges are blurred by %.2f px; images are enlarged %g times", blur_px, scale)
-    return replace(model, views=tuple(replace(view, scale=scale) for view in model.views))
+    return model.at_scale(scale)
 
 
 def typical_blur(views: Sequence[View], image_path: Path, options: DetectionOptions) -> float:
@@ -73,7 +72,7 @@ def typical_blur(views: Sequence[View], image_path: Path, options: DetectionOpti
 
 
 def measure_blur(gray: Picture, options: DetectionOptions) -> float:
-    """How much the edges in the middle of an image (H, W) are blurred, in pixels.
+    """How much the edges in the middle of an image (H, W) uint8 are blurred, in pixels.
 
     The standard deviation of the Gaussian that makes steps as steep as the strongest edges are;
     0 where there are none.
@@ -81,10 +80,10 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
     top, left = (max(0, (size - CROP_PX) // 2) for size in gray.shape)
     crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
     chains = detect_chains(crop, options)
+    if len(chains.points) == 0:
+        return 0.0
     every = np.arange(0, len(chains.points), max(1, len(chains.points) // NUM_PROFILES))
     profiles = profiles_across(crop, chains.points[every], chains.normals[every])
-    if len(profiles) == 0:
-        return 0.0
     contrasts = profiles[:, -PLATEAU:].mean(axis=1) - profiles[:, :PLATEAU].mean(axis=1)
     slopes = np.diff(profiles, axis=1).max(axis=1) / STEP_PX
     strong = (contrasts >= np.quantile(contrasts, 1 - STRONGEST)) & (contrasts > 0)
@@ -95,10 +94,8 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
 def profiles_across(gray: Picture, points: FloatArray, normals: FloatArray) -> FloatArray:
     """(N, S) grays along the normals (N, 2), dark to bright, of (N, 2) image pixels."""
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    if len(points) == 0:
-        return np.zeros((0, len(offsets)))
     places = points[:, None] - 0.5 + offsets[None, :, None] * normals[:, None]
     x, y = np.moveaxis(places.astype(np.float32), -1, 0)
-    light = gray.astype(np.float32)
-    sampled = cv2.remap(light, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    grays = gray.astype(np.float32)
+    sampled = cv2.remap(grays, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, np.float64)

@@ -122,6 +122,15 @@ class Model:
     unposed_names: tuple[str, ...]
     reconstruction: Any
 
+    @property
+    def scale(self) -> float:
+        """How many times its images are enlarged before their edges are detected; the most."""
+        return max(view.scale for view in self.views)
+
+    def at_scale(self, scale: float) -> Model:
+        """The same model with every view enlarged `scale` times."""
+        return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
+
     @cached_property
     def track_points(self) -> IntArray:
         """(T,) point of each observation."""

@@ -364,7 +364,7 @@ def detect_stage(
         report_damaged(damaged, len(records))
         names = [model.views[index].name for index in damaged]
         stage.counts = detection_counts([record.counts for record in records], names)
-        stage.counts["image_scale"] = max(view.scale for view in model.views)
+        stage.counts["image_scale"] = model.scale
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
     return store

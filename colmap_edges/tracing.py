@@ -67,7 +67,7 @@ def trace_edges(
     if workers is None:
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
-    options = in_enlarged_pixels(options, max(view.scale for view in model.views))
+    options = in_enlarged_pixels(options, model.scale)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, workers, advance)

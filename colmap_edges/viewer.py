@@ -103,7 +103,7 @@ class RerunViewer(Viewer):
         width, height = self.sizes.get(view.name, (view.width, view.height))
         scale = width / view.width
         return {
-            "focal_length": view.focal_px / view.scale * scale,
+            "focal_length": float(view.camera.mean_focal_length()) * scale,
             "principal_point": view.image_from_ideal(np.zeros((1, 2)))[0] * scale,
             "width": width,
             "height": height,

@@ -48,14 +48,14 @@ def main(demo_path: Path, noises: tuple[float, ...], seeds: tuple[int, ...], num
         for noise_px in levels:
             for seed in seeds if noise_px else (0,):
                 start = with_pose_noise(source, noise_px, seed) if noise_px else source
-                for by, result, *more in adjustments(start, images, graphs, options):
+                for by, result, *more in adjustments(start, model.scale, graphs, options):
                     errors = pose_errors(result, truth)
                     rows.append([name, noise_px, seed, by, *errors, *more])
     click.echo(markdown(HEADER, rows))
 
 
 def adjustments(
-    start: Any, images: Path, graphs: Any, options: PipelineOptions
+    start: Any, scale: float, graphs: Any, options: PipelineOptions
 ) -> list[tuple[Any, ...]]:
     """Models by each adjustment, with the edge points before and after, and held-out gains."""
     rows: list[tuple[Any, ...]] = [("start", start, "", "")]
@@ -64,7 +64,7 @@ def adjustments(
         adjust_by_colmap(adjusted, poses=True, robust=robust)
         rows.append((name, adjusted, "", ""))
     stages = Stages()
-    model = enlarged(model_from_reconstruction(start), images, options.detection)
+    model = model_from_reconstruction(start).at_scale(scale)
     refined, _ = edge_stages(model, graphs, options, stages)
     traced, refining, *again = [stage["counts"] for stage in stages.records()]
     counts = " -> ".join(str(c["edge_points"]) for c in (traced, *again))

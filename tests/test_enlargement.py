@@ -156,11 +156,10 @@ def test_a_view_is_the_same_camera_at_every_scale(scene_model):
 
 
 def test_moved_views_keep_their_scale(scene_model):
-    views = tuple(replace(view, scale=1.5) for view in scene_model.views)
-    model = replace(scene_model, views=views)
-    still = np.tile(np.eye(3, 4), (len(views), 1, 1))
+    model = scene_model.at_scale(1.5)
+    still = np.tile(np.eye(3, 4), (len(model.views), 1, 1))
     moved = moved_model(model, still, model.points3D_xyz)
-    assert [view.focal_px for view in moved.views] == [view.focal_px for view in views]
+    assert [view.focal_px for view in moved.views] == [view.focal_px for view in model.views]
 
 
 def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):

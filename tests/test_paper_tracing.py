@@ -236,7 +236,7 @@ def test_rendered_scene_end_to_end(scene, scene_paths):
     options = PipelineOptions(tracing=TracingOptions(method="paper"), num_threads=2)
     result = reconstruct(scene.reconstruction, scene_paths[0], options)
     distances = scene.distances(result.edges.points)
-    assert np.median(distances) < 0.0013  # a third of a pixel
+    assert np.median(distances) < 0.001  # a quarter of a pixel
     assert np.mean(distances < 0.02) > 0.95
     seen = scene.samples[scene.sample_views >= 3]
     assert np.mean(cKDTree(result.edges.points).query(seen)[0] < 0.03) > 0.6

@@ -127,32 +127,31 @@ def left_out_view_errors(
         ColmapEdgesError: Too few images are left, or an image cannot be read.
     """
     from colmap_edges.detection import detect_chains
-    from colmap_edges.enlargement import enlarged
     from colmap_edges.images import gray_of, read_image
     from colmap_edges.meshing import mesh
     from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline import reconstruct
 
-    options = options or PipelineOptions()
-    model = enlarged(load_model(input_path), image_path, options.detection)
+    model = load_model(input_path)
     unused = left_out_views(model.views, every)
     if not unused or len(model.views) - len(unused) < 3:
         raise ColmapEdgesError(
             f"{input_path}: {len(model.views)} images are too few to leave every {every}th out"
         )
+    options = options or PipelineOptions()
     reconstruction = model.reconstruction
     for view in unused:
         frame_id = reconstruction.images[view.image_id].frame_id
         reconstruction.deregister_frame(frame_id)
-    found = reconstruct(reconstruction, image_path, options).edges
+    result = reconstruct(reconstruction, image_path, options)
+    found, scale = result.edges, result.stages[0]["counts"]["image_scale"]
     used = model_from_reconstruction(reconstruction)
     surface = mesh(used, edges=found)
     caster = RayCaster(surface.vertices, surface.faces)
     errors = []
     for view in unused:
         image = read_image(view, image_path)
-        chains = detect_chains(gray_of(image), options.detection, view.scale).points
-        chains = chains / view.scale
+        chains = detect_chains(gray_of(image), options.detection, scale).points / scale
         pixels = unhidden_pixels(found.points, view, caster)
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:
