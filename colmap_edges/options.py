@@ -241,10 +241,10 @@ class TracingOptions(Options):
         10.0, "How far around a point nearer ones hide it, in pixels; 0 hides nothing", ge=0
     )
     max_sigma_ratio: float = option(
-        8.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
+        5.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )
     max_residual_ratio: float = option(
-        1.5, "Largest median residual of a 3D edge's observations, in medians of all", gt=1
+        1.7, "Largest scatter of observations around a 3D edge, in medians of all", gt=1
     )
     max_false_edges: float = option(
         1.0, "Number of 3D edges that chance may make in the whole scene", gt=0

@@ -22,7 +22,7 @@ from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import LinkingOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.15  # no real edge scatters less, however clean the scene
+MIN_RESIDUAL_PX = 0.37  # real edges may scatter as much, however clean the scene
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -37,7 +37,7 @@ class Traced:
         views: (K + 1,) view of each column of `positions`, the driver first.
         positions: (N, K + 1) sparse positions on the views' chains, where they are observed.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
-        residuals: (N,) median distance to the chains that observe it, in pixels.
+        residuals: (N,) mean distance to the other views' chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
     """
 
@@ -62,7 +62,7 @@ class Limits:
 
     Attributes:
         uncertainty_px: a point's standard deviation along the driver's ray, in pixels.
-        residual_px: the median residual of a piece.
+        residual_px: the scatter of a piece's observations.
         log_chance: log10 of the chance of a piece.
     """
 
@@ -185,12 +185,13 @@ def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
 
 def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
     """What curves may have, by the medians of all points with observations enough."""
-    enough, uncertain, scatter = measures_of(traced, options)
+    enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
-    sure = enough & (uncertain <= uncertainty_px)
+    scatter = np.concatenate([np.zeros(0), *(scatter_of_points(t) for t in traced)])
+    typical = median_of(scatter[enough & (uncertain <= uncertainty_px)])
     return Limits(
         uncertainty_px=uncertainty_px,
-        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * median_of(scatter[sure])),
+        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
         log_chance=chance_limit(traced, options),
     )
 
@@ -216,7 +217,7 @@ def sure_points(
     Returns:
         (N,) whether a point is, and counts of points in and dropped by reason.
     """
-    enough, uncertain, _ = measures_of(traced, options)
+    enough, uncertain = measures_of(traced, options)
     sure = enough & (uncertain <= limits.uncertainty_px)
     return sure, {
         "points_traced": len(enough),
@@ -226,14 +227,11 @@ def sure_points(
     }
 
 
-def measures_of(
-    traced: list[Traced], options: TracingOptions
-) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """(N,) of all points: whether observed enough, uncertainties, residuals."""
+def measures_of(traced: list[Traced], options: TracingOptions) -> tuple[BoolArray, FloatArray]:
+    """(N,) of all points: whether observed enough, uncertainties."""
     counts = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
-    scatter = np.concatenate([np.zeros(0), *(t.residuals for t in traced)])
-    return counts >= options.min_observations, uncertain, scatter
+    return counts >= options.min_observations, uncertain
 
 
 def median_of(values: FloatArray) -> float:
@@ -241,21 +239,21 @@ def median_of(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def row_medians(values: FloatArray) -> FloatArray:
-    """(N,) median of the finite values in each row of (N, K), the lower of two; 0 of none."""
-    count = np.isfinite(values).sum(axis=1)
-    if values.shape[1] == 0:
-        return np.zeros(len(values))
-    middle = np.sort(values, axis=1)[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
-    return np.where(count > 0, middle, 0.0)
+def scatter_of_points(traced: Traced) -> FloatArray:
+    """(N,) mean distance of the observations to each point's edge, in pixels.
+
+    One of the other views' observations fixes the depth and tells nothing of the scatter.
+    """
+    return scatter_of(traced, np.arange(len(traced.points)))
 
 
-def group_medians(values: FloatArray, groups: IntArray, count: int) -> FloatArray:
-    """(count,) median of the (N,) values of each group, the lower of two; groups ascend."""
-    ordered = values[np.lexsort((values, groups))]
-    sizes = np.bincount(groups, minlength=count)
-    medians: FloatArray = ordered[np.cumsum(sizes) - sizes + np.maximum(sizes - 1, 0) // 2]
-    return medians
+def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
+    """(G,) the same for the points of each group together, of (N,) groups from 0 to G - 1."""
+    others = traced.num_observations - 1
+    sums = np.bincount(groups, weights=others * traced.residuals)
+    spare = np.bincount(groups, weights=others - 1)
+    scatter: FloatArray = sums / np.maximum(spare, 1)
+    return scatter
 
 
 def sort_pieces(
@@ -268,7 +266,7 @@ def sort_pieces(
         body from view to view, as its outline and reflections do.
     """
     pieces, good = find_pieces(traced, keep, limits.log_chance, options)
-    fixed = group_medians(traced.residuals, pieces, len(good)) <= limits.residual_px
+    fixed = scatter_of(traced, pieces) <= limits.residual_px
     return (
         chosen(traced, pieces, keep & (good & fixed)[pieces]),
         chosen(traced, pieces, keep & (good & ~fixed)[pieces]),

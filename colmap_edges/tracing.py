@@ -31,7 +31,7 @@ from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.runs import find_curves
 from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.sorting import Traced, lasting_points, link, row_medians, sort_out
+from colmap_edges.sorting import Traced, lasting_points, link, sort_out
 from colmap_edges.traced_scene import (
     Scene,
     in_whole_graphs,
@@ -307,6 +307,7 @@ def trace_view(
         driver, scene.edge_views[view], curves, edge_views, options.refinement, num_threads
     )
     observed = np.isfinite(refined.positions).sum(axis=1)
+    distances = np.nansum(np.abs(refined.residuals), axis=1)
     shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(
         driver,
@@ -324,7 +325,7 @@ def trace_view(
         points=lift(driver, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
-        residuals=row_medians(np.abs(refined.residuals)),
+        residuals=distances / np.maximum(observed, 1),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         views=np.concatenate([[view], witnesses[seeing]]),

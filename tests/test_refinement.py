@@ -11,7 +11,6 @@ from colmap_edges.cross_check import lift
 from colmap_edges.edge_graph import offsets_of
 from colmap_edges.options import RefinementOptions
 from colmap_edges.refinement import Curves, refine_curves
-from colmap_edges.sorting import group_medians, row_medians
 
 SPACING = 4  # points of a chain between two of a curve
 
@@ -138,25 +137,3 @@ def test_gray_that_is_the_same_everywhere_moves_nothing():
     np.testing.assert_allclose(
         refined.curves.inverse_depths, alone.curves.inverse_depths, rtol=1e-6
     )
-
-
-def test_row_medians_are_those_of_what_is_finite():
-    rng = np.random.default_rng(3)
-    values = rng.random((40, 7))
-    values[rng.random(values.shape) < 0.4] = np.nan
-    values[0] = np.nan
-    expected = [np.sort(row[np.isfinite(row)]) for row in values]
-    expected = [row[(len(row) - 1) // 2] if len(row) else 0.0 for row in expected]
-    assert np.array_equal(row_medians(values), expected)
-    assert np.array_equal(row_medians(np.zeros((3, 0))), np.zeros(3))
-
-
-def test_group_medians_are_those_of_each_group():
-    rng = np.random.default_rng(4)
-    sizes = rng.integers(1, 9, 30)
-    groups = np.repeat(np.arange(30), sizes)
-    values = rng.random(len(groups))
-    parts = np.split(values, np.cumsum(sizes)[:-1])
-    expected = [np.sort(part)[(len(part) - 1) // 2] for part in parts]
-    assert np.array_equal(group_medians(values, groups, 30), expected)
-    assert len(group_medians(np.zeros(0), np.zeros(0, np.int64), 0)) == 0
