@@ -187,7 +187,7 @@ class RefinementOptions(Options):
         0.7, "Residual from which an observation loses influence, in pixels", gt=0
     )
     max_bend_px: float = option(
-        0.2, "Second difference of disparity from which bending costs less, in pixels", gt=0
+        0.4, "Second difference of disparity from which bending costs less, in pixels", gt=0
     )
     side_gray_weight: float = option(
         2.0,
