@@ -22,7 +22,7 @@ from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import LinkingOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.37  # real edges may scatter as much, however clean the scene
+MIN_RESIDUAL_PX = 0.25  # of the given images: real edges may scatter as much in clean scenes
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -106,7 +106,7 @@ def sort_out(
         The pieces that are kept, and counts of what was dropped by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
-    limits = limits or find_limits(traced, options)
+    limits = limits or find_limits(traced, options, model.scale)
     sure, stats = sure_points(traced, limits, options)
     kept, start = Sorted(edges=[], outlines=[], limits=limits), 0
     for each in traced:
@@ -183,15 +183,21 @@ def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
     return replace(traced, positions=csr_array(rest, shape=positions.shape))
 
 
-def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
-    """What curves may have, by the medians of all points with observations enough."""
+def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
+    """What curves may have, by the medians of all points with observations enough.
+
+    Args:
+        traced: the curves of every driver.
+        options: ratios to the medians.
+        scale: how many times the images are enlarged.
+    """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
     scatter = np.concatenate([np.zeros(0), *(scatter_of_points(t) for t in traced)])
     typical = median_of(scatter[enough & (uncertain <= uncertainty_px)])
     return Limits(
         uncertainty_px=uncertainty_px,
-        residual_px=max(MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
+        residual_px=max(scale * MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
         log_chance=chance_limit(traced, options),
     )
 

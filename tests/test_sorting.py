@@ -80,5 +80,6 @@ def test_what_scatters_is_an_outline_though_half_of_its_observations_fit():
 def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
     options = TracingOptions(max_residual_ratio=2.0)
     clean, rough = (traced_curves([-4.0] * 5, [6] * 5, [5], of) for of in (0.01, 0.8))
-    assert find_limits([clean], options).residual_px == MIN_RESIDUAL_PX
-    assert find_limits([rough], options).residual_px == pytest.approx(2 * 0.8 * 5 / 4)
+    assert find_limits([clean], options, 1.0).residual_px == MIN_RESIDUAL_PX
+    assert find_limits([clean], options, 1.5).residual_px == 1.5 * MIN_RESIDUAL_PX
+    assert find_limits([rough], options, 1.5).residual_px == pytest.approx(2 * 0.8 * 5 / 4)
