@@ -254,7 +254,7 @@ def scatter_of_points(traced: Traced) -> FloatArray:
 
 
 def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
-    """(G,) the same for the points of each group together, of (N,) groups from 0 to G - 1."""
+    """(G,) the same, in pixels, for the points of each group together; (N,) groups from 0 on."""
     others = traced.num_observations - 1
     sums = np.bincount(groups, weights=others * traced.residuals)
     spare = np.bincount(groups, weights=others - 1)

@@ -67,8 +67,7 @@ def test_scatter_of_points_that_no_other_view_observes_is_zero():
     np.testing.assert_array_equal(scatter_of(traced, np.array([0, 0, 1])), [0.0, 0.4])
 
 
-def test_what_scatters_is_an_outline_though_half_of_its_observations_fit():
-    # Two curves fit in half of their views; one moves over its body in the others.
+def test_what_scatters_is_an_outline_though_half_of_its_points_fit():
     fits, moves = [0.1, 0.3] * 10, [0.1, 0.9] * 10
     traced = traced_curves([-4.0] * 40, [6] * 40, [20, 20], fits + moves)
     limits = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
