@@ -20,12 +20,14 @@ from colmap_edges.array_types import (
     IntArray,
     Picture,
 )
+from colmap_edges.blur import blur_of_edges
 from colmap_edges.csr import offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
 _Picture = TypeVar("_Picture", Picture, Float32Array)
 
+MAX_BLUR_PX = 2.0  # of an image that edges nearby are told from each other by
 SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
 LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
 
@@ -67,10 +69,14 @@ def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0)
     Returns:
         Chains at sub-pixel positions of the enlarged image, in the detector's order.
     """
-    pixels, offsets = detect_pixel_chains(resized(image, scale), options.min_chain_length_px)
     light = resized(light_of(image, options.gamma), scale)
+    image = resized(image, scale)
+    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
+    blur_px = min(blur_of_edges(image, points + 0.5, normals), MAX_BLUR_PX)
+    blur_px = float(np.hypot(options.sigma_px, blur_px))
+    points = _kernels.undo_displacement(light, points, normals, blur_px)
     table = gray_table(options.gamma)
     sides = _kernels.sample_sides(light, points, normals, SIDE_DISTANCE_PX, table)
     return Chains(

@@ -12,10 +12,10 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from colmap_edges.array_types import FloatArray, Picture
+from colmap_edges.array_types import Picture
+from colmap_edges.blur import blur_of_edges
 from colmap_edges.detection import detect_chains
 from colmap_edges.errors import ImageError
 from colmap_edges.images import gray_of, read_image
@@ -29,10 +29,6 @@ MAX_SIZE_PX = 3200  # of an enlarged image, as large as COLMAP looks at images b
 SCALE_STEP = 0.25
 NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
-NUM_PROFILES = 4000  # across the edges of an image
-REACH_PX, STEP_PX = 4.0, 0.25  # of a profile to both sides, and between its samples
-PLATEAU = 5  # samples at each end of a profile whose mean is the gray of that side
-STRONGEST = 0.25  # share of the profiles, by contrast, whose widths count
 
 
 def enlarged(model: Model, image_path: Path, options: DetectionOptions) -> Model:
@@ -80,22 +76,4 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
     top, left = (max(0, (size - CROP_PX) // 2) for size in gray.shape)
     crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
     chains = detect_chains(crop, options)
-    if len(chains.points) == 0:
-        return 0.0
-    every = np.arange(0, len(chains.points), max(1, len(chains.points) // NUM_PROFILES))
-    profiles = profiles_across(crop, chains.points[every], chains.normals[every])
-    contrasts = profiles[:, -PLATEAU:].mean(axis=1) - profiles[:, :PLATEAU].mean(axis=1)
-    slopes = np.diff(profiles, axis=1).max(axis=1) / STEP_PX
-    strong = (contrasts >= np.quantile(contrasts, 1 - STRONGEST)) & (contrasts > 0)
-    widths = contrasts[strong] / (slopes[strong] * np.sqrt(2 * np.pi))
-    return float(np.median(widths)) if len(widths) else 0.0
-
-
-def profiles_across(gray: Picture, points: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N, S) grays along the normals (N, 2), dark to bright, of (N, 2) image pixels."""
-    offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    places = points[:, None] - 0.5 + offsets[None, :, None] * normals[:, None]
-    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
-    grays = gray.astype(np.float32)
-    sampled = cv2.remap(grays, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled, np.float64)
+    return blur_of_edges(crop, chains.points, chains.normals)

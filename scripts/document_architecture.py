@@ -24,7 +24,7 @@ ROOMS = {
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
     "2D edges": (
-        "detection", "enlargement", "corners", "edge_graph", "graph_store", "image_graphs",
+        "blur", "detection", "enlargement", "corners", "edge_graph", "graph_store", "image_graphs",
     ),
     "3D edges by chains": (
         "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",
@@ -55,8 +55,8 @@ ROOMS = {
 LIBRARIES = {
     "pycolmap": ("model", "triangulation", "evaluation.poses"),
     "cv2": (
+        "blur",
         "detection",
-        "enlargement",
         "images",
         "overlay",
         "report.pictures",

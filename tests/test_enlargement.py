@@ -122,17 +122,18 @@ def test_chains_of_enlarged_images_lie_where_they_are(scale):
     assert np.abs(distances[on_disc]).max() < 0.25
 
 
-def test_edges_of_thin_bars_are_moved_apart_less():
-    """The blur of the sub-pixel step moves the two edges of a bar apart."""
-    image = bars(width_px=2.0, pitch_px=12.0)
-    edges = (np.arange(1, SIZE[0] // 12 - 1) * 12)[:, None] + [0.5, 2.5]
-    moved = {}
-    for scale in (1.0, 1.5, 2.0):
+@pytest.mark.parametrize(
+    ("width_px", "most_px"), [(2.0, (0.35, 0.25, 0.15)), (3.0, (0.15, 0.03, 0.02))]
+)
+def test_edges_of_thin_bars_are_moved_apart_less(width_px, most_px):
+    """The blur of the sub-pixel step moves the two edges of a bar apart, by 0.48 px where it is 2
+    px wide; that is undone as far as pixels tell, the better the larger they are made.
+    """
+    image = bars(width_px, pitch_px=12.0)
+    edges = (np.arange(1, SIZE[0] // 12 - 1) * 12)[:, None] + [0.5, 0.5 + width_px]
+    for scale, most in zip((1.0, 1.5, 2.0), most_px, strict=True):
         x = detect_chains(image, OPTIONS, scale).points[:, :1] / scale
-        moved[scale] = np.median(np.abs(x - edges.ravel()).min(axis=0))
-    assert moved[1.0] > 0.4
-    assert moved[1.5] < 0.3
-    assert moved[2.0] < 0.2
+        assert np.median(np.abs(x - edges.ravel()).min(axis=0)) < most
 
 
 def test_graphs_of_enlarged_views(scene_model, scene_paths):

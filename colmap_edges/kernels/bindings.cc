@@ -9,74 +9,19 @@
 #include "chain_depths.h"
 #include "corners.h"
 #include "edge_view.h"
+#include "image_bindings.h"
 #include "junctions.h"
 #include "observations.h"
 #include "occlusion.h"
 #include "polyline.h"
 #include "side_gray.h"
-#include "subpixel.h"
 #include "tracing_bindings.h"
 
 namespace colmap_edges {
 namespace {
 
-using GrayImage = InArray<float, nb::ndim<2>>;
 using Points2D = InArray<double, nb::shape<-1, 2>>;
 using Offsets = InArray<int64_t, nb::ndim<1>>;
-
-nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
-  const size_t count = pixels.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
-  std::vector<double> points(2 * count), normals(2 * count);
-  {
-    nb::gil_scoped_release release;
-    const int64_t height = image.shape(0), width = image.shape(1);
-    RefineSubpixel(Image{image.data(), width, height}, pixels.data(), count, points.data(),
-                   normals.data());
-  }
-  return nb::make_tuple(ToArray(std::move(points), {count, 2}),
-                        ToArray(std::move(normals), {count, 2}));
-}
-
-OutArray<uint8_t> SampleSidesArrays(GrayImage image, Points2D points, Points2D normals,
-                                    double distance, InArray<uint8_t, nb::ndim<1>> table) {
-  const size_t count = points.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
-  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
-  if (table.size() == 0) throw std::invalid_argument("the table is empty");
-  std::vector<uint8_t> sides(2 * count);
-  {
-    nb::gil_scoped_release release;
-    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
-    const double steps = double(table.size() - 1);
-    for (size_t i = 0; i < count; ++i) {
-      const Vec2 point = {points(i, 0), points(i, 1)}, normal = {normals(i, 0), normals(i, 1)};
-      for (int side = 0; side < 2; ++side) {
-        const double away = side == 0 ? -distance : distance;
-        const double value = std::clamp(values.At(point + away * normal), 0.0, 1.0);
-        sides[2 * i + side] = table(size_t(value * steps + 0.5));
-      }
-    }
-  }
-  return ToArray(std::move(sides), {count, 2});
-}
-
-using Colors = InArray<uint8_t, nb::shape<-1, -1, 3>>;
-
-OutArray<double> BilinearArrays(Colors image, Points2D points) {
-  const size_t count = points.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
-  std::vector<double> values(3 * count);
-  {
-    nb::gil_scoped_release release;
-    const int64_t height = image.shape(0), width = image.shape(1);
-    for (size_t i = 0; i < count; ++i) {
-      const PixelCell cell(width, height, points(i, 0), points(i, 1));
-      for (int c = 0; c < 3; ++c) values[3 * i + c] = cell.In(image.data() + c, 3);
-    }
-  }
-  return ToArray(std::move(values), {count, 3});
-}
 
 void CheckOffsets(const Offsets& offsets, size_t count) {
   if (offsets.size() == 0 || offsets(0) != 0 || offsets(offsets.size() - 1) != int64_t(count)) {
@@ -394,15 +339,6 @@ NB_MODULE(_kernels, m) {
   namespace nb = nanobind;
   using namespace nb::literals;
   m.doc() = "Hot loops of colmap_edges";
-  m.def("refine_subpixel", &colmap_edges::RefineSubpixelArrays, "image"_a, "pixels"_a,
-        "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
-        "gradient directions.");
-  m.def("sample_sides", &colmap_edges::SampleSidesArrays, "image"_a, "points"_a, "normals"_a,
-        "distance"_a, "table"_a,
-        "(N, 2) values of an image, 0 to 1, looked up in a table, at a distance against and along "
-        "the normals.");
-  m.def("bilinear", &colmap_edges::BilinearArrays, "image"_a, "points"_a,
-        "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
   m.def("douglas_peucker", &colmap_edges::DouglasPeuckerArrays, "points"_a, "offsets"_a,
         "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
@@ -447,5 +383,6 @@ NB_MODULE(_kernels, m) {
         "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");
   m.def("chain_points", &colmap_edges::ChainPointsArrays, "view"_a, "positions"_a,
         "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
+  colmap_edges::BindImages(m);
   colmap_edges::BindTracing(m);
 }

@@ -1,0 +1,104 @@
+// Python face of what is looked up in images: edge points at sub-pixel positions, sides, colours.
+#include "image_bindings.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "arrays.h"
+#include "displacement.h"
+#include "subpixel.h"
+
+namespace colmap_edges {
+namespace {
+
+using namespace nb::literals;
+using GrayImage = InArray<float, nb::ndim<2>>;
+using Points2D = InArray<double, nb::shape<-1, 2>>;
+
+nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
+  const size_t count = pixels.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  std::vector<double> points(2 * count), normals(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const int64_t height = image.shape(0), width = image.shape(1);
+    RefineSubpixel(Image{image.data(), width, height}, pixels.data(), count, points.data(),
+                   normals.data());
+  }
+  return nb::make_tuple(ToArray(std::move(points), {count, 2}),
+                        ToArray(std::move(normals), {count, 2}));
+}
+
+OutArray<double> UndoDisplacementArrays(GrayImage image, Points2D points, Points2D normals,
+                                        double blur) {
+  const size_t count = points.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
+  if (!(blur > 0)) throw std::invalid_argument("the blur must be greater than 0");
+  std::vector<double> moved(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
+    UndoDisplacement(values, blur, points.data(), normals.data(), count, moved.data());
+  }
+  return ToArray(std::move(moved), {count, 2});
+}
+
+OutArray<uint8_t> SampleSidesArrays(GrayImage image, Points2D points, Points2D normals,
+                                    double distance, InArray<uint8_t, nb::ndim<1>> table) {
+  const size_t count = points.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
+  if (table.size() == 0) throw std::invalid_argument("the table is empty");
+  std::vector<uint8_t> sides(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
+    const double steps = double(table.size() - 1);
+    for (size_t i = 0; i < count; ++i) {
+      const Vec2 point = {points(i, 0), points(i, 1)}, normal = {normals(i, 0), normals(i, 1)};
+      for (int side = 0; side < 2; ++side) {
+        const double away = side == 0 ? -distance : distance;
+        const double value = std::clamp(values.At(point + away * normal), 0.0, 1.0);
+        sides[2 * i + side] = table(size_t(value * steps + 0.5));
+      }
+    }
+  }
+  return ToArray(std::move(sides), {count, 2});
+}
+
+using Colors = InArray<uint8_t, nb::shape<-1, -1, 3>>;
+
+OutArray<double> BilinearArrays(Colors image, Points2D points) {
+  const size_t count = points.shape(0);
+  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  std::vector<double> values(3 * count);
+  {
+    nb::gil_scoped_release release;
+    const int64_t height = image.shape(0), width = image.shape(1);
+    for (size_t i = 0; i < count; ++i) {
+      const PixelCell cell(width, height, points(i, 0), points(i, 1));
+      for (int c = 0; c < 3; ++c) values[3 * i + c] = cell.In(image.data() + c, 3);
+    }
+  }
+  return ToArray(std::move(values), {count, 3});
+}
+
+}  // namespace
+
+void BindImages(nb::module_& m) {
+  m.def("refine_subpixel", &RefineSubpixelArrays, "image"_a, "pixels"_a,
+        "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
+        "gradient directions.");
+  m.def("undo_displacement", &UndoDisplacementArrays, "image"_a, "points"_a, "normals"_a, "blur"_a,
+        "(N, 2) edge points moved along their normals to where they are without what blur does to "
+        "edges beside each other.");
+  m.def("sample_sides", &SampleSidesArrays, "image"_a, "points"_a, "normals"_a, "distance"_a,
+        "table"_a,
+        "(N, 2) values of an image, 0 to 1, looked up in a table, at a distance against and along "
+        "the normals.");
+  m.def("bilinear", &BilinearArrays, "image"_a, "points"_a,
+        "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
+}
+
+}  // namespace colmap_edges
