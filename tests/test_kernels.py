@@ -354,8 +354,14 @@ def test_crossings_are_those_of_all_segments(seed):
     assert counts.min() > 5, counts
 
 
-def two_crossings(their_sides):
-    """A chain through the origin, and two views that see chains at depths of 2 and of 4 there."""
+MIDDLES = (np.arange(1000) + 0.5) / 1000  # of equal parts of 0 to 1
+
+
+def two_crossings(their_sides, off_px=0.0):
+    """A chain through the origin, and two views that see chains at depths of 2 and of 4 there.
+
+    Those of the second, whose baseline is twice as long, are off to the side.
+    """
     along = np.linspace(-20, 20, 41)
     points, normals = np.column_stack([np.zeros(41), along]), np.tile([[1.0, 0.0]], (82, 1))
     source = edge_view(
@@ -367,7 +373,8 @@ def two_crossings(their_sides):
     )
     views = []
     for shift in (0.5, 1.0):  # to the side, so that a depth of z is seen FOCAL * shift / z away
-        chains = [np.column_stack([np.full(41, FOCAL * shift / z), along]) for z in (2, 4)]
+        places = [FOCAL * shift / z + (off_px if shift == 1 else 0) for z in (2, 4)]
+        chains = [np.column_stack([np.full(41, place), along]) for place in places]
         pose = np.eye(3), np.array([shift, 0.0, 0.0])
         sides = gray_sides(np.repeat(their_sides, 41, axis=0))
         offsets = np.array([0, 41, 82])
@@ -383,8 +390,8 @@ def gray_sides(values):
     return np.array(values, np.uint8)
 
 
-def depth_by_sides(their_sides, table):
-    source, views = two_crossings(their_sides)
+def depth_by_sides(their_sides, table, crossings=None):
+    source, views = crossings or two_crossings(their_sides)
     depths, _, scores, _, _, positions = _kernels.chain_depths(
         source, views, np.array([20]), np.array([0, 1]), np.array([[0.1, 1.0]]), 1.0, 1.0, table,
         0.1, 0.5, 0.8, 0.0, 4.0, 6, 1,
@@ -395,16 +402,38 @@ def depth_by_sides(their_sides, table):
 @pytest.mark.parametrize("true_depth", [2, 4])
 def test_depth_where_the_sides_look_alike_is_likelier(true_depth):
     likelier = ANY_SIDES.copy()
-    likelier[:5, :5] = 3.0
-    alike, other = (63, 177), (63, 120)
-    sides = [alike, other] if true_depth == 2 else [other, alike]
+    likelier[:5, :5], likelier[:, 100:] = 3.0, 0.5
+    alike, other, unlike = (63, 177), (63, 120), (63, 60)
+    sides, others = (
+        [same, unlike] if true_depth == 2 else [unlike, same] for same in (alike, other)
+    )
     depth, score, supports = depth_by_sides(sides, likelier)
     assert depth == pytest.approx(1 / true_depth)
     assert supports == 2
     # What the sides say counts once a view that sees the edge, in proportion.
-    neither = depth_by_sides([other, other], likelier)[1]
-    seen = [np.exp(each / 2) - 0.5 for each in (score, neither)]
+    same_depth, neither, _ = depth_by_sides(others, likelier)
+    assert same_depth == depth
+    nearest = 0.2 + 0.8 / np.exp(-2 * MIDDLES**2).mean()  # of crossings at one place
+    seen = []
+    for each in (score, neither):  # the logarithm of (1 + seen) (1 + nearest seen) / 4
+        roots = np.roots([nearest, 1 + nearest, 1 - 4 * np.exp(each)])
+        seen.append(roots.max())
     assert seen[0] == pytest.approx(3 * seen[1])
+
+
+def test_the_nearer_crossings_are_the_more_they_agree():
+    shares = np.array([0, 0.2, 0.5, 0.8, 0.99, 1.01])  # of the window
+    found = []
+    for share in shares:
+        source, views = two_crossings([(60, 180), (60, 180)], off_px=share * np.hypot(1, 2))
+        found.append(depth_by_sides([], ANY_SIDES, (source, views)))
+    supports = [of[2] for of in found]
+    assert supports == [2, 2, 2, 2, 2, 0]
+    likelihoods = np.exp([of[1] for of in found[:5]])
+    expected = 0.2 + 0.8 * np.exp(-2 * shares[:5] ** 2) / np.exp(-2 * MIDDLES**2).mean()
+    drops = np.diff(likelihoods) / np.diff(expected)  # affine in it: the view may not see the edge
+    np.testing.assert_allclose(drops, drops[0], rtol=1e-3)
+    assert drops[0] > 0
 
 
 def test_sides_without_likelihood_are_no_match():

@@ -114,6 +114,11 @@ class Sampler {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
     return p_.side_likelihoods[256 * dark + bright];
   }
+  // Between the inverse depths of two hypotheses, as a share of the window in which they agree.
+  double Gap(const Hypothesis& a, const Hypothesis& b) const {
+    const double window = p_.max_disagreement_px * std::sqrt(a.sigma * a.sigma + b.sigma * b.sigma);
+    return std::abs(a.inverse_depth - b.inverse_depth) / window;
+  }
   void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found);
   void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
   void ScoreAll(const Found& found);
@@ -221,8 +226,7 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
   agree_[center.neighbor] = u;
   const auto consider = [&](int64_t v, double gap) {
     const Hypothesis& other = hypotheses[v];
-    const double variance = center.sigma * center.sigma + other.sigma * other.sigma;
-    if (gap * gap > p_.max_disagreement_px * p_.max_disagreement_px * variance) return;
+    if (Gap(center, other) > 1) return;
     int64_t& held = agree_[other.neighbor];
     if (held < 0 || gap < std::abs(hypotheses[held].inverse_depth - center.inverse_depth)) {
       held = v;
@@ -241,9 +245,17 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
   }
 }
 
+// How much likelier a gap between two hypotheses is where they agree than by chance, by its share
+// of the window: a Gaussian of half the window, and some that are anywhere.
+inline double GapLikelihood(double share) {
+  constexpr double kAnywhere = 0.2, kSpread = 0.5;
+  constexpr double kMean = 0.598144;  // of the Gaussian's factor over the window
+  return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share * share / (kSpread * kSpread));
+}
+
 // Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
 // that a neighbour agrees is that of a crossing within the window of two hypotheses, x / (1 + x)
-// for x crossings expected there; how alike the sides are is further evidence.
+// for x crossings expected there; how near it is and how alike the sides are is further evidence.
 inline void Sampler::ScoreAll(const Found& found) {
   const std::vector<Hypothesis>& hypotheses = found.hypotheses;
   const double q = p_.detection_rate;
@@ -263,8 +275,12 @@ inline void Sampler::ScoreAll(const Found& found) {
       const double other = agree_[n] >= 0 ? hypotheses[agree_[n]].sigma : sigma;
       const double window = std::sqrt(2.0) * p_.max_disagreement_px * (sigma + other);
       const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
-      const double seen =
-          agree_[n] >= 0 ? q * (1 + x) / x * hypotheses[agree_[n]].likelihood : (1 - q) * (1 + x);
+      double seen = (1 - q) * (1 + x);
+      if (agree_[n] >= 0) {
+        seen = q * (1 + x) / x * hypotheses[agree_[n]].likelihood;
+        if (agree_[n] != int64_t(u))
+          seen *= GapLikelihood(Gap(hypotheses[u], hypotheses[agree_[n]]));
+      }
       ratio *= p_.visibility_rate * seen + 1 - p_.visibility_rate;
     }
     scores_[u] = std::log(ratio);
