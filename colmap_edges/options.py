@@ -110,6 +110,11 @@ class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
     num_neighbors: int = option(6, "Number of views each view is compared with", ge=2, basic=True)
+    num_later_neighbors: int = option(
+        10,
+        "The same in later rounds, in which few chains are left to compare; num_neighbors at least",
+        ge=2,
+    )
     num_witnesses: int = option(
         40, "Largest number of views in which observations of an edge are looked for", ge=2
     )
@@ -138,7 +143,7 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        24, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
+        20, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
         1.2,
@@ -469,7 +474,7 @@ class PipelineOptions(Options):
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "detection": {"min_blur_px": 0.0},
-        "view_selection": {"num_neighbors": 5, "num_witnesses": 20},
+        "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_witnesses": 20},
         "chain_depth": {"sample_step_px": 36},
         "tracing": {"point_spacing_px": 6},
     },

@@ -73,6 +73,7 @@ def trace_edges(
     traced, stats = trace_round(whole, near, options, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     for _ in range(1, options.tracing.num_rounds):
+        whole = replace(whole, neighbors=near.later_neighbors)
         rest = what_remains(whole, kept, options.tracing)
         # The surest curves, those of the first round, say what to ask of all.
         limits = kept.limits if traced else None
@@ -112,7 +113,7 @@ def trace_round(
     advance: Callable[[], None],
 ) -> tuple[list[Traced], dict[str, int]]:
     """The curves that every view drives, the best view first, and counts of their samples."""
-    order = local_order(near.neighbors)
+    order = local_order(scene.neighbors)
     depths = find_depths(scene, near, order, options.chain_depth, workers, advance)
     agreeing = {
         v: count_agreeing_views(
@@ -166,7 +167,7 @@ def find_depths(
 
     def calls() -> Iterator[Call]:
         for view in order.tolist():
-            part = scene.part(view, near.neighbors[view], workers)
+            part = scene.part(view, scene.neighbors[view], workers)
             depth_range, threads = near.ranges[view], workers.threads_per_view
             yield depths_of_view, (part, view, depth_range, options, threads)
 

@@ -71,11 +71,13 @@ class Neighborhood:
 
     Attributes:
         neighbors: per view its neighbours, indices into the model's views, best first.
+        later_neighbors: the same and further ones, for later rounds.
         witnesses: per view all views that may observe its edges, ascending.
         ranges: per view the inverse depths it sees and where.
     """
 
     neighbors: tuple[IntArray, ...]
+    later_neighbors: tuple[IntArray, ...]
     witnesses: tuple[IntArray, ...]
     ranges: tuple[DepthRange, ...]
 
@@ -85,6 +87,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
 
     Views with few points are compared by their poses alone.
     """
+    count = max(options.num_neighbors, options.num_later_neighbors)
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
     ranges = inverse_depth_ranges(model, observed)
@@ -93,8 +96,8 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
         near, wide = neighbor_scores(
             model, observed, observers, view, ranges[view].overall, options
         )
-        chosen = pick_diverse(model, view, near, options.num_neighbors)
-        lacking = options.num_neighbors - len(chosen)
+        chosen = pick_diverse(model, view, near, count)
+        lacking = count - len(chosen)
         if lacking:  # those from further aside are better than none
             aside = wide.copy()
             aside[chosen] = 0
@@ -103,7 +106,12 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
         seeing = np.flatnonzero(wide > 0)
         order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
         witnesses.append(np.sort(seeing[order]))
-    return Neighborhood(neighbors=tuple(neighbors), witnesses=tuple(witnesses), ranges=ranges)
+    return Neighborhood(
+        neighbors=tuple(of[: options.num_neighbors] for of in neighbors),
+        later_neighbors=tuple(neighbors),
+        witnesses=tuple(witnesses),
+        ranges=ranges,
+    )
 
 
 def observation_matrix(model: Model) -> csr_array:

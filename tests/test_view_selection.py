@@ -72,6 +72,18 @@ def test_triangulation_angle_is_limited_where_enough_look_from_nearby():
             assert max(angles_to(view, neighbors)) < 42
 
 
+def test_later_rounds_compare_with_the_same_views_and_further_ones():
+    model = known.model_of(RING, ball(200, radius=0.1))
+    for count, later in ((4, 7), (4, 2)):
+        near = select_views(
+            model, ViewSelectionOptions(num_neighbors=count, num_later_neighbors=later)
+        )
+        for neighbors, later_neighbors in zip(near.neighbors, near.later_neighbors, strict=True):
+            assert len(neighbors) == count
+            assert len(set(later_neighbors.tolist())) == max(count, later)
+            assert later_neighbors[:count].tolist() == neighbors.tolist()
+
+
 def test_views_from_further_aside_fill_up():
     model = known.model_of(RING, ball(200, radius=0.1))
     options = ViewSelectionOptions(
