@@ -143,7 +143,7 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        20, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
+        24, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
     )
     max_disagreement_px: float = option(
         1.2,

@@ -114,10 +114,10 @@ class Sampler {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
     return p_.side_likelihoods[256 * dark + bright];
   }
-  // Between the inverse depths of two hypotheses, as a share of the window in which they agree.
-  double Gap(const Hypothesis& a, const Hypothesis& b) const {
-    const double window = p_.max_disagreement_px * std::sqrt(a.sigma * a.sigma + b.sigma * b.sigma);
-    return std::abs(a.inverse_depth - b.inverse_depth) / window;
+  // Square of the window in inverse depth within which two hypotheses agree.
+  double Window2(const Hypothesis& a, const Hypothesis& b) const {
+    return p_.max_disagreement_px * p_.max_disagreement_px *
+           (a.sigma * a.sigma + b.sigma * b.sigma);
   }
   void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found);
   void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
@@ -226,7 +226,7 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
   agree_[center.neighbor] = u;
   const auto consider = [&](int64_t v, double gap) {
     const Hypothesis& other = hypotheses[v];
-    if (Gap(center, other) > 1) return;
+    if (gap * gap > Window2(center, other)) return;
     int64_t& held = agree_[other.neighbor];
     if (held < 0 || gap < std::abs(hypotheses[held].inverse_depth - center.inverse_depth)) {
       held = v;
@@ -245,12 +245,12 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
   }
 }
 
-// How much likelier a gap between two hypotheses is where they agree than by chance, by its share
-// of the window: a Gaussian of half the window, and some that are anywhere.
-inline double GapLikelihood(double share) {
+// How much likelier a gap between two hypotheses is where they agree than by chance, by the square
+// of its share of the window: a Gaussian of half the window, and some that are anywhere.
+inline double GapLikelihood(double share2) {
   constexpr double kAnywhere = 0.2, kSpread = 0.5;
   constexpr double kMean = 0.598144;  // of the Gaussian's factor over the window
-  return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share * share / (kSpread * kSpread));
+  return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share2 / (kSpread * kSpread));
 }
 
 // Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
@@ -277,9 +277,10 @@ inline void Sampler::ScoreAll(const Found& found) {
       const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
       double seen = (1 - q) * (1 + x);
       if (agree_[n] >= 0) {
-        seen = q * (1 + x) / x * hypotheses[agree_[n]].likelihood;
-        if (agree_[n] != int64_t(u))
-          seen *= GapLikelihood(Gap(hypotheses[u], hypotheses[agree_[n]]));
+        const Hypothesis &own = hypotheses[u], &agreeing = hypotheses[agree_[n]];
+        seen = q * (1 + x) / x * agreeing.likelihood;
+        const double gap = agreeing.inverse_depth - own.inverse_depth;
+        if (agree_[n] != int64_t(u)) seen *= GapLikelihood(gap * gap / Window2(own, agreeing));
       }
       ratio *= p_.visibility_rate * seen + 1 - p_.visibility_rate;
     }
