@@ -112,7 +112,8 @@ class ViewSelectionOptions(Options):
     num_neighbors: int = option(6, "Number of views each view is compared with", ge=2, basic=True)
     num_later_neighbors: int = option(
         10,
-        "The same in later rounds, in which few chains are left to compare; num_neighbors at least",
+        "Number of views each view is compared with in later rounds, in which few chains are left; "
+        "num_neighbors at least",
         ge=2,
     )
     num_witnesses: int = option(

@@ -72,8 +72,8 @@ def trace_edges(
     whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    whole = replace(whole, neighbors=near.later_neighbors)
     for _ in range(1, options.tracing.num_rounds):
-        whole = replace(whole, neighbors=near.later_neighbors)
         rest = what_remains(whole, kept, options.tracing)
         # The surest curves, those of the first round, say what to ask of all.
         limits = kept.limits if traced else None

@@ -390,8 +390,8 @@ def gray_sides(values):
     return np.array(values, np.uint8)
 
 
-def depth_by_sides(their_sides, table, crossings=None):
-    source, views = crossings or two_crossings(their_sides)
+def depth_by_sides(their_sides, table, off_px=0.0):
+    source, views = two_crossings(their_sides, off_px)
     depths, _, scores, _, _, positions = _kernels.chain_depths(
         source, views, np.array([20]), np.array([0, 1]), np.array([[0.1, 1.0]]), 1.0, 1.0, table,
         0.1, 0.5, 0.8, 0.0, 4.0, 6, 1,
@@ -423,10 +423,8 @@ def test_depth_where_the_sides_look_alike_is_likelier(true_depth):
 
 def test_the_nearer_crossings_are_the_more_they_agree():
     shares = np.array([0, 0.2, 0.5, 0.8, 0.99, 1.01])  # of the window
-    found = []
-    for share in shares:
-        source, views = two_crossings([(60, 180), (60, 180)], off_px=share * np.hypot(1, 2))
-        found.append(depth_by_sides([], ANY_SIDES, (source, views)))
+    sides = [(60, 180), (60, 180)]
+    found = [depth_by_sides(sides, ANY_SIDES, share * np.hypot(1, 2)) for share in shares]
     supports = [of[2] for of in found]
     assert supports == [2, 2, 2, 2, 2, 0]
     likelihoods = np.exp([of[1] for of in found[:5]])

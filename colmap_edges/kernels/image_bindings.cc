@@ -15,15 +15,27 @@ using namespace nb::literals;
 using GrayImage = InArray<float, nb::ndim<2>>;
 using Points2D = InArray<double, nb::shape<-1, 2>>;
 
+void CheckImage(size_t size, size_t num_points) {
+  if (num_points > 0 && size == 0) throw std::invalid_argument("the image is empty");
+}
+
+void CheckNormals(const Points2D& points, const Points2D& normals) {
+  if (normals.shape(0) != points.shape(0)) {
+    throw std::invalid_argument("points and normals differ in number");
+  }
+}
+
+Image ToImage(const GrayImage& image) {
+  return {image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
+}
+
 nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
   const size_t count = pixels.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  CheckImage(image.size(), count);
   std::vector<double> points(2 * count), normals(2 * count);
   {
     nb::gil_scoped_release release;
-    const int64_t height = image.shape(0), width = image.shape(1);
-    RefineSubpixel(Image{image.data(), width, height}, pixels.data(), count, points.data(),
-                   normals.data());
+    RefineSubpixel(ToImage(image), pixels.data(), count, points.data(), normals.data());
   }
   return nb::make_tuple(ToArray(std::move(points), {count, 2}),
                         ToArray(std::move(normals), {count, 2}));
@@ -32,14 +44,13 @@ nb::tuple RefineSubpixelArrays(GrayImage image, Points2D pixels) {
 OutArray<double> UndoDisplacementArrays(GrayImage image, Points2D points, Points2D normals,
                                         double blur) {
   const size_t count = points.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
-  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
+  CheckImage(image.size(), count);
+  CheckNormals(points, normals);
   if (!(blur > 0)) throw std::invalid_argument("the blur must be greater than 0");
   std::vector<double> moved(2 * count);
   {
     nb::gil_scoped_release release;
-    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
-    UndoDisplacement(values, blur, points.data(), normals.data(), count, moved.data());
+    UndoDisplacement(ToImage(image), blur, points.data(), normals.data(), count, moved.data());
   }
   return ToArray(std::move(moved), {count, 2});
 }
@@ -47,13 +58,13 @@ OutArray<double> UndoDisplacementArrays(GrayImage image, Points2D points, Points
 OutArray<uint8_t> SampleSidesArrays(GrayImage image, Points2D points, Points2D normals,
                                     double distance, InArray<uint8_t, nb::ndim<1>> table) {
   const size_t count = points.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
-  if (normals.shape(0) != count) throw std::invalid_argument("points and normals differ in number");
+  CheckImage(image.size(), count);
+  CheckNormals(points, normals);
   if (table.size() == 0) throw std::invalid_argument("the table is empty");
   std::vector<uint8_t> sides(2 * count);
   {
     nb::gil_scoped_release release;
-    const Image values{image.data(), int64_t(image.shape(1)), int64_t(image.shape(0))};
+    const Image values = ToImage(image);
     const double steps = double(table.size() - 1);
     for (size_t i = 0; i < count; ++i) {
       const Vec2 point = {points(i, 0), points(i, 1)}, normal = {normals(i, 0), normals(i, 1)};
@@ -71,7 +82,7 @@ using Colors = InArray<uint8_t, nb::shape<-1, -1, 3>>;
 
 OutArray<double> BilinearArrays(Colors image, Points2D points) {
   const size_t count = points.shape(0);
-  if (count > 0 && image.size() == 0) throw std::invalid_argument("the image is empty");
+  CheckImage(image.size(), count);
   std::vector<double> values(3 * count);
   {
     nb::gil_scoped_release release;
