@@ -181,7 +181,7 @@ class RefinementOptions(Options):
         gt=0,
     )
     max_residual_px: float = option(
-        1.5,
+        1.35,
         "Largest distance of an edge point to the chain that observes it, in pixels of the given "
         "images",
         gt=0,
@@ -250,7 +250,9 @@ class TracingOptions(Options):
         5.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
     )
     max_residual_ratio: float = option(
-        1.7, "Largest scatter of observations around a 3D edge, in medians of all", gt=1
+        1.7,
+        "Largest scatter of observations around a 3D edge, in medians of all observations'",
+        gt=1,
     )
     max_false_edges: float = option(
         1.0, "Number of 3D edges that chance may make in the whole scene", gt=0

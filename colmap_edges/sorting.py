@@ -22,7 +22,7 @@ from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import LinkingOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.25  # of the given images: real edges may scatter as much in clean scenes
+MIN_RESIDUAL_PX = 0.22  # of the given images: real edges may scatter as much in clean scenes
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -186,6 +186,9 @@ def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
 def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
     """What curves may have, by the medians of all points with observations enough.
 
+    The median of scatter is that of observations: many views observe edges, few the many places
+    of outlines, of which scenes of smooth bodies may have as many points.
+
     Args:
         traced: the curves of every driver.
         options: ratios to the medians.
@@ -193,8 +196,9 @@ def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> 
     """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
-    scatter = np.concatenate([np.zeros(0), *(scatter_of_points(t) for t in traced)])
-    typical = median_of(scatter[enough & (uncertain <= uncertainty_px)])
+    sure = enough & (uncertain <= uncertainty_px)
+    scatter, spare = scatter_of_points(traced)
+    typical = median_of(np.repeat(scatter[sure], spare[sure]))
     return Limits(
         uncertainty_px=uncertainty_px,
         residual_px=max(scale * MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
@@ -208,11 +212,17 @@ def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
     return float(np.log10(options.max_false_edges / max(tests, 1)))
 
 
-def lasting_points(traced: Traced, options: TracingOptions) -> BoolArray:
-    """(N,) which points of one driver are observed enough, on pieces that chance did not make."""
+def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | None) -> BoolArray:
+    """(N,) which points of one driver are observed enough, on pieces that chance did not make.
+
+    Where `limits` are known these are pieces of edges, not of outlines.
+    """
     enough = traced.num_observations >= options.min_observations
-    pieces, likely = find_pieces(traced, enough, chance_limit([traced], options), options)
-    return enough & likely[pieces]
+    log_chance = chance_limit([traced], options)
+    pieces, lasting = find_pieces(traced, enough, log_chance, options)
+    if limits is not None:
+        lasting &= scatter_of(traced, pieces) <= limits.residual_px
+    return enough & lasting[pieces]
 
 
 def sure_points(
@@ -245,16 +255,19 @@ def median_of(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def scatter_of_points(traced: Traced) -> FloatArray:
-    """(N,) mean distance of the observations to each point's edge, in pixels.
-
-    One of the other views' observations fixes the depth and tells nothing of the scatter.
-    """
-    return scatter_of(traced, np.arange(len(traced.points)))
+def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
+    """(N,) scatter of all points in pixels, and (N,) of how many observations that is."""
+    scatter = [scatter_of(t, np.arange(len(t.points))) for t in traced]
+    spare = [np.maximum(t.num_observations - 2, 0) for t in traced]
+    return np.concatenate([np.zeros(0), *scatter]), np.concatenate([np.zeros(0, np.int64), *spare])
 
 
 def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
-    """(G,) the same, in pixels, for the points of each group together; (N,) groups from 0 on."""
+    """(G,) mean distance of the observations to the edge, in pixels, for groups of points.
+
+    One of the other views' observations fixes the depth and tells nothing of the scatter.
+    (N,) groups from 0 on.
+    """
     others = traced.num_observations - 1
     sums = np.bincount(groups, weights=others * traced.residuals)
     spare = np.bincount(groups, weights=others - 1)

@@ -24,7 +24,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import Model, View
 from colmap_edges.options import TracingOptions
 from colmap_edges.side_likelihood import NOTHING_LEARNED, SideLikelihoods
-from colmap_edges.sorting import Sorted, Traced
+from colmap_edges.sorting import Sorted, Traced, chosen, find_pieces
 from colmap_edges.view_graphs import CachedEdgeViews, CachedGraphs, Some
 from colmap_edges.view_selection import Neighborhood
 
@@ -119,9 +119,12 @@ def nothing_covered(offsets: Sequence[IntArray]) -> list[BoolArray]:
 
 
 def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
-    """The scene of those stretches of chains that no kept curve runs through."""
+    """The scene of those stretches of chains that no edge runs through.
+
+    Outlines take nothing: moving over a body they cross chains of edges beside it.
+    """
     covered = nothing_covered(whole.polyline_offsets)
-    for traced in (*kept.edges, *kept.outlines):
+    for traced in kept.edges:
         mark_covered(
             covered,
             whole.polyline_offsets,
@@ -145,6 +148,34 @@ def what_remains(whole: Scene, kept: Sorted, options: TracingOptions) -> Scene:
         covered=nothing_covered(offsets),
         free=free,
     )
+
+
+def without_repeats(
+    whole: Scene, kept: Sorted, options: TracingOptions
+) -> tuple[Sorted, dict[str, int]]:
+    """The same with each stretch of a chain in one outline, its first, and counts.
+
+    Outlines take nothing of what remains, so that other views find them again.
+    """
+    covered = nothing_covered(whole.polyline_offsets)
+    firsts = []
+    for outlines in kept.outlines:
+        own = outlines.positions[:, [0]]  # on the driver's chains, unless something hides it there
+        free = np.ones(len(outlines.points), bool)
+        free[owners_of(own.indptr)] = ~covered[outlines.views[0]][own.data.astype(np.int64)]
+        pieces, lasting = find_pieces(outlines, free, np.inf, options)
+        first = chosen(outlines, pieces, free & lasting[pieces])
+        mark_covered(
+            covered,
+            whole.polyline_offsets,
+            first.views,
+            first.positions,
+            options.point_spacing_px,
+        )
+        firsts.append(first)
+    left, all_found = (sum(len(t.points) for t in of) for of in (firsts, kept.outlines))
+    counts = {"points_of_outlines": left, "points_dropped_repeated": all_found - left}
+    return replace(kept, outlines=firsts), counts
 
 
 def in_whole_graphs(scene: Scene, traced: list[Traced]) -> list[Traced]:

@@ -31,13 +31,14 @@ from colmap_edges.refinement import Curves, refine_curves
 from colmap_edges.runs import find_curves
 from colmap_edges.scheduling import Schedule, local_order
 from colmap_edges.significance import chance_of_observations
-from colmap_edges.sorting import Traced, lasting_points, link, sort_out
+from colmap_edges.sorting import Limits, Traced, lasting_points, link, sort_out
 from colmap_edges.traced_scene import (
     Scene,
     in_whole_graphs,
     make_scene,
     mark_covered,
     what_remains,
+    without_repeats,
 )
 from colmap_edges.view_graphs import NUM_KEPT
 from colmap_edges.view_selection import DepthRange, Neighborhood, select_views
@@ -70,17 +71,20 @@ def trace_edges(
     options = in_enlarged_pixels(options, model.scale)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
-    traced, stats = trace_round(whole, near, options, workers, advance)
+    traced, stats = trace_round(whole, near, options, None, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
         # The surest curves, those of the first round, say what to ask of all.
         limits = kept.limits if traced else None
-        found, more = trace_round(rest, near, for_what_remains(options), workers, advance)
+        fewer = for_what_remains(options)
+        found, more = trace_round(rest, near, fewer, limits, workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
+    kept, repeated = without_repeats(whole, kept, options.tracing)
+    sorted_stats |= repeated
     edges, linked = link(graphs, kept, options.linking)
     about = {
         "views": len(graphs),
@@ -109,10 +113,14 @@ def trace_round(
     scene: Scene,
     near: Neighborhood,
     options: PipelineOptions,
+    limits: Limits | None,
     workers: Workers,
     advance: Callable[[], None],
 ) -> tuple[list[Traced], dict[str, int]]:
-    """The curves that every view drives, the best view first, and counts of their samples."""
+    """The curves that every view drives, the best view first, and counts of their samples.
+
+    `limits` are what edges may have, where it is known.
+    """
     order = local_order(scene.neighbors)
     depths = find_depths(scene, near, order, options.chain_depth, workers, advance)
     agreeing = {
@@ -123,7 +131,7 @@ def trace_round(
     }
     counts = [agreeing[v] for v in range(len(order))]
     depths = [without_supports(found) for found in depths]
-    traced, in_runs = trace_views(scene, depths, counts, options, workers, advance)
+    traced, in_runs = trace_views(scene, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
 
 
@@ -200,6 +208,7 @@ def trace_views(
     depths: list[ChainDepths],
     agreeing: list[Int32Array],
     options: PipelineOptions,
+    limits: Limits | None,
     workers: Workers,
     advance: Callable[[], None],
 ) -> tuple[list[Traced], int]:
@@ -226,7 +235,7 @@ def trace_views(
         if found is not None:
             traced[view] = found
             # What will not last covers nothing, so that what is there can still be found.
-            lasting = lasting_points(found, options.tracing)
+            lasting = lasting_points(found, options.tracing, limits)
             mark_covered(
                 scene.covered,
                 scene.polyline_offsets,

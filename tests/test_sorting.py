@@ -36,19 +36,28 @@ def test_curves_that_chance_may_have_made_do_not_last():
     options = TracingOptions(point_spacing_px=4)
     traced = traced_curves([-4.0] * 20 + [-0.3] * 20, [5] * 40, [20, 20])
     # 20 points at 4 px are evidence of 5: 10^-20 and 10^-1.5, against one in 60 tests.
-    np.testing.assert_array_equal(lasting_points(traced, options), np.arange(40) < 20)
+    np.testing.assert_array_equal(lasting_points(traced, options, None), np.arange(40) < 20)
 
 
 def test_points_observed_too_seldom_do_not_last_and_cut_curves():
     options = TracingOptions(point_spacing_px=4, min_observations=3, min_curve_points=3)
     seen = np.full(22, 5)
     seen[2] = 2  # two points before it are no curve
-    lasting = lasting_points(traced_curves([-4.0] * 22, seen, [22]), options)
+    lasting = lasting_points(traced_curves([-4.0] * 22, seen, [22]), options, None)
     np.testing.assert_array_equal(lasting, np.arange(22) > 2)
 
 
 def test_of_no_curves_nothing_lasts():
-    assert len(lasting_points(traced_curves([], np.zeros(0, int), []), TracingOptions())) == 0
+    nothing = traced_curves([], np.zeros(0, int), [])
+    assert len(lasting_points(nothing, TracingOptions(), None)) == 0
+
+
+def test_outlines_do_not_last_where_it_is_known_how_much_edges_scatter():
+    traced = traced_curves([-4.0] * 40, [5] * 40, [20, 20], [0.1] * 20 + [0.6] * 20)
+    limits = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
+    np.testing.assert_array_equal(lasting_points(traced, TracingOptions(), None), True)
+    lasting = lasting_points(traced, TracingOptions(), limits)
+    np.testing.assert_array_equal(lasting, np.arange(40) < 20)
 
 
 def test_scatter_is_that_of_all_observations_but_those_that_fix_the_depths():
@@ -82,3 +91,12 @@ def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
     assert find_limits([clean], options, 1.0).residual_px == MIN_RESIDUAL_PX
     assert find_limits([clean], options, 1.5).residual_px == 1.5 * MIN_RESIDUAL_PX
     assert find_limits([rough], options, 1.5).residual_px == pytest.approx(2 * 0.8 * 5 / 4)
+
+
+def test_limit_of_scatter_is_by_what_many_views_observe():
+    options = TracingOptions(max_residual_ratio=2.0)
+    edges, outlines = traced_curves([-4.0] * 5, [8] * 5, [5], 0.3), [[-4.0] * 20, [3] * 20, [20]]
+    many = find_limits([edges, traced_curves(*outlines, 0.9)], options, 1.0)
+    assert many.residual_px == pytest.approx(2 * 0.3 * 7 / 6)  # of 30 observations, not of 5 points
+    alone = find_limits([traced_curves(*outlines, 0.9)], options, 1.0)
+    assert alone.residual_px == pytest.approx(2 * 0.9 * 2)

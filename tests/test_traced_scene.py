@@ -12,9 +12,17 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.edge_graph import keep_points
 from colmap_edges.options import PipelineOptions, TracingOptions
-from colmap_edges.sorting import at_positions
-from colmap_edges.traced_scene import mark_covered, positions_among_all, without_short
+from colmap_edges.sorting import Limits, Sorted, Traced, at_positions
+from colmap_edges.traced_scene import (
+    make_scene,
+    mark_covered,
+    positions_among_all,
+    what_remains,
+    without_repeats,
+    without_short,
+)
 from colmap_edges.tracing import trace_edges
+from colmap_edges.view_selection import select_views
 
 VIEWS = known.ring(9)
 FENCE = [known.line((x, -1, 0), (x, 1, 0.2)) for x in np.linspace(-1, 1, 24)]
@@ -84,6 +92,68 @@ def test_what_is_left_is_cut_where_curves_run():
         assert (vertices[0], vertices[-1]) == (first, end - 1)
     keep[offsets[2] + 5] = False
     assert not keep_points(graph, keep).closed.any()
+
+
+def along(chain, views, points, driver_observes=True):
+    """A curve on the same `points` of one chain in all `views`, on the chains of the first."""
+    count = len(points)
+    at = np.tile((chain + points)[:, None].astype(float), len(views))
+    positions = csr_array(at if driver_observes else np.where(np.arange(len(views)) > 0, at, 0))
+    positions.eliminate_zeros()
+    return Traced(
+        points=np.column_stack([points, np.zeros((count, 2))]),
+        sigmas=np.ones(count),
+        uncertainties=np.ones(count),
+        residuals=np.ones(count),
+        log_chances=np.full(count, -4.0),
+        offsets=np.array([0, count]),
+        views=np.asarray(views),
+        positions=positions,
+    )
+
+
+@pytest.fixture(scope="module")
+def fence():
+    model = known.model_of(VIEWS)
+    near = select_views(model, PipelineOptions().view_selection)
+    return make_scene(model, graphs_of_views(()), near)
+
+
+LIMITS = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
+
+
+def test_edges_take_what_they_run_along_and_outlines_nothing(fence):
+    second = fence.polyline_offsets[0][1]
+    points = np.arange(40, 120, 4)
+    edges, outlines = (along(chain, [0, 1, 2], points) for chain in (0, second))
+    kept = Sorted(edges=[edges], outlines=[outlines], limits=LIMITS)
+    rest = what_remains(fence, kept, TracingOptions())
+    for view in (0, 1, 2):
+        assert not rest.free[view][40:117].any()
+        assert rest.free[view][second : fence.polyline_offsets[view][2]].all()
+    assert rest.free[3].all()
+
+
+def test_of_outlines_along_the_same_chain_the_first_is_left(fence):
+    first = along(0, [0, 1, 2], np.arange(40, 120, 4))
+    again = along(0, [1, 0, 2], np.arange(20, 160, 4))
+    elsewhere = along(0, [3, 4], np.arange(40, 120, 4))
+    not_in_driver = along(0, [2, 5, 6], np.arange(40, 120, 4), driver_observes=False)
+    outlines = [first, again, elsewhere, not_in_driver]
+    kept = Sorted(edges=[], outlines=outlines, limits=LIMITS)
+    options = TracingOptions(point_spacing_px=4, min_curve_points=3)
+    left, counts = without_repeats(fence, kept, options)
+    assert [of.points[:, 0].tolist() for of in left.outlines] == [
+        [*range(40, 120, 4)],
+        [*range(20, 36, 4), *range(124, 160, 4)],  # 4 px beside a point are its own
+        [*range(40, 120, 4)],
+        [*range(40, 120, 4)],
+    ]
+    assert left.outlines[1].offsets.tolist() == [0, 4, 13]
+    assert left.outlines[1].positions.toarray()[4].tolist() == [124, 124, 124]
+    assert counts == {"points_of_outlines": 73, "points_dropped_repeated": 22}
+    shorter, _ = without_repeats(fence, kept, replace(options, min_curve_points=5))
+    assert shorter.outlines[1].points[:, 0].tolist() == [*range(124, 160, 4)]
 
 
 def test_marks_stay_on_their_polyline():
