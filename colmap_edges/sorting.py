@@ -122,7 +122,6 @@ def sort_out(
         "observations_hidden": hidden,
         "points_dropped_chance": int(sure.sum()) - num_points - num_outline_points,
         "points_of_curves": num_points + num_outline_points,
-        "points_of_outlines": num_outline_points,
     }
     return kept, stats
 

@@ -78,20 +78,19 @@ def trace_edges(
         rest = what_remains(whole, kept, options.tracing)
         # The surest curves, those of the first round, say what to ask of all.
         limits = kept.limits if traced else None
-        fewer = for_what_remains(options)
-        found, more = trace_round(rest, near, fewer, limits, workers, advance)
+        later = for_what_remains(options)
+        found, more = trace_round(rest, near, later, limits, workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     kept, repeated = without_repeats(whole, kept, options.tracing)
-    sorted_stats |= repeated
     edges, linked = link(graphs, kept, options.linking)
     about = {
         "views": len(graphs),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
         "max_side_difference": whole.sides.limit,
     }
-    return edges, about | stats | sorted_stats | linked
+    return edges, about | stats | sorted_stats | repeated | linked
 
 
 def with_side_likelihoods(
