@@ -7,6 +7,7 @@ scene's unit.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from colmap_edges.options import LinkingOptions
 
 REACH = 4  # points from an end that tell its direction and spacing
 MIN_LOOP_POINTS = 8  # of a closed edge
+SHORT_GAP = 2.0  # spacings; shorter ones are hardly any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +41,18 @@ class Ends:
     spacings: FloatArray
 
 
-def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
+# Of (n,) ends and (n,) others: (n,) whether an edge runs from the one to the other.
+GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
+
+
+def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn | None = None) -> Edges3D:
     """Join the edges whose ends face each other, close loops and give ends that meet one node.
 
     Args:
         edges: pieces; their ends may overlap by a few points, which are then left out.
         options: how far apart and how parallel.
+        goes_on: tells of gaps longer than `SHORT_GAP` spacings whether an edge runs through them;
+            all do where it is not given.
 
     Returns:
         The linked edges, tracks reordered with their points.
@@ -52,7 +60,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions) -> Edges3D:
     if edges.num_edges == 0:
         return edges
     ends = find_ends(edges)
-    partner = match_ends(ends, np.diff(edges.edge_offsets), options)
+    partner = match_ends(ends, np.diff(edges.edge_offsets), options, goes_on)
     skip = overlaps(edges, ends, partner)
     begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     paths = walk_joined(partner)
@@ -87,7 +95,9 @@ def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArra
     return a[keep], b[keep], gap[keep]
 
 
-def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions) -> IntArray:
+def match_ends(
+    ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: GoesOn | None
+) -> IntArray:
     """(2E,) the end that continues each end, best pairs first, or -1."""
     a, b, gap = near_pairs(ends, options.max_gap_spacings)
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
@@ -102,7 +112,11 @@ def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions) -> IntArray
     # An overlap is left out later, of one piece; it must not be all of it.
     allowed &= along >= -(REACH - 1) * spacing
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
-    cost = np.linalg.norm(gap, axis=1) / spacing + 2 * across / spacing
+    lengths = np.linalg.norm(gap, axis=1)
+    if goes_on is not None:
+        rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
+        allowed[rows] = goes_on(ends, a[rows], b[rows])
+    cost = lengths / spacing + 2 * across / spacing
     return match_best_first(len(ends.positions), a, b, allowed, cost)
 
 

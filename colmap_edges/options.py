@@ -264,7 +264,10 @@ class LinkingOptions(Options):
     """Pieces of 3D edges -> whole edges with nodes."""
 
     max_gap_spacings: float = option(
-        8.0, "Largest gap across which 3D edges are joined, in distances between edge points", ge=0
+        8.0,
+        "Largest gap across which 3D edges are joined where views observe an edge in it, in "
+        "distances between edge points",
+        ge=0,
     )
     max_join_angle_deg: float = option(
         30.0, "Largest turn where two 3D edges are joined, in degrees", ge=0, le=90

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,11 @@ from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Arra
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D, mean_colors
+from colmap_edges.gaps import are_observed
 from colmap_edges.linking import link_edges
 from colmap_edges.model import Model, rows_by_view
 from colmap_edges.occlusion import find_hidden
-from colmap_edges.options import LinkingOptions, TracingOptions
+from colmap_edges.options import PipelineOptions, TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
 MIN_RESIDUAL_PX = 0.22  # of the given images: real edges may scatter as much in clean scenes
@@ -127,22 +129,33 @@ def sort_out(
 
 
 def link(
-    graphs: Sequence[EdgeGraph], kept: Sorted, options: LinkingOptions
+    graphs: Sequence[EdgeGraph],
+    edge_views: Sequence[Any],
+    kept: Sorted,
+    options: PipelineOptions,
+    num_threads: int,
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Link what is kept to edges and outlines.
 
     Args:
         graphs: the edge graph of each view.
+        edge_views: the same in the kernels' form.
         kept: the pieces, at positions on these graphs.
-        options: how pieces are linked.
+        options: how pieces are linked, and how they must be observed in between.
+        num_threads: threads to use; the result does not depend on it.
 
     Returns:
         The edges with their outlines, and counts of them.
     """
+
+    def linked(pieces: Edges3D) -> Edges3D:
+        goes_on = partial(are_observed, pieces, edge_views, options, num_threads)
+        return link_edges(pieces, options.linking, goes_on)
+
     pieces, outlines = make_edges(graphs, kept.edges), make_edges(graphs, kept.outlines)
-    edges = link_edges(pieces, options)
+    edges = linked(pieces)
     if outlines.num_edges:
-        edges = replace(edges, outlines=link_edges(outlines, options))
+        edges = replace(edges, outlines=linked(outlines))
     return edges, {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),

@@ -84,7 +84,7 @@ def trace_edges(
         stats = {name: stats[name] + more[name] for name in stats}
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     kept, repeated = without_repeats(whole, kept, options.tracing)
-    edges, linked = link(graphs, kept, options.linking)
+    edges, linked = link(graphs, whole.edge_views, kept, options, num_threads)
     about = {
         "views": len(graphs),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),

@@ -1,0 +1,87 @@
+"""Gaps between two pieces of an edge: whether views observe that the edge goes on in them.
+
+Without that, edges that end at corners would be joined to others that happen to lie on the same
+line, as the sides of windows in a row do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
+from colmap_edges.csr import ranks_of
+from colmap_edges.edges import Edges3D
+from colmap_edges.joining import end_points
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.linking import REACH, Ends
+from colmap_edges.options import PipelineOptions
+
+PLACES = np.array([0.25, 0.5, 0.75])  # along a gap, at which an edge must be observed
+RADIUS_RATIO = 1.5  # what lies in between is known less well than edge points are
+
+
+def are_observed(
+    edges: Edges3D,
+    edge_views: Sequence[_kernels.EdgeView],
+    options: PipelineOptions,
+    num_threads: int,
+    ends: Ends,
+    a: IntArray,
+    b: IntArray,
+) -> BoolArray:
+    """Whether enough of the views that observe one of two ends observe an edge between them.
+
+    Args:
+        edges: the pieces.
+        edge_views: all views in the kernels' form.
+        options: how near to a chain and how parallel to it an edge is observed, and how many
+            views are enough.
+        num_threads: threads to use; the result does not depend on it.
+        ends: those of the pieces.
+        a: (n,) the one ends.
+        b: (n,) the others.
+
+    Returns:
+        (n,) whether they do.
+    """
+    points, tangents = curves_between(ends, a, b)
+    gaps, views = views_of_either(edges, a, b)
+    counts = np.zeros(len(a), np.int64)
+    for view in np.unique(views):
+        rows = gaps[views == view]
+        positions = _kernels.associate(
+            [edge_views[view]],
+            points[rows].reshape(-1, 3),
+            tangents[rows].reshape(-1, 3),
+            np.zeros(len(rows) * len(PLACES), np.int8),
+            max_distance_px=RADIUS_RATIO * options.refinement.max_residual_px,
+            min_cosine=np.cos(np.radians(options.linking.max_join_angle_deg)),
+            num_threads=num_threads,
+        )
+        counts[rows] += (positions.reshape(-1, len(PLACES)) >= 0).all(axis=1)
+    enough: BoolArray = counts >= options.tracing.min_observations
+    return enough
+
+
+def views_of_either(edges: Edges3D, a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
+    """Pairs (g, v): view v observes an edge point near end a[g] or near end b[g], each once."""
+    tips, inner = end_points(edges.edge_offsets, REACH)
+    ends = np.concatenate([a, b])
+    first = edges.track_offsets[np.minimum(tips, inner)[ends]]
+    counts = edges.track_offsets[np.maximum(tips, inner)[ends] + 1] - first
+    views = edges.track_views[np.repeat(first, counts) + ranks_of(counts)]
+    gaps = np.repeat(np.tile(np.arange(len(a)), 2), counts)
+    pairs = np.unique(np.column_stack([gaps, views]), axis=0)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(n, P, 3) points at `PLACES` of smooth curves from ends to ends, and their directions."""
+    positions = np.stack([ends.positions[a], ends.positions[b]])
+    lengths = np.linalg.norm(positions[1] - positions[0], axis=1, keepdims=True)
+    leaving, arriving = lengths * ends.outward[a], -lengths * ends.outward[b]
+    curves = CubicHermiteSpline([0, 1], positions, np.stack([leaving, arriving]))
+    return curves(PLACES).swapaxes(0, 1), curves(PLACES, 1).swapaxes(0, 1)
