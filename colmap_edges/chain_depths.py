@@ -27,6 +27,7 @@ SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few vi
 MIN_SURE = 200  # supports of such depths that are enough to learn from
 CHANCE_PAIRS = 4  # pairs by chance for each of those
 END_PX = 6  # of polylines, where blur and what they meet there may have moved them
+MIN_INNER_PX = 8  # between the first and the last sample, for which shorter ends must do
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,19 +77,20 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
     """Samples evenly along each polyline, at most `step` points apart.
 
-    The first and the last are `END_PX` from its ends; on one that is too short there is one sample.
+    The first and the last are `END_PX` from its ends, but nearer where they would be nearer than
+    `MIN_INNER_PX` to each other: two samples at least make a run.
 
     Returns:
         (S,) indices of points, (P + 1,) offsets of the polylines' samples.
     """
     lengths = np.diff(graph.polyline_offsets)
-    inner = lengths - 1 - 2 * END_PX
+    ends = np.clip((lengths - 1 - MIN_INNER_PX) // 2, 0, END_PX)
+    inner = lengths - 1 - 2 * ends
     intervals = np.where(inner > 0, -(-inner // step), 0)
     ids = np.repeat(np.arange(len(lengths)), intervals + 1)
     ranks = ranks_of(intervals + 1)
-    along = END_PX + np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)
-    places = np.where(intervals[ids] > 0, along, lengths[ids] // 2)
-    return graph.polyline_offsets[ids] + places, offsets_of(intervals + 1)
+    along = np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)
+    return graph.polyline_offsets[ids] + ends[ids] + along, offsets_of(intervals + 1)
 
 
 def compute_chain_depths(

@@ -18,10 +18,11 @@ def samples_on(*lengths, step=24):
 @pytest.mark.parametrize(
     ("length", "places"),
     [
-        (2, [1]),
-        (13, [6]),  # room for one
-        (14, [6, 7]),
-        (20, [6, 13]),
+        (1, [0]),
+        (2, [0, 1]),
+        (9, [0, 8]),
+        (13, [2, 10]),  # at least 8 px apart, if need be nearer to the ends
+        (20, [5, 14]),
         (21, [6, 14]),
         (37, [6, 30]),
         (61, [6, 30, 54]),
@@ -33,6 +34,6 @@ def test_places_of_samples(length, places):
 
 
 def test_samples_of_many_polylines():
-    assert samples_on(40, 5, 21) == [[6, 20, 33], [2], [6, 14]]
+    assert samples_on(40, 5, 21) == [[6, 20, 33], [0, 4], [6, 14]]
     assert samples_on(100, step=8) == [[6, 14, 22, 30, 38, 46, 53, 61, 69, 77, 85, 93]]
     assert samples_on() == [[]]
