@@ -394,10 +394,10 @@ class MeshingOptions(Options):
         1.0, "Softness of a point's depth (sigma), in lower quartiles of edge lengths", gt=0
     )
     quality_weight: float = option(
-        0.2, "Weight of well-shaped triangles against one ray; more is smoother", ge=0, basic=True
+        0.1, "Weight of well-shaped triangles against one ray; more is smoother", ge=0, basic=True
     )
     edge_solid_weight: float = option(
-        1.0,
+        0.7,
         "graphcut: weight of the solid behind an edge point against that behind other points; "
         "less leaves more free space behind occluding edges",
         ge=0,

@@ -8,9 +8,9 @@
 namespace mesher {
 
 struct VisibilityOptions {
-  double sigma_factor = 1;       // softness of a point's depth, in units of the spacing of points
-  double quality_weight = 0.2;   // weight of well-shaped surfaces against one ray
-  double edge_solid_weight = 1;  // of the solid behind an edge point, against that behind others
+  double sigma_factor = 1;         // softness of a point's depth, in units of the spacing of points
+  double quality_weight = 0.1;     // weight of well-shaped surfaces against one ray
+  double edge_solid_weight = 0.7;  // of the solid behind an edge point, against that behind others
   int num_threads = 1;
 };
 
