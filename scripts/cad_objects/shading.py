@@ -1,0 +1,95 @@
+"""Views of a mesh by rays: matte gray under three lamps before a white background."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+SIZE, FOCAL = 800, 1111.0  # pixels
+DISTANCE = 4.0  # of the cameras from the origin, at which they look
+NUM_VIEWS = 50
+RAYS = 3  # a pixel, along each of its sides
+CREASE = np.radians(15)  # from this angle on two faces meet in an edge
+NOISE = 0.4  # standard deviation, gray levels
+AMBIENT = 0.16
+LAMPS = (((1, -0.6, 1.2), 0.34), ((-1, 0.4, -0.7), 0.2), ((-0.3, 1, 0.5), 0.14))
+TURN = np.pi * (3 - np.sqrt(5))  # from one view to the next: spreads them evenly
+
+
+def make_model() -> pycolmap.Reconstruction:
+    """Posed views spread evenly over a sphere, without any point."""
+    model = pycolmap.Reconstruction()
+    parameters = [FOCAL, FOCAL, SIZE / 2, SIZE / 2]
+    camera = pycolmap.Camera(
+        camera_id=1, model="PINHOLE", width=SIZE, height=SIZE, params=parameters
+    )
+    model.add_camera_with_trivial_rig(camera)
+    for i, height in enumerate(1 - 2 * (np.arange(NUM_VIEWS) + 0.5) / NUM_VIEWS):
+        across = np.sqrt(1 - height**2)
+        center = DISTANCE * np.array([across * np.cos(TURN * i), across * np.sin(TURN * i), height])
+        forward = -center / DISTANCE
+        right = np.cross(forward, (0, 0, 1)) / across
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ center)
+        image = pycolmap.Image(name=f"{i:02d}.jpg", camera_id=1, image_id=i + 1)
+        model.add_image_with_trivial_frame(image, pose)
+    return model
+
+
+def render(mesh: trimesh.Trimesh, model: pycolmap.Reconstruction, folder: Path) -> None:
+    """Write what the images of the model see of the mesh."""
+    smooth = trimesh.graph.smooth_shade(mesh, angle=CREASE)
+    caster = RayMeshIntersector(smooth)
+    random = np.random.default_rng(0)
+    folder.mkdir(parents=True, exist_ok=True)
+    for image in model.images.values():
+        light = brightness(smooth, caster, image.cam_from_world())
+        gray = 255 * light ** (1 / 2.2) + random.normal(0, NOISE, light.shape)
+        pixels = np.clip(np.rint(gray), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(folder / image.name), pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])
+
+
+def brightness(
+    mesh: trimesh.Trimesh, caster: RayMeshIntersector, cam_from_world: pycolmap.Rigid3d
+) -> np.ndarray:
+    """(SIZE, SIZE) light from 0 to 1, the mean of the rays through each pixel."""
+    rotation = cam_from_world.rotation.matrix()
+    center = -rotation.T @ cam_from_world.translation
+    local = mesh.vertices @ rotation.T + cam_from_world.translation
+    pixels = FOCAL * local[:, :2] / local[:, 2:] + SIZE / 2
+    first = np.clip(pixels.min(axis=0).astype(int) - 1, 0, SIZE)
+    last = np.clip(pixels.max(axis=0).astype(int) + 2, 0, SIZE)
+    x, y = (
+        (np.arange(low * RAYS, high * RAYS) + 0.5) / RAYS
+        for low, high in zip(first, last, strict=True)
+    )
+    at = (np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - SIZE / 2) / FOCAL
+    rays = np.column_stack([at, np.ones(len(at))]) @ rotation
+    origins = np.broadcast_to(center, rays.shape)
+    places, hit, faces = caster.intersects_location(origins, rays, multiple_hits=False)
+    values = np.ones(len(rays))
+    values[hit] = np.clip(lamplight(normals_at(mesh, places, faces)), 0, 1)
+    light = np.ones((SIZE, SIZE))
+    means = values.reshape(last[1] - first[1], RAYS, last[0] - first[0], RAYS).mean(axis=(1, 3))
+    light[first[1] : last[1], first[0] : last[0]] = means
+    return light
+
+
+def normals_at(mesh: trimesh.Trimesh, places: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(N, 3) normals at (N, 3) places on (N,) faces, between those of the corners."""
+    weights = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], places)
+    normals = np.einsum("ij,ijk->ik", weights, mesh.vertex_normals[mesh.faces[faces]])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def lamplight(normals: np.ndarray) -> np.ndarray:
+    """(N,) light that matte faces of (N, 3) normals reflect."""
+    directions = np.array([direction for direction, _ in LAMPS], float)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    strengths = np.array([strength for _, strength in LAMPS])
+    return AMBIENT + 0.05 * normals[:, 2] + np.maximum(normals @ directions.T, 0) @ strengths
