@@ -27,7 +27,7 @@ SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few vi
 MIN_SURE = 200  # supports of such depths that are enough to learn from
 CHANCE_PAIRS = 4  # pairs by chance for each of those
 END_PX = 6  # of polylines, where blur and what they meet there may have moved them
-MIN_INNER_PX = 8  # between the first and the last sample, for which shorter ends must do
+MIN_INNER_PX = 8  # between two samples on a short polyline, for which shorter ends must do
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,16 +77,17 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
     """Samples evenly along each polyline, at most `step` points apart.
 
-    The first and the last are `END_PX` from its ends, but nearer where they would be nearer than
-    `MIN_INNER_PX` to each other: two samples at least make a run.
+    The first and the last are `END_PX` from its ends, but less where they would be nearer than
+    `MIN_INNER_PX` to each other: a run needs two. Where there is no room for that there is one.
 
     Returns:
         (S,) indices of points, (P + 1,) offsets of the polylines' samples.
     """
     lengths = np.diff(graph.polyline_offsets)
-    ends = np.clip((lengths - 1 - MIN_INNER_PX) // 2, 0, END_PX)
-    inner = lengths - 1 - 2 * ends
-    intervals = np.where(inner > 0, -(-inner // step), 0)
+    ends = np.minimum((lengths - 1 - MIN_INNER_PX) // 2, END_PX)
+    ends = np.where(ends >= 0, ends, lengths // 2)
+    inner = np.maximum(lengths - 1 - 2 * ends, 0)
+    intervals = -(-inner // step)
     ids = np.repeat(np.arange(len(lengths)), intervals + 1)
     ranks = ranks_of(intervals + 1)
     along = np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)

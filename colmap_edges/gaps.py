@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
+from scipy.sparse import csc_array
 
 from colmap_edges.array_types import BoolArray, FloatArray, IntArray
 from colmap_edges.csr import ranks_of
@@ -48,10 +49,10 @@ def are_observed(
         (n,) whether they do.
     """
     points, tangents = curves_between(ends, a, b)
-    gaps, views = views_of_either(edges, a, b)
+    asked = views_of_either(edges, a, b, len(edge_views))
     counts = np.zeros(len(a), np.int64)
-    for view in np.unique(views):
-        rows = gaps[views == view]
+    for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
+        rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
         positions = _kernels.associate(
             [edge_views[view]],
             points[rows].reshape(-1, 3),
@@ -66,16 +67,15 @@ def are_observed(
     return enough
 
 
-def views_of_either(edges: Edges3D, a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs (g, v): view v observes an edge point near end a[g] or near end b[g], each once."""
+def views_of_either(edges: Edges3D, a: IntArray, b: IntArray, num_views: int) -> csc_array:
+    """(n, V) sparse: view v observes an edge point near end a[g] or near end b[g]."""
     tips, inner = end_points(edges.edge_offsets, REACH)
     ends = np.concatenate([a, b])
     first = edges.track_offsets[np.minimum(tips, inner)[ends]]
     counts = edges.track_offsets[np.maximum(tips, inner)[ends] + 1] - first
     views = edges.track_views[np.repeat(first, counts) + ranks_of(counts)]
     gaps = np.repeat(np.tile(np.arange(len(a)), 2), counts)
-    pairs = np.unique(np.column_stack([gaps, views]), axis=0)
-    return pairs[:, 0], pairs[:, 1]
+    return csc_array((np.ones(len(views), bool), (gaps, views)), shape=(len(a), num_views))
 
 
 def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -19,7 +19,8 @@ def samples_on(*lengths, step=24):
     ("length", "places"),
     [
         (1, [0]),
-        (2, [0, 1]),
+        (2, [1]),
+        (8, [4]),  # no room for two
         (9, [0, 8]),
         (13, [2, 10]),  # at least 8 px apart, if need be nearer to the ends
         (20, [5, 14]),
@@ -34,6 +35,6 @@ def test_places_of_samples(length, places):
 
 
 def test_samples_of_many_polylines():
-    assert samples_on(40, 5, 21) == [[6, 20, 33], [0, 4], [6, 14]]
+    assert samples_on(40, 5, 21) == [[6, 20, 33], [2], [6, 14]]
     assert samples_on(100, step=8) == [[6, 14, 22, 30, 38, 46, 53, 61, 69, 77, 85, 93]]
     assert samples_on() == [[]]
