@@ -33,10 +33,14 @@ def owners_of(offsets: IntArray) -> IntArray:
 
 def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
     """Indices of the entries of the chosen (m,) rows of (n + 1,) offsets, in the rows' order."""
-    starts = offsets[rows]
-    lengths = offsets[rows + 1] - starts
-    entries: IntArray = np.repeat(starts, lengths) + ranks_of(lengths)
-    return entries
+    return ranges_of(offsets[rows], offsets[rows + 1])
+
+
+def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
+    """The integers from each of (n,) starts to before its (n,) end, one range after the other."""
+    lengths = ends - starts
+    integers: IntArray = np.repeat(starts, lengths) + ranks_of(lengths)
+    return integers
 
 
 def ranks_of(lengths: IntArray) -> IntArray:

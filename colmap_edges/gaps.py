@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.sparse import csc_array
 
 from colmap_edges.array_types import BoolArray, FloatArray, IntArray
-from colmap_edges.csr import ranks_of
+from colmap_edges.csr import ranges_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.joining import end_points
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -72,9 +72,9 @@ def views_of_either(edges: Edges3D, a: IntArray, b: IntArray, num_views: int) ->
     tips, inner = end_points(edges.edge_offsets, REACH)
     ends = np.concatenate([a, b])
     first = edges.track_offsets[np.minimum(tips, inner)[ends]]
-    counts = edges.track_offsets[np.maximum(tips, inner)[ends] + 1] - first
-    views = edges.track_views[np.repeat(first, counts) + ranks_of(counts)]
-    gaps = np.repeat(np.tile(np.arange(len(a)), 2), counts)
+    last = edges.track_offsets[np.maximum(tips, inner)[ends] + 1]
+    views = edges.track_views[ranges_of(first, last)]
+    gaps = np.repeat(np.tile(np.arange(len(a)), 2), last - first)
     return csc_array((np.ones(len(views), bool), (gaps, views)), shape=(len(a), num_views))
 
 

@@ -45,14 +45,13 @@ class Ends:
 GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
 
 
-def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn | None = None) -> Edges3D:
+def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edges3D:
     """Join the edges whose ends face each other, close loops and give ends that meet one node.
 
     Args:
         edges: pieces; their ends may overlap by a few points, which are then left out.
         options: how far apart and how parallel.
-        goes_on: tells of gaps longer than `SHORT_GAP` spacings whether an edge runs through them;
-            all do where it is not given.
+        goes_on: tells of gaps longer than `SHORT_GAP` spacings whether an edge runs through them.
 
     Returns:
         The linked edges, tracks reordered with their points.
@@ -95,9 +94,7 @@ def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArra
     return a[keep], b[keep], gap[keep]
 
 
-def match_ends(
-    ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: GoesOn | None
-) -> IntArray:
+def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: GoesOn) -> IntArray:
     """(2E,) the end that continues each end, best pairs first, or -1."""
     a, b, gap = near_pairs(ends, options.max_gap_spacings)
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
@@ -113,9 +110,8 @@ def match_ends(
     allowed &= along >= -(REACH - 1) * spacing
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
     lengths = np.linalg.norm(gap, axis=1)
-    if goes_on is not None:
-        rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
-        allowed[rows] = goes_on(ends, a[rows], b[rows])
+    rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
+    allowed[rows] = goes_on(ends, a[rows], b[rows])
     cost = lengths / spacing + 2 * across / spacing
     return match_best_first(len(ends.positions), a, b, allowed, cost)
 

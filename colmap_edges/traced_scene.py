@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from colmap_edges.array_types import BoolArray, IntArray
 from colmap_edges.chain_depths import make_edge_view
-from colmap_edges.csr import owners_of, ranks_of
+from colmap_edges.csr import owners_of, ranges_of
 from colmap_edges.edge_graph import EdgeGraph, keep_points
 from colmap_edges.executors import Workers
 from colmap_edges.graph_store import GraphStore, Recent
@@ -212,8 +212,7 @@ def mark_covered(
         polyline = np.searchsorted(offsets[view], at, "right") - 1
         low = np.maximum(at - reach, offsets[view][polyline])
         high = np.minimum(at + reach + 1, offsets[view][polyline + 1])
-        lengths = high - low
-        covered[view][np.repeat(low, lengths) + ranks_of(lengths)] = True
+        covered[view][ranges_of(low, high)] = True
 
 
 def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:

@@ -18,7 +18,13 @@ from cad_objects.solids import OBJECTS, in_unit_box
 
 @click.command(help=__doc__)
 @click.option("--output_path", type=Path, required=True, help="Folder for the objects' folders.")
-@click.option("--names", multiple=True, type=click.Choice(list(OBJECTS)), default=list(OBJECTS))
+@click.option(
+    "--names",
+    multiple=True,
+    type=click.Choice(list(OBJECTS)),
+    default=list(OBJECTS),
+    help="Objects to make; default: all.",
+)
 def main(output_path: Path, names: tuple[str, ...]) -> None:
     for name in names:
         mesh = mesh_of(name)

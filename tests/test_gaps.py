@@ -91,10 +91,9 @@ def test_one_place_without_a_chain_is_enough_to_keep_pieces_apart():
 
 def test_short_gaps_need_no_view():
     pieces, options = pieces_of(LINE, [0]), PipelineOptions()
-    near = pieces.reordered(
-        np.arange(len(pieces.points)), np.array([0, 20, len(pieces.points)]), pieces.closed,
-        pieces.end_nodes,
-    )  # fmt: skip
+    points = np.arange(len(pieces.points))
+    offsets = np.array([0, 20, len(points)])
+    near = pieces.reordered(points, offsets, pieces.closed, pieces.end_nodes)
     asked = []
 
     def never(ends, a, b):

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 import trimesh
+from demo_scene.cameras import look_at
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 SIZE, FOCAL = 800, 1111.0  # pixels
@@ -18,7 +19,7 @@ CREASE = np.radians(15)  # from this angle on two faces meet in an edge
 NOISE = 0.4  # standard deviation, gray levels
 AMBIENT = 0.16
 LAMPS = (((1, -0.6, 1.2), 0.34), ((-1, 0.4, -0.7), 0.2), ((-0.3, 1, 0.5), 0.14))
-TURN = np.pi * (3 - np.sqrt(5))  # from one view to the next: spreads them evenly
+TURN_DEG = 180 * (3 - np.sqrt(5))  # from one view to the next: spreads them evenly
 
 
 def make_model() -> pycolmap.Reconstruction:
@@ -30,14 +31,10 @@ def make_model() -> pycolmap.Reconstruction:
     )
     model.add_camera_with_trivial_rig(camera)
     for i, height in enumerate(1 - 2 * (np.arange(NUM_VIEWS) + 0.5) / NUM_VIEWS):
-        across = np.sqrt(1 - height**2)
-        center = DISTANCE * np.array([across * np.cos(TURN * i), across * np.sin(TURN * i), height])
-        forward = -center / DISTANCE
-        right = np.cross(forward, (0, 0, 1)) / across
-        rotation = np.stack([right, np.cross(forward, right), forward])
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ center)
-        image = pycolmap.Image(name=f"{i:02d}.jpg", camera_id=1, image_id=i + 1)
-        model.add_image_with_trivial_frame(image, pose)
+        azimuth, elevation = 90 + TURN_DEG * i, np.degrees(np.arcsin(height))
+        view = look_at(f"{i:02d}.jpg", DISTANCE, azimuth, elevation, (0, 0, 0), 0)
+        image = pycolmap.Image(name=view.name, camera_id=1, image_id=i + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(view.cam_from_world))
     return model
 
 
