@@ -10,14 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.sparse import csc_array
 
 from colmap_edges.array_types import BoolArray, FloatArray, IntArray
-from colmap_edges.csr import ranges_of
+from colmap_edges.chain_positions import positions_near
 from colmap_edges.edges import Edges3D
-from colmap_edges.joining import end_points
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.linking import REACH, Ends
+from colmap_edges.linking import Ends, views_near
 from colmap_edges.options import PipelineOptions
 
 PLACES = np.array([0.25, 0.5, 0.75])  # along a gap, at which an edge must be observed
@@ -49,33 +47,18 @@ def are_observed(
         (n,) whether they do.
     """
     points, tangents = curves_between(ends, a, b)
-    asked = views_of_either(edges, a, b, len(edge_views))
+    asked = views_near(edges, np.column_stack([a, b]), len(edge_views))
+    radius = RADIUS_RATIO * options.refinement.max_residual_px
+    cosine = float(np.cos(np.radians(options.linking.max_join_angle_deg)))
     counts = np.zeros(len(a), np.int64)
     for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
         rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
-        positions = _kernels.associate(
-            [edge_views[view]],
-            points[rows].reshape(-1, 3),
-            tangents[rows].reshape(-1, 3),
-            np.zeros(len(rows) * len(PLACES), np.int8),
-            max_distance_px=RADIUS_RATIO * options.refinement.max_residual_px,
-            min_cosine=np.cos(np.radians(options.linking.max_join_angle_deg)),
-            num_threads=num_threads,
+        positions = positions_near(
+            edge_views[view], radius, num_threads, points[rows], tangents[rows], cosine
         )
-        counts[rows] += (positions.reshape(-1, len(PLACES)) >= 0).all(axis=1)
+        counts[rows] += (positions >= 0).all(axis=1)
     enough: BoolArray = counts >= options.tracing.min_observations
     return enough
-
-
-def views_of_either(edges: Edges3D, a: IntArray, b: IntArray, num_views: int) -> csc_array:
-    """(n, V) sparse: view v observes an edge point near end a[g] or near end b[g]."""
-    tips, inner = end_points(edges.edge_offsets, REACH)
-    ends = np.concatenate([a, b])
-    first = edges.track_offsets[np.minimum(tips, inner)[ends]]
-    last = edges.track_offsets[np.maximum(tips, inner)[ends] + 1]
-    views = edges.track_views[ranges_of(first, last)]
-    gaps = np.repeat(np.tile(np.arange(len(a)), 2), last - first)
-    return csc_array((np.ones(len(views), bool), (gaps, views)), shape=(len(a), num_views))
 
 
 def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -8,15 +8,16 @@ scene's unit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
-from colmap_edges.csr import offsets_of
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
+from colmap_edges.csr import offsets_of, ranges_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.joining import end_points, match_best_first, points_along, walk_joined
 from colmap_edges.options import LinkingOptions
@@ -65,9 +66,8 @@ def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edge
     paths = walk_joined(partner)
     order, lengths = points_along(paths, begin, stop)
     loops = np.array([closed for _, closed in paths], bool)
-    tips = np.array([(path[0], path[-1] ^ 1) for path, _ in paths])
-    nodes = find_nodes(ends, tips, loops, options)
-    return edges.reordered(order, offsets_of(lengths), loops, nodes)
+    none = np.full((len(paths), 2), -1, np.int32)
+    return with_nodes(edges.reordered(order, offsets_of(lengths), loops, none), options)
 
 
 def find_ends(edges: Edges3D) -> Ends:
@@ -87,7 +87,7 @@ def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArra
     tree = cKDTree(ends.positions)
     found = tree.query_ball_point(ends.positions, radius * ends.spacings, return_sorted=True)
     a = np.repeat(np.arange(len(found)), [len(row) for row in found])
-    b = np.concatenate([np.zeros(0, np.int64), *(np.array(row, np.int64) for row in found)])
+    b = np.fromiter(chain.from_iterable(found), np.int64, len(a))
     gap = ends.positions[b] - ends.positions[a]
     near = np.linalg.norm(gap, axis=1) <= radius * np.minimum(ends.spacings[a], ends.spacings[b])
     keep = near & (a < b)
@@ -136,11 +136,10 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
     return skip
 
 
-def find_nodes(
-    ends: Ends, tips: IntArray, closed: BoolArray, options: LinkingOptions
-) -> Int32Array:
-    """(L, 2) node of both ends of each linked edge, whose (L, 2) ends are `tips`; -1 for none."""
-    free = np.unique(tips[~closed])
+def with_nodes(edges: Edges3D, options: LinkingOptions) -> Edges3D:
+    """The edges with a node for the ends of open ones that meet."""
+    ends = find_ends(edges)
+    free = np.flatnonzero(np.repeat(~edges.closed, 2))
     own = Ends(
         positions=ends.positions[free], outward=ends.outward[free], spacings=ends.spacings[free]
     )
@@ -152,6 +151,15 @@ def find_nodes(
         shared = np.bincount(labels)[labels] > 1
         numbers = np.unique(labels[shared], return_inverse=True)[1]
         nodes[free[shared]] = numbers
-    result: Int32Array = nodes[tips]
-    result[closed] = -1
-    return result
+    return replace(edges, end_nodes=nodes.reshape(-1, 2))
+
+
+def views_near(edges: Edges3D, ends: IntArray, num_views: int) -> csc_array:
+    """(n, V) sparse: view v observes an edge point near one of (n, k) ends."""
+    tips, inner = end_points(edges.edge_offsets, REACH)
+    of = ends.ravel()
+    first = edges.track_offsets[np.minimum(tips, inner)[of]]
+    last = edges.track_offsets[np.maximum(tips, inner)[of] + 1]
+    views = edges.track_views[ranges_of(first, last)]
+    rows = np.repeat(np.repeat(np.arange(len(ends)), ends.shape[1]), last - first)
+    return csc_array((np.ones(len(views), bool), (rows, views)), shape=(len(ends), num_views))

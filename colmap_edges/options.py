@@ -272,6 +272,12 @@ class LinkingOptions(Options):
     max_join_angle_deg: float = option(
         30.0, "Largest turn where two 3D edges are joined, in degrees", ge=0, le=90
     )
+    max_corner_spacings: float = option(
+        12.0,
+        "Longest way on which the end of a 3D edge is led to a corner where it meets others, in "
+        "distances between edge points; 0 leads none",
+        ge=0,
+    )
     node_radius_spacings: float = option(
         2.5, "Distance within which ends of 3D edges meet, in distances between edge points", ge=0
     )

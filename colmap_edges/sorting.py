@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.array_types import BoolArray, FloatArray, IntArray
+from colmap_edges.chain_positions import look_up
 from colmap_edges.csr import offsets_of, owners_of
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D, mean_colors
 from colmap_edges.gaps import are_observed
+from colmap_edges.junctions import meet_at_corners
 from colmap_edges.linking import link_edges
-from colmap_edges.model import Model, rows_by_view
+from colmap_edges.model import Model
 from colmap_edges.occlusion import find_hidden
 from colmap_edges.options import PipelineOptions, TracingOptions
 
@@ -153,7 +155,7 @@ def link(
         return link_edges(pieces, options.linking, goes_on)
 
     pieces, outlines = make_edges(graphs, kept.edges), make_edges(graphs, kept.outlines)
-    edges = linked(pieces)
+    edges = meet_at_corners(linked(pieces), graphs, edge_views, options, num_threads)
     if outlines.num_edges:
         edges = replace(edges, outlines=linked(outlines))
     return edges, {
@@ -365,30 +367,3 @@ def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
         end_nodes=np.full((num_edges, 2), -1, np.int32),
         colors=mean_colors(colors, track_offsets),
     )
-
-
-def look_up(
-    graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Image pixels (T, 2) and colours (T, 3) at (T,) positions on the chains of (T,) views."""
-    pixels, colors = np.zeros((len(positions), 2)), np.zeros((len(positions), 3))
-    for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
-        if len(rows):
-            graph = graphs[view]
-            pixels[rows], colors[rows] = at_positions(
-                graph, positions[rows], graph.points, graph.colors
-            )
-    return pixels, colors
-
-
-def at_positions(
-    graph: EdgeGraph, positions: FloatArray, *values: FloatArray | ByteArray
-) -> list[FloatArray]:
-    """What (N, k) values of a graph's points are at (M,) fractional positions: (M, k) of each."""
-    low = positions.astype(np.int64)
-    polyline = graph.polyline_ids[low]
-    last = graph.polyline_offsets[polyline + 1] - 1
-    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
-    high = np.where(low < last, low + 1, wrapped)
-    weight = (positions - low)[:, None]
-    return [(1 - weight) * of.take(low, axis=0) + weight * of.take(high, axis=0) for of in values]

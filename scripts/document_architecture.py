@@ -28,8 +28,8 @@ ROOMS = {
     ),
     "3D edges by chains": (
         "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",
-        "refinement", "runs", "significance", "occlusion", "linking", "gaps", "sorting",
-        "traced_scene", "tracing",
+        "refinement", "runs", "significance", "occlusion", "linking", "gaps",
+        "chain_positions", "junctions", "sorting", "traced_scene", "tracing",
     ),
     "3D edges by the paper": (
         "edge_field", "matching", "correspondences", "following", "visibility", "paper_tracing",

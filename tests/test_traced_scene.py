@@ -10,9 +10,10 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from colmap_edges.chain_positions import at_positions
 from colmap_edges.edge_graph import keep_points
 from colmap_edges.options import PipelineOptions, TracingOptions
-from colmap_edges.sorting import Limits, Sorted, Traced, at_positions
+from colmap_edges.sorting import Limits, Sorted, Traced
 from colmap_edges.traced_scene import (
     make_scene,
     mark_covered,

@@ -1,0 +1,272 @@
+"""Ends of edges that point at each other run on to where they meet: the corners of bodies.
+
+Blur rounds corners off and depths are known up to a few pixels before them, so that edges end a
+little before or behind the corner. Where lines through their ends meet, and views observe an edge
+there, each is led to the meeting point (the least squares one of three edges and more).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
+from colmap_edges.chain_positions import look_up, positions_near
+from colmap_edges.csr import offsets_of, ranges_of
+from colmap_edges.edge_graph import EdgeGraph
+from colmap_edges.edges import Edges3D, mean_colors
+from colmap_edges.joining import end_points
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.linking import (
+    REACH,
+    SHORT_GAP,
+    Ends,
+    find_ends,
+    near_pairs,
+    views_near,
+    with_nodes,
+)
+from colmap_edges.options import LinkingOptions, PipelineOptions
+
+FIT_POINTS = 8  # next to the last one that tell the line of an end
+MIN_ANGLE_DEG = 20.0  # between lines; where nearly parallel ones meet is not known
+APART_RATIO = 1.5  # how far apart two ends are at most, in their longest ways to the corner
+MAX_MISS_SPACINGS = 0.5  # distance of an end's line to the corner
+MAX_PAST_SPACINGS = 0.75  # how far an edge may have gone past the corner
+MIN_GAP_SPACINGS = 0.5  # nearer to the corner an edge point is replaced by it
+STAY_WEIGHT = 1e-6  # against a line's
+WAY = np.array([1 / 3, 2 / 3])  # of the way to a corner, where it must be observed
+MIN_SEEN_RATIO = 0.5  # of the views that observe an end, those that must observe the corner
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corners:
+    """Ends of edges that meet.
+
+    Attributes:
+        positions: (C, 3) where they do.
+        members: (M,) the ends.
+        owners: (M,) corner of each.
+    """
+
+    positions: FloatArray
+    members: IntArray
+    owners: IntArray
+
+    @property
+    def points(self) -> FloatArray:
+        """(M, 3) the corner of each end."""
+        return self.positions[self.owners]
+
+    def select(self, rows: BoolArray) -> Corners:
+        """Some of the ends, and the corners that two of them at least are left of."""
+        counts = np.bincount(self.owners[rows], minlength=len(self.positions))
+        left = rows & (counts[self.owners] >= 2)
+        return replace(self, members=self.members[left], owners=self.owners[left])
+
+
+def meet_at_corners(
+    edges: Edges3D,
+    graphs: Sequence[EdgeGraph],
+    edge_views: Sequence[_kernels.EdgeView],
+    options: PipelineOptions,
+    num_threads: int,
+) -> Edges3D:
+    """Lead the ends of edges on, or back, to the corners where they meet others.
+
+    Args:
+        edges: linked edges.
+        graphs: the edge graph of each view.
+        edge_views: the same in the kernels' form.
+        options: how far a corner may be, and how near to a chain and by how many views it is
+            observed.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The edges, each with a point of its own at every corner, which are their nodes.
+    """
+    if edges.num_edges == 0:
+        return edges
+    corners = find_corners(edges, options.linking)
+    views, positions, rows = observe(corners, edges, edge_views, options, num_threads)
+    asked = np.diff(views_near(edges, corners.members[:, None], len(edge_views)).tocsr().indptr)
+    counts = np.bincount(rows, minlength=len(corners.members))
+    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * asked)
+    met = corners.select(counts >= least)
+    place = np.full(2 * edges.num_edges, -1)
+    place[met.members] = np.arange(len(met.members))
+    place = place[corners.members[rows]]
+    order = np.flatnonzero(place >= 0)[np.argsort(place[place >= 0], kind="stable")]
+    tracks = offsets_of(np.bincount(place[order], minlength=len(met.members)))
+    pixels, colors = look_up(graphs, views[order], positions[order])
+    longer = replace(
+        edges,
+        points=np.concatenate([edges.points, met.points]),
+        track_offsets=np.concatenate([edges.track_offsets, edges.track_offsets[-1] + tracks[1:]]),
+        track_views=np.concatenate([edges.track_views, views[order]]),
+        track_points2D=np.concatenate([edges.track_points2D, pixels]),
+        sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips_of(edges)[met.members]]]),
+        colors=np.concatenate([edges.colors, mean_colors(colors, tracks)]),
+    )
+    return with_nodes(run_to(longer, edges, met), options.linking)
+
+
+def tips_of(edges: Edges3D) -> IntArray:
+    """(2E,) the points at the ends."""
+    return end_points(edges.edge_offsets, 0)[0]
+
+
+def fit_lines(edges: Edges3D, ends: Ends) -> tuple[FloatArray, FloatArray]:
+    """(2E, 3) a point and (2E, 3) unit direction outward of the line that fits each end."""
+    tips, inner = end_points(edges.edge_offsets, FIT_POINTS)
+    inward = np.sign(inner - tips)[:, None]
+    steps = np.minimum(np.arange(1, FIT_POINTS + 1), np.abs(inner - tips)[:, None])
+    points = edges.points[tips[:, None] + inward * steps]
+    centers = points.mean(axis=1)
+    apart = points - centers[:, None]
+    outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
+    return centers, outward * np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
+
+
+def find_corners(edges: Edges3D, options: LinkingOptions) -> Corners:
+    """Where lines through the ends of edges meet, the nearest meeting of each end."""
+    ends = find_ends(edges)
+    centers, outward = fit_lines(edges, ends)
+    reach = options.max_corner_spacings
+    a, b, _ = near_pairs(ends, APART_RATIO * reach)
+    open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
+    keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
+    a, b = a[keep], b[keep]
+    between = centers[b] - centers[a]
+    cosine = np.einsum("ij,ij->i", outward[a], outward[b])
+    keep = np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))
+    a, b, between, cosine = a[keep], b[keep], between[keep], cosine[keep]
+    on_a = np.einsum("ij,ij->i", outward[a], between)
+    on_b = np.einsum("ij,ij->i", outward[b], between)
+    square = 1 - cosine**2
+    near_a = centers[a] + ((on_a - cosine * on_b) / square)[:, None] * outward[a]
+    near_b = centers[b] + ((cosine * on_a - on_b) / square)[:, None] * outward[b]
+    middle = (near_a + near_b) / 2
+    both = np.column_stack([a, b])
+    along, miss = reaches(ends, centers, outward, both, middle[:, None])
+    fits = fit(along, miss, reach).all(axis=1)
+    cost = (np.abs(along) + 2 * miss).max(axis=1)
+    rows = np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")]
+    tried, first = np.unique(both[rows], return_index=True)
+    links = both[rows[first // 2]]  # of each end with the one that costs the least
+    size = (len(ends.positions),) * 2
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
+    labels = connected_components(graph, directed=False)[1]
+    cheapest = rows[np.unique(labels[a[rows]], return_index=True)[1]]
+    owners = np.unique(labels[tried], return_inverse=True)[1]
+    corners = Corners(positions=middle[cheapest], members=tried, owners=owners)
+    for _ in range(2):  # first who runs to where the best two meet, then to where all meet
+        of = corners.members[:, None]
+        along, miss = reaches(ends, centers, outward, of, corners.points[:, None])
+        corners = corners.select(fit(along, miss, reach)[:, 0])
+        corners = replace(corners, positions=intersect(corners, centers, outward))
+    return corners
+
+
+def reaches(
+    ends: Ends, centers: FloatArray, outward: FloatArray, of: IntArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far (n, k) ends are from (n, k or 1, 3) points along their lines, and how far off those.
+
+    Both (n, k) in spacings.
+    """
+    spacings = ends.spacings[of] + 1e-300
+    along = np.einsum("nki,nki->nk", points - ends.positions[of], outward[of])
+    offset = points - centers[of]
+    offset = offset - np.einsum("nki,nki->nk", offset, outward[of])[:, :, None] * outward[of]
+    return along / spacings, np.linalg.norm(offset, axis=2) / spacings
+
+
+def fit(along: FloatArray, miss: FloatArray, reach: float) -> BoolArray:
+    """Whether ends so far from a corner, in spacings, run to it."""
+    return (along >= -MAX_PAST_SPACINGS) & (along <= reach) & (miss <= MAX_MISS_SPACINGS)
+
+
+def intersect(corners: Corners, centers: FloatArray, outward: FloatArray) -> FloatArray:
+    """(C, 3) the points nearest to the lines of their ends; they stay along parallel ones."""
+    lines = outward[corners.members]
+    across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
+    sums = np.tile(STAY_WEIGHT * np.eye(3), (len(corners.positions), 1, 1))
+    pulls = STAY_WEIGHT * corners.positions
+    np.add.at(sums, corners.owners, across)
+    np.add.at(pulls, corners.owners, np.einsum("nij,nj->ni", across, centers[corners.members]))
+    return np.asarray(np.linalg.solve(sums, pulls[:, :, None])[:, :, 0], np.float64)
+
+
+def observe(
+    corners: Corners,
+    edges: Edges3D,
+    edge_views: Sequence[_kernels.EdgeView],
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[Int32Array, FloatArray, IntArray]:
+    """Observations of corners by views that observe the ends, on chains of any direction.
+
+    A view that observes a corner farther than `SHORT_GAP` must observe the way to it, too.
+
+    Returns:
+        (T,) views, (T,) positions on their chains, and (T,) which end, as one of `members`.
+    """
+    ends = find_ends(edges)
+    away = corners.points - ends.positions[corners.members]
+    far = np.linalg.norm(away, axis=1) > SHORT_GAP * ends.spacings[corners.members]
+    outward = ends.outward[corners.members]
+    places = corners.points[:, None] - WAY[:, None] * away[:, None]
+    along = np.repeat(away[:, None], len(WAY), axis=1)
+    radius = options.refinement.max_residual_px
+    cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
+    asked = views_near(edges, corners.members[:, None], len(edge_views))
+    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
+    for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
+        rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
+        near = partial(positions_near, edge_views[view], radius, num_threads)
+        on_way = near(places[rows], along[rows], cosine)
+        at_corner = near(corners.points[rows, None], outward[rows, None], 0.0)[:, 0]
+        seen = (at_corner >= 0) & ((on_way >= 0).all(axis=1) | ~far[rows])
+        found.append((np.full(seen.sum(), view), at_corner[seen], rows[seen]))
+    views, positions, members = (np.concatenate(of) for of in zip(*found, strict=True))
+    return views.astype(np.int32), positions, members
+
+
+def run_to(longer: Edges3D, edges: Edges3D, met: Corners) -> Edges3D:
+    """The edges with the points that follow theirs in `longer`, one for each end, as their ends.
+
+    Points past the corner or next to it are left out.
+    """
+    skip = num_passed(edges, met)
+    begins = edges.edge_offsets[:-1] + skip[::2]
+    stops = edges.edge_offsets[1:] - skip[1::2]
+    own = ranges_of(begins, stops)
+    owners = np.concatenate(
+        [np.repeat(np.arange(edges.num_edges), stops - begins), met.members // 2]
+    )
+    rank = np.concatenate([np.zeros(len(own)), np.where(met.members % 2 == 0, -1, 1)])
+    points = np.concatenate([own, edges.num_points + np.arange(len(met.members))])
+    order = np.lexsort((rank, owners))  # stable: points of an edge stay in their order
+    lengths = np.bincount(owners, minlength=edges.num_edges)
+    return longer.reordered(points[order], offsets_of(lengths), edges.closed, edges.end_nodes)
+
+
+def num_passed(edges: Edges3D, met: Corners) -> IntArray:
+    """(2E,) points to leave out at each end, since they lie past its corner or next to it."""
+    ends, sizes = find_ends(edges), np.diff(edges.edge_offsets)
+    skip = np.zeros(2 * edges.num_edges, np.int64)
+    tips, of = tips_of(edges), met.members
+    inward = np.where(of % 2 == 0, 1, -1)
+    for step in range(REACH):
+        place = tips[of] + inward * np.minimum(step, sizes[of // 2] - 1)
+        ahead = np.einsum("ij,ij->i", edges.points[place] - met.points, ends.outward[of])
+        passed = (ahead > -MIN_GAP_SPACINGS * ends.spacings[of]) & (skip[of] == step)
+        passed &= sizes[of // 2] > skip[of] + skip[of ^ 1] + 2  # something of every edge remains
+        skip[of[passed]] += 1
+    return skip
