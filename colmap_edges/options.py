@@ -273,7 +273,7 @@ class LinkingOptions(Options):
         30.0, "Largest turn where two 3D edges are joined, in degrees", ge=0, le=90
     )
     max_corner_spacings: float = option(
-        12.0,
+        8.0,
         "Longest way on which the end of a 3D edge is led to a corner where it meets others, in "
         "distances between edge points; 0 leads none",
         ge=0,

@@ -109,9 +109,9 @@ def test_views_that_do_not_observe_the_edge_are_not_asked():
 
 
 def test_a_far_corner_must_be_observed_on_the_way():
-    pieces = [short_of(axis, 0.16) for axis in AXES]
+    pieces = [short_of(axis, 0.14) for axis in AXES]
     assert met(pieces, [all_arms()] * 6).num_points == sum(map(len, pieces)) + 3
-    broken = [part for of in all_arms() for part in (part_of(of, 0, 0.03), part_of(of, 0.18, 1))]
+    broken = [part for of in all_arms() for part in (part_of(of, 0, 0.03), part_of(of, 0.17, 1))]
     assert met(pieces, [broken] * 6).num_points == sum(map(len, pieces))
 
 
