@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csc_array
 from scipy.sparse.csgraph import connected_components
 
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
@@ -70,6 +70,32 @@ class Corners:
         return replace(self, members=self.members[left], owners=self.owners[left])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The lines that fit the 2E ends of E edges.
+
+    Attributes:
+        ends: the ends.
+        centers: (2E, 3) a point of each line.
+        outward: (2E, 3) their unit directions, out of the edges.
+    """
+
+    ends: Ends
+    centers: FloatArray
+    outward: FloatArray
+
+    def reaches(self, of: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far (n, k) ends are from (n, k or 1, 3) points along their lines, how far those miss.
+
+        Both (n, k) in spacings.
+        """
+        outward, spacings = self.outward[of], self.ends.spacings[of] + 1e-300
+        along = np.einsum("nki,nki->nk", points - self.ends.positions[of], outward)
+        offset = points - self.centers[of]
+        offset = offset - np.einsum("nki,nki->nk", offset, outward)[:, :, None] * outward
+        return along / spacings, np.linalg.norm(offset, axis=2) / spacings
+
+
 def meet_at_corners(
     edges: Edges3D,
     graphs: Sequence[EdgeGraph],
@@ -93,18 +119,32 @@ def meet_at_corners(
     if edges.num_edges == 0:
         return edges
     corners = find_corners(edges, options.linking)
-    views, positions, rows = observe(corners, edges, edge_views, options, num_threads)
-    asked = np.diff(views_near(edges, corners.members[:, None], len(edge_views)).tocsr().indptr)
+    asked = views_near(edges, corners.members[:, None], len(edge_views))
+    views, positions, rows = observe(corners, edges, asked, edge_views, options, num_threads)
     counts = np.bincount(rows, minlength=len(corners.members))
-    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * asked)
+    num_asked = np.bincount(asked.indices, minlength=len(corners.members))
+    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
     met = corners.select(counts >= least)
+    longer = with_points(edges, corners, met, graphs, (views, positions, rows))
+    return with_nodes(run_to(longer, edges, met), options.linking)
+
+
+def with_points(
+    edges: Edges3D,
+    corners: Corners,
+    met: Corners,
+    graphs: Sequence[EdgeGraph],
+    observations: tuple[Int32Array, FloatArray, IntArray],
+) -> Edges3D:
+    """The edges with a point after all others for each end of `met`, observed as in `corners`."""
+    views, positions, rows = observations
     place = np.full(2 * edges.num_edges, -1)
     place[met.members] = np.arange(len(met.members))
     place = place[corners.members[rows]]
     order = np.flatnonzero(place >= 0)[np.argsort(place[place >= 0], kind="stable")]
     tracks = offsets_of(np.bincount(place[order], minlength=len(met.members)))
     pixels, colors = look_up(graphs, views[order], positions[order])
-    longer = replace(
+    return replace(
         edges,
         points=np.concatenate([edges.points, met.points]),
         track_offsets=np.concatenate([edges.track_offsets, edges.track_offsets[-1] + tracks[1:]]),
@@ -113,7 +153,6 @@ def meet_at_corners(
         sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips_of(edges)[met.members]]]),
         colors=np.concatenate([edges.colors, mean_colors(colors, tracks)]),
     )
-    return with_nodes(run_to(longer, edges, met), options.linking)
 
 
 def tips_of(edges: Edges3D) -> IntArray:
@@ -121,8 +160,9 @@ def tips_of(edges: Edges3D) -> IntArray:
     return end_points(edges.edge_offsets, 0)[0]
 
 
-def fit_lines(edges: Edges3D, ends: Ends) -> tuple[FloatArray, FloatArray]:
-    """(2E, 3) a point and (2E, 3) unit direction outward of the line that fits each end."""
+def fit_lines(edges: Edges3D) -> Lines:
+    """The lines that fit the ends of all edges."""
+    ends = find_ends(edges)
     tips, inner = end_points(edges.edge_offsets, FIT_POINTS)
     inward = np.sign(inner - tips)[:, None]
     steps = np.minimum(np.arange(1, FIT_POINTS + 1), np.abs(inner - tips)[:, None])
@@ -130,61 +170,56 @@ def fit_lines(edges: Edges3D, ends: Ends) -> tuple[FloatArray, FloatArray]:
     centers = points.mean(axis=1)
     apart = points - centers[:, None]
     outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
-    return centers, outward * np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
+    outward *= np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
+    return Lines(ends=ends, centers=centers, outward=outward)
 
 
 def find_corners(edges: Edges3D, options: LinkingOptions) -> Corners:
     """Where lines through the ends of edges meet, the nearest meeting of each end."""
-    ends = find_ends(edges)
-    centers, outward = fit_lines(edges, ends)
-    reach = options.max_corner_spacings
-    a, b, _ = near_pairs(ends, APART_RATIO * reach)
-    open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
-    keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
-    a, b = a[keep], b[keep]
-    between = centers[b] - centers[a]
-    cosine = np.einsum("ij,ij->i", outward[a], outward[b])
-    keep = np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))
-    a, b, between, cosine = a[keep], b[keep], between[keep], cosine[keep]
-    on_a = np.einsum("ij,ij->i", outward[a], between)
-    on_b = np.einsum("ij,ij->i", outward[b], between)
-    square = 1 - cosine**2
-    near_a = centers[a] + ((on_a - cosine * on_b) / square)[:, None] * outward[a]
-    near_b = centers[b] + ((cosine * on_a - on_b) / square)[:, None] * outward[b]
-    middle = (near_a + near_b) / 2
-    both = np.column_stack([a, b])
-    along, miss = reaches(ends, centers, outward, both, middle[:, None])
+    lines, reach = fit_lines(edges), options.max_corner_spacings
+    pairs = pairs_to_meet(edges, lines, reach)
+    middle = meetings(lines, pairs)
+    along, miss = lines.reaches(pairs, middle[:, None])
     fits = fit(along, miss, reach).all(axis=1)
     cost = (np.abs(along) + 2 * miss).max(axis=1)
     rows = np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")]
-    tried, first = np.unique(both[rows], return_index=True)
-    links = both[rows[first // 2]]  # of each end with the one that costs the least
-    size = (len(ends.positions),) * 2
+    members, first = np.unique(pairs[rows], return_index=True)
+    links = pairs[rows[first // 2]]  # of each end with the one that costs the least
+    size = (len(lines.centers),) * 2
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
     labels = connected_components(graph, directed=False)[1]
-    cheapest = rows[np.unique(labels[a[rows]], return_index=True)[1]]
-    owners = np.unique(labels[tried], return_inverse=True)[1]
-    corners = Corners(positions=middle[cheapest], members=tried, owners=owners)
+    cheapest = rows[np.unique(labels[pairs[rows, 0]], return_index=True)[1]]
+    owners = np.unique(labels[members], return_inverse=True)[1]
+    corners = Corners(positions=middle[cheapest], members=members, owners=owners)
     for _ in range(2):  # first who runs to where the best two meet, then to where all meet
-        of = corners.members[:, None]
-        along, miss = reaches(ends, centers, outward, of, corners.points[:, None])
+        along, miss = lines.reaches(corners.members[:, None], corners.points[:, None])
         corners = corners.select(fit(along, miss, reach)[:, 0])
-        corners = replace(corners, positions=intersect(corners, centers, outward))
+        corners = replace(corners, positions=intersect(corners, lines))
     return corners
 
 
-def reaches(
-    ends: Ends, centers: FloatArray, outward: FloatArray, of: IntArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How far (n, k) ends are from (n, k or 1, 3) points along their lines, and how far off those.
+def pairs_to_meet(edges: Edges3D, lines: Lines, reach: float) -> IntArray:
+    """(n, 2) ends of different open edges, near enough to meet, whose lines are not parallel."""
+    a, b, _ = near_pairs(lines.ends, APART_RATIO * reach)
+    open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
+    keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
+    pairs = np.column_stack([a, b])[keep]
+    cosine = np.einsum("ij,ij->i", *lines.outward[pairs.T])
+    apart: IntArray = pairs[np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))]
+    return apart
 
-    Both (n, k) in spacings.
-    """
-    spacings = ends.spacings[of] + 1e-300
-    along = np.einsum("nki,nki->nk", points - ends.positions[of], outward[of])
-    offset = points - centers[of]
-    offset = offset - np.einsum("nki,nki->nk", offset, outward[of])[:, :, None] * outward[of]
-    return along / spacings, np.linalg.norm(offset, axis=2) / spacings
+
+def meetings(lines: Lines, pairs: IntArray) -> FloatArray:
+    """(n, 3) the points midway between the lines of (n, 2) ends where they are nearest."""
+    (center_a, center_b), (a, b) = lines.centers[pairs.T], lines.outward[pairs.T]
+    cosine = np.einsum("ij,ij->i", a, b)
+    on_a = np.einsum("ij,ij->i", a, center_b - center_a)
+    on_b = np.einsum("ij,ij->i", b, center_b - center_a)
+    square = 1 - cosine**2
+    near_a = center_a + ((on_a - cosine * on_b) / square)[:, None] * a
+    near_b = center_b + ((cosine * on_a - on_b) / square)[:, None] * b
+    middle: FloatArray = (near_a + near_b) / 2
+    return middle
 
 
 def fit(along: FloatArray, miss: FloatArray, reach: float) -> BoolArray:
@@ -192,25 +227,26 @@ def fit(along: FloatArray, miss: FloatArray, reach: float) -> BoolArray:
     return (along >= -MAX_PAST_SPACINGS) & (along <= reach) & (miss <= MAX_MISS_SPACINGS)
 
 
-def intersect(corners: Corners, centers: FloatArray, outward: FloatArray) -> FloatArray:
+def intersect(corners: Corners, lines: Lines) -> FloatArray:
     """(C, 3) the points nearest to the lines of their ends; they stay along parallel ones."""
-    lines = outward[corners.members]
-    across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
+    outward, centers = lines.outward[corners.members], lines.centers[corners.members]
+    across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
     sums = np.tile(STAY_WEIGHT * np.eye(3), (len(corners.positions), 1, 1))
     pulls = STAY_WEIGHT * corners.positions
     np.add.at(sums, corners.owners, across)
-    np.add.at(pulls, corners.owners, np.einsum("nij,nj->ni", across, centers[corners.members]))
+    np.add.at(pulls, corners.owners, np.einsum("nij,nj->ni", across, centers))
     return np.asarray(np.linalg.solve(sums, pulls[:, :, None])[:, :, 0], np.float64)
 
 
 def observe(
     corners: Corners,
     edges: Edges3D,
+    asked: csc_array,
     edge_views: Sequence[_kernels.EdgeView],
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Int32Array, FloatArray, IntArray]:
-    """Observations of corners by views that observe the ends, on chains of any direction.
+    """Observations of corners by the views `asked` (M, V), on chains of any direction.
 
     A view that observes a corner farther than `SHORT_GAP` must observe the way to it, too.
 
@@ -225,7 +261,6 @@ def observe(
     along = np.repeat(away[:, None], len(WAY), axis=1)
     radius = options.refinement.max_residual_px
     cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
-    asked = views_near(edges, corners.members[:, None], len(edge_views))
     found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
     for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
         rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
