@@ -253,11 +253,11 @@ def observe(
     Returns:
         (T,) views, (T,) positions on their chains, and (T,) which end, as one of `members`.
     """
-    ends = find_ends(edges)
-    away = corners.points - ends.positions[corners.members]
+    ends, points = find_ends(edges), corners.points
+    away = points - ends.positions[corners.members]
     far = np.linalg.norm(away, axis=1) > SHORT_GAP * ends.spacings[corners.members]
     outward = ends.outward[corners.members]
-    places = corners.points[:, None] - WAY[:, None] * away[:, None]
+    places = points[:, None] - WAY[:, None] * away[:, None]
     along = np.repeat(away[:, None], len(WAY), axis=1)
     radius = options.refinement.max_residual_px
     cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
@@ -266,7 +266,7 @@ def observe(
         rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
         near = partial(positions_near, edge_views[view], radius, num_threads)
         on_way = near(places[rows], along[rows], cosine)
-        at_corner = near(corners.points[rows, None], outward[rows, None], 0.0)[:, 0]
+        at_corner = near(points[rows, None], outward[rows, None], 0.0)[:, 0]
         seen = (at_corner >= 0) & ((on_way >= 0).all(axis=1) | ~far[rows])
         found.append((np.full(seen.sum(), view), at_corner[seen], rows[seen]))
     views, positions, members = (np.concatenate(of) for of in zip(*found, strict=True))
