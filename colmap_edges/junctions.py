@@ -23,11 +23,11 @@ from colmap_edges.edges import Edges3D, mean_colors
 from colmap_edges.joining import end_points
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.linking import (
-    REACH,
     SHORT_GAP,
     Ends,
     find_ends,
     near_pairs,
+    num_behind,
     views_near,
     with_nodes,
 )
@@ -39,7 +39,7 @@ APART_RATIO = 1.5  # how far apart two ends are at most, in their longest ways t
 MAX_MISS_SPACINGS = 0.5  # distance of an end's line to the corner
 MAX_PAST_SPACINGS = 0.75  # how far an edge may have gone past the corner
 MIN_GAP_SPACINGS = 0.5  # nearer to the corner an edge point is replaced by it
-STAY_WEIGHT = 1e-6  # against a line's
+STAY_WEIGHT = 1e-6  # of where a corner was thought to be, against a line's
 WAY = np.array([1 / 3, 2 / 3])  # of the way to a corner, where it must be observed
 MIN_SEEN_RATIO = 0.5  # of the views that observe an end, those that must observe the corner
 
@@ -118,46 +118,52 @@ def meet_at_corners(
     """
     if edges.num_edges == 0:
         return edges
-    corners = find_corners(edges, options.linking)
+    lines = fit_lines(edges)
+    corners = find_corners(edges, lines, options.linking)
     asked = views_near(edges, corners.members[:, None], len(edge_views))
-    views, positions, rows = observe(corners, edges, asked, edge_views, options, num_threads)
+    views, positions, rows = observe(corners, lines.ends, asked, edge_views, options, num_threads)
     counts = np.bincount(rows, minlength=len(corners.members))
     num_asked = np.bincount(asked.indices, minlength=len(corners.members))
     least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
     met = corners.select(counts >= least)
-    longer = with_points(edges, corners, met, graphs, (views, positions, rows))
-    return with_nodes(run_to(longer, edges, met), options.linking)
+    pixels, colors = look_up(graphs, views, positions)
+    longer = with_points(edges, met, corners.members[rows], views, pixels, colors)
+    return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
 
 
 def with_points(
     edges: Edges3D,
-    corners: Corners,
     met: Corners,
-    graphs: Sequence[EdgeGraph],
-    observations: tuple[Int32Array, FloatArray, IntArray],
+    observed: IntArray,
+    views: Int32Array,
+    pixels: FloatArray,
+    colors: FloatArray,
 ) -> Edges3D:
-    """The edges with a point after all others for each end of `met`, observed as in `corners`."""
-    views, positions, rows = observations
+    """The edges with a point after all others for each end that meets others.
+
+    Args:
+        edges: the edges.
+        met: the ends, and where.
+        observed: (T,) ends whose corners are observed; others than those of `met` do not count.
+        views: (T,) by which view each is.
+        pixels: (T, 2) where in its image.
+        colors: (T, 3) RGB there.
+    """
     place = np.full(2 * edges.num_edges, -1)
     place[met.members] = np.arange(len(met.members))
-    place = place[corners.members[rows]]
-    order = np.flatnonzero(place >= 0)[np.argsort(place[place >= 0], kind="stable")]
+    place = place[observed]
+    order = np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+    tips, _ = end_points(edges.edge_offsets, 0)
     tracks = offsets_of(np.bincount(place[order], minlength=len(met.members)))
-    pixels, colors = look_up(graphs, views[order], positions[order])
     return replace(
         edges,
         points=np.concatenate([edges.points, met.points]),
         track_offsets=np.concatenate([edges.track_offsets, edges.track_offsets[-1] + tracks[1:]]),
         track_views=np.concatenate([edges.track_views, views[order]]),
-        track_points2D=np.concatenate([edges.track_points2D, pixels]),
-        sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips_of(edges)[met.members]]]),
-        colors=np.concatenate([edges.colors, mean_colors(colors, tracks)]),
+        track_points2D=np.concatenate([edges.track_points2D, pixels[order]]),
+        sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[met.members]]]),
+        colors=np.concatenate([edges.colors, mean_colors(colors[order], tracks)]),
     )
-
-
-def tips_of(edges: Edges3D) -> IntArray:
-    """(2E,) the points at the ends."""
-    return end_points(edges.edge_offsets, 0)[0]
 
 
 def fit_lines(edges: Edges3D) -> Lines:
@@ -174,9 +180,9 @@ def fit_lines(edges: Edges3D) -> Lines:
     return Lines(ends=ends, centers=centers, outward=outward)
 
 
-def find_corners(edges: Edges3D, options: LinkingOptions) -> Corners:
+def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corners:
     """Where lines through the ends of edges meet, the nearest meeting of each end."""
-    lines, reach = fit_lines(edges), options.max_corner_spacings
+    reach = options.max_corner_spacings
     pairs = pairs_to_meet(edges, lines, reach)
     middle = meetings(lines, pairs)
     along, miss = lines.reaches(pairs, middle[:, None])
@@ -240,7 +246,7 @@ def intersect(corners: Corners, lines: Lines) -> FloatArray:
 
 def observe(
     corners: Corners,
-    edges: Edges3D,
+    ends: Ends,
     asked: csc_array,
     edge_views: Sequence[_kernels.EdgeView],
     options: PipelineOptions,
@@ -253,7 +259,7 @@ def observe(
     Returns:
         (T,) views, (T,) positions on their chains, and (T,) which end, as one of `members`.
     """
-    ends, points = find_ends(edges), corners.points
+    points = corners.points
     away = points - ends.positions[corners.members]
     far = np.linalg.norm(away, axis=1) > SHORT_GAP * ends.spacings[corners.members]
     outward = ends.outward[corners.members]
@@ -273,12 +279,13 @@ def observe(
     return views.astype(np.int32), positions, members
 
 
-def run_to(longer: Edges3D, edges: Edges3D, met: Corners) -> Edges3D:
+def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D:
     """The edges with the points that follow theirs in `longer`, one for each end, as their ends.
 
     Points past the corner or next to it are left out.
     """
-    skip = num_passed(edges, met)
+    limits = MIN_GAP_SPACINGS * ends.spacings[met.members]
+    skip = num_behind(edges, met.members, met.points, -ends.outward[met.members], limits)
     begins = edges.edge_offsets[:-1] + skip[::2]
     stops = edges.edge_offsets[1:] - skip[1::2]
     own = ranges_of(begins, stops)
@@ -290,18 +297,3 @@ def run_to(longer: Edges3D, edges: Edges3D, met: Corners) -> Edges3D:
     order = np.lexsort((rank, owners))  # stable: points of an edge stay in their order
     lengths = np.bincount(owners, minlength=edges.num_edges)
     return longer.reordered(points[order], offsets_of(lengths), edges.closed, edges.end_nodes)
-
-
-def num_passed(edges: Edges3D, met: Corners) -> IntArray:
-    """(2E,) points to leave out at each end, since they lie past its corner or next to it."""
-    ends, sizes = find_ends(edges), np.diff(edges.edge_offsets)
-    skip = np.zeros(2 * edges.num_edges, np.int64)
-    tips, of = tips_of(edges), met.members
-    inward = np.where(of % 2 == 0, 1, -1)
-    for step in range(REACH):
-        place = tips[of] + inward * np.minimum(step, sizes[of // 2] - 1)
-        ahead = np.einsum("ij,ij->i", edges.points[place] - met.points, ends.outward[of])
-        passed = (ahead > -MIN_GAP_SPACINGS * ends.spacings[of]) & (skip[of] == step)
-        passed &= sizes[of // 2] > skip[of] + skip[of ^ 1] + 2  # something of every edge remains
-        skip[of[passed]] += 1
-    return skip

@@ -118,21 +118,35 @@ def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: Go
 
 def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
     """(2E,) points to leave out at each end, since the piece it is joined to goes past them."""
-    skip = np.zeros(len(partner), np.int64)
     joined = np.flatnonzero((partner >= 0) & (np.arange(len(partner)) < partner))
-    other = partner[joined]
-    sizes = np.diff(edges.edge_offsets)[other // 2]
+    positions, outward = ends.positions[joined], ends.outward[joined]
+    return num_behind(edges, partner[joined], positions, outward, 0.3 * ends.spacings[joined])
+
+
+def num_behind(
+    edges: Edges3D, of: IntArray, origins: FloatArray, directions: FloatArray, limits: FloatArray
+) -> IntArray:
+    """How many points at the ends of edges do not lie ahead of where the edges are to begin.
+
+    Args:
+        edges: the edges, of each of which something remains.
+        of: (n,) ends.
+        origins: (n, 3) where the edge is to begin there.
+        directions: (n, 3) unit vectors in which it goes on.
+        limits: (n,) how far ahead points must lie, in world units.
+
+    Returns:
+        (2E,) how many at each end, at most `REACH`.
+    """
+    sizes = np.diff(edges.edge_offsets)[of // 2]
+    tips = end_points(edges.edge_offsets, 0)[0][of]
+    skip = np.zeros(2 * edges.num_edges, np.int64)
     for step in range(REACH):
-        tip = np.where(
-            other % 2 == 0, edges.edge_offsets[other // 2], edges.edge_offsets[other // 2 + 1] - 1
-        )
-        place = tip + np.where(other % 2 == 0, 1, -1) * np.minimum(step, sizes - 1)
-        ahead = np.einsum(
-            "ij,ij->i", edges.points[place] - ends.positions[joined], ends.outward[joined]
-        )
-        passed = (ahead < 0.3 * ends.spacings[joined]) & (skip[other] == step)
-        passed &= sizes > skip[other] + skip[other ^ 1] + 2  # something of every piece remains
-        skip[other[passed]] += 1
+        place = tips + np.where(of % 2 == 0, 1, -1) * np.minimum(step, sizes - 1)
+        ahead = np.einsum("ij,ij->i", edges.points[place] - origins, directions)
+        behind = (ahead < limits) & (skip[of] == step)
+        behind &= sizes > skip[of] + skip[of ^ 1] + 2  # something of every edge remains
+        skip[of[behind]] += 1
     return skip
 
 
