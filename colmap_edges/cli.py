@@ -118,6 +118,11 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
         path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
         path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
         path_flag(
+            "mask_path",
+            "Folder of masks named as COLMAP's, IMAGE.png, or one mask of all images: no edges are "
+            "looked for where they are black",
+        ),
+        path_flag(
             "cache_path",
             "Folder of results that later runs find again: made when missing, can be deleted",
         ),
@@ -176,7 +181,8 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
-    paths = Paths(**paths_from_flags(values), cache_path=values["cache_path"])
+    optional = {name: values[name] for name in ("mask_path", "cache_path")}
+    paths = Paths(**paths_from_flags(values), **optional)
     target, overwrite = values["rerun"], values["overwrite"]
     with open_viewer(target, paths.output_path, overwrite) as viewer, progress_bars() as progress:
         report = run(

@@ -9,12 +9,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from colmap_edges.array_types import ByteArray, FloatArray, Picture
+from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Picture
 from colmap_edges.cache import Arrays, Cache, key_of
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images import colors_at, decode_image, gray_of, path_of_image, read_bytes
+from colmap_edges.masks import MaskFile, decode_mask, outside_mask, read_mask
 from colmap_edges.model import View
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
 
@@ -71,6 +72,7 @@ class ImageWork:
         image_path: folder of the images.
         detection: options of the detector.
         edge_graph: options of the edge graph.
+        mask_path: folder of masks, or one for all images; none without it.
         cache: graphs of earlier runs, if they are kept.
         visitor: looks at every image that can be read.
     """
@@ -78,6 +80,7 @@ class ImageWork:
     image_path: Path
     detection: DetectionOptions
     edge_graph: EdgeGraphOptions
+    mask_path: Path | None = None
     cache: Cache | None = None
     visitor: Visitor | None = None
 
@@ -100,6 +103,7 @@ class ImageRecord:
     Attributes:
         counts: how much was detected.
         key: key of its graph in the cache; empty without a cache.
+        masked: whether it has a mask.
         reused: whether its graph was there.
         damage: why the image could not be read; none when it could.
         visited: what the visitor gave back.
@@ -107,6 +111,7 @@ class ImageRecord:
 
     counts: ImageCounts
     key: str = ""
+    masked: bool = False
     reused: bool = False
     damage: ImageError | None = field(default=None)
     visited: Any = None
@@ -116,13 +121,14 @@ def work_on_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, I
     """Find the edge graph of a view, in the cache or in its image; empty when that is damaged.
 
     Raises:
-        ColmapEdgesError: when the image is not of its camera's size.
+        ColmapEdgesError: when the image or its mask is not of its camera's size, or the mask cannot
+            be read.
     """
     try:
         return graph_of_image(work, index, view)
     except ImageError as error:
         graph, dropped = build_edge_graph(NO_CHAINS, view, work.edge_graph)
-        key = graph_key(np.zeros(0, np.uint8), view, work) if work.cache else ""
+        key = graph_key(np.zeros(0, np.uint8), None, view, work) if work.cache else ""
         found = DetectedEdges(graph=graph, dropped=dropped, num_chains=0, num_chain_pixels=0)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
@@ -144,12 +150,12 @@ def work_in_cache(work: ImageWork, index: int, view: View) -> ImageRecord:
 def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, ImageRecord]:
     """Find the edge graph of a view whose image can be read."""
     path = path_of_image(work.image_path, view.name)
-    data = read_bytes(path)
-    key = graph_key(data, view, work) if work.cache else ""
+    data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
+    key = graph_key(data, mask, view, work) if work.cache else ""
     entry = work.cache.load(KIND, key) if work.cache else None
     if entry is None:
         image = decode_image(data, path, view)
-        found = detect_edges(image, view, work)
+        found = detect_edges(image, decode_mask(mask, view) if mask else None, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
     else:
@@ -162,14 +168,22 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 
         visited = work.visitor.visit(index, view, read, found)
     record = ImageRecord(
-        counts=counts_of(found), key=key, reused=entry is not None, visited=visited
+        counts=counts_of(found),
+        key=key,
+        masked=mask is not None,
+        reused=entry is not None,
+        visited=visited,
     )
     return found.graph, record
 
 
-def detect_edges(image: Picture, view: View, work: ImageWork) -> DetectedEdges:
-    """Detect the edges of one image."""
+def detect_edges(
+    image: Picture, mask: BoolArray | None, view: View, work: ImageWork
+) -> DetectedEdges:
+    """Detect the edges of one image, where its mask has them looked for."""
     chains = detect_chains(gray_of(image), work.detection, view.scale)
+    if mask is not None:
+        chains = outside_mask(chains, mask, view.scale, work.detection.min_chain_length_px)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
     return DetectedEdges(
         graph=replace(graph, colors=colors_at(image, graph.points)),
@@ -190,10 +204,11 @@ def counts_of(found: DetectedEdges) -> ImageCounts:
     )
 
 
-def graph_key(data: ByteArray, view: View, work: ImageWork) -> str:
-    """The key of the edge graph of an image file: all that the graph depends on."""
+def graph_key(data: ByteArray, mask: MaskFile | None, view: View, work: ImageWork) -> str:
+    """The key of the edge graph of an image file and its mask: all that the graph depends on."""
     camera = [view.camera.model.name, view.width, view.height, *map(float, view.camera.params)]
-    return key_of(data, camera, view.scale, work.detection, work.edge_graph)
+    mask_data = mask.data if mask else None
+    return key_of(data, mask_data, camera, view.scale, work.detection, work.edge_graph)
 
 
 def arrays_of(found: DetectedEdges) -> Arrays:

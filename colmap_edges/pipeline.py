@@ -42,6 +42,7 @@ from colmap_edges.images import (
     path_of_image,
     single_threaded_opencv,
 )
+from colmap_edges.masks import check_masks
 from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines, write_mesh
 from colmap_edges.model import (
     Model,
@@ -86,12 +87,14 @@ class Paths:
         image_path: folder of the images.
         input_path: folder of the COLMAP model.
         output_path: folder to make.
+        mask_path: folder of masks named as COLMAP's are, or one mask of all images.
         cache_path: folder of results that later runs find again; none are kept without it.
     """
 
     image_path: Path
     input_path: Path
     output_path: Path
+    mask_path: Path | None = None
     cache_path: Path | None = None
 
 
@@ -165,9 +168,9 @@ def run(
             contents = Contents(model=model, mesh=mesh)
         else:
             check_images_exist(model.views, paths.image_path)
-            contents = run_edges(
-                command, model, paths.image_path, folder, options, stages, workers, viewer
-            )
+            if paths.mask_path:
+                check_masks(model.views, paths.mask_path)
+            contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
@@ -193,7 +196,7 @@ def read_stage(input_path: Path, stages: Stages) -> Model:
 def run_edges(
     command: str,
     model: Model,
-    image_path: Path,
+    paths: Paths,
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
@@ -201,13 +204,14 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
-    model = enlarged(model, image_path, options.detection)
+    images, masks = paths.image_path, paths.mask_path
+    model = enlarged(model, images, options.detection)
     if command == "detect":
-        detect_stage(model, image_path, options, stages, GraphWriter(folder), workers)
+        detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
     taker = PictureTaker(len(model.views)) if wanted else None
-    graphs = detect_stage(model, image_path, options, stages, taker, workers)
+    graphs = detect_stage(model, images, options, stages, taker, workers, masks)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
@@ -229,6 +233,7 @@ def reconstruct(
     image_path: Path | str,
     options: PipelineOptions | None = None,
     cache_path: Path | str | None = None,
+    mask_path: Path | str | None = None,
 ) -> EdgeReconstruction:
     """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
 
@@ -239,23 +244,28 @@ def reconstruct(
         options: every stage's options, `preset("high")` for instance; defaults when not given.
         cache_path: folder of edge graphs and edges that later calls find again; none are kept
             when not given.
+        mask_path: folder of masks named as COLMAP's are, or one mask of all images; edges are not
+            looked for where they are black.
 
     Returns:
         The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
 
     Raises:
         ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
-            images are missing, of another size, or all but one damaged.
+            images or all masks are missing, of another size, or all images but one damaged.
     """
     options = options or PipelineOptions()
     image_path = Path(image_path)
+    mask_path = Path(mask_path) if mask_path else None
     stages = Stages()
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_images_exist(model.views, image_path)
+    if mask_path:
+        check_masks(model.views, mask_path)
     model = enlarged(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
-        graphs = detect_stage(model, image_path, options, stages, None, workers)
+        graphs = detect_stage(model, image_path, options, stages, None, workers, mask_path)
         model, edges = edge_stages(model, graphs, options, stages, workers)
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)
@@ -275,9 +285,10 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
         path = getattr(paths, name)
         if not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
-    sources = [paths.image_path, paths.input_path]
-    if paths.cache_path is not None:
-        sources.append(paths.cache_path)
+    if paths.mask_path and not paths.mask_path.exists():
+        raise ColmapEdgesError(f"mask_path {paths.mask_path} is neither a folder nor a file")
+    given = (paths.image_path, paths.input_path, paths.mask_path, paths.cache_path)
+    sources = [path for path in given if path is not None]
     check_output_path(paths.output_path, sources, overwrite)
 
 
@@ -339,6 +350,7 @@ def detect_stage(
     stages: Stages,
     visitor: Visitor | None = None,
     workers: Workers | None = None,
+    mask_path: Path | None = None,
 ) -> GraphStore:
     """Detect the 2D edge graph of every view, in the views' order.
 
@@ -350,11 +362,12 @@ def detect_stage(
     """
     if workers is None:
         with open_workers(options) as workers:
-            return detect_stage(model, image_path, options, stages, visitor, workers)
+            return detect_stage(model, image_path, options, stages, visitor, workers, mask_path)
     work = ImageWork(
         image_path=image_path,
         detection=options.detection,
         edge_graph=options.edge_graph,
+        mask_path=mask_path,
         cache=workers.cache,
         visitor=visitor,
     )
@@ -365,6 +378,8 @@ def detect_stage(
         names = [model.views[index].name for index in damaged]
         stage.counts = detection_counts([record.counts for record in records], names)
         stage.counts["image_scale"] = model.scale
+        if mask_path:
+            stage.counts["images_masked"] = sum(record.masked for record in records)
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
     return store

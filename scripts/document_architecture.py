@@ -24,7 +24,8 @@ ROOMS = {
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
     "2D edges": (
-        "blur", "detection", "enlargement", "corners", "edge_graph", "graph_store", "image_graphs",
+        "blur", "detection", "enlargement", "masks", "corners", "edge_graph", "graph_store",
+        "image_graphs",
     ),
     "3D edges by chains": (
         "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",

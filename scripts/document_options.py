@@ -13,9 +13,9 @@ HEAD = """# Options
 Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows those in bold,
 `--help_full` all. Flags may be written with hyphens and in any case; in a TOML file (`--config`)
 groups are tables. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
-No option is in world units: defaults hold for any scale of the model. Where a run reads, writes,
-keeps what later runs reuse (`--cache_path`) and works (`--scheduler`) are no options of it: they
-change no result; see [recipes](recipes.md).
+No option is in world units: defaults hold for any scale of the model. Where a run reads, also masks
+(`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works (`--scheduler`) are
+no options of it; see [recipes](recipes.md).
 
 """
 

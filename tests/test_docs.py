@@ -9,6 +9,7 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
+import cv2
 import pytest
 
 import colmap_edges
@@ -28,6 +29,10 @@ def workspace(scene_paths, tmp_path_factory):
     folder = tmp_path_factory.mktemp("workspace")
     shutil.copytree(scene_paths[0], folder / "images")
     shutil.copytree(scene_paths[1], folder / "sparse" / "0")
+    (folder / "masks").mkdir()
+    for image in scene_paths[0].iterdir():
+        mask = cv2.inRange(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE), 10, 255)
+        cv2.imwrite(str(folder / "masks" / f"{image.name}.png"), mask)
     command = folder / "bin" / "colmap-edges"
     command.parent.mkdir()
     lines = ["#!/bin/sh", f'exec "{sys.executable}" -c "{START}" "$@"', ""]

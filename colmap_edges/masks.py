@@ -1,0 +1,125 @@
+"""Masks of images, named as COLMAP's are: where they are black, no edges are looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from colmap_edges.array_types import BoolArray, ByteArray
+from colmap_edges.csr import owners_of, ranges_of
+from colmap_edges.detection import Chains
+from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.images import is_file, path_of_image, read_bytes
+from colmap_edges.model import View
+
+# An edge along the border of a mask belongs to what is seen beside it, and masks are drawn roughly.
+MARGIN_PX = 3
+# A mask's gray counts, however deep it is.
+GRAY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+
+
+@dataclass(frozen=True)
+class MaskFile:
+    """The mask of an image, as it is read."""
+
+    path: Path
+    data: ByteArray
+
+
+def path_of_mask(mask_path: Path, name: str) -> Path | None:
+    """Path of the mask of the image `name` of a model, none where it has none.
+
+    Args:
+        mask_path: a folder, with the mask of a/b.jpg in a/b.jpg.png (of a/b.png also in a/b.png);
+            or one file, the mask of all images.
+        name: the image's name in the model.
+
+    Raises:
+        ColmapEdgesError: when the name leads out of the folder.
+    """
+    if not mask_path.is_dir():
+        return mask_path
+    names = [name + ".png", name] if name.lower().endswith(".png") else [name + ".png"]
+    found = (path_of_image(mask_path, each) for each in names)
+    return next((path for path in found if is_file(path)), None)
+
+
+def check_masks(views: Iterable[View], mask_path: Path) -> None:
+    """Check that there are masks, before work starts.
+
+    Raises:
+        ColmapEdgesError: when no image has one.
+    """
+    names = [view.name for view in views]
+    if not is_file(mask_path) and not any(path_of_mask(mask_path, name) for name in names):
+        raise ColmapEdgesError(
+            f"mask_path {mask_path} has no mask of any of the {len(names)} images; name them as "
+            f"COLMAP does: that of {names[0]} is {names[0]}.png"
+        )
+
+
+def read_mask(mask_path: Path | None, name: str) -> MaskFile | None:
+    """Read the mask of an image as it is; none where it has none.
+
+    Raises:
+        ColmapEdgesError: when it cannot be read.
+    """
+    path = mask_path and path_of_mask(mask_path, name)
+    if not path:
+        return None
+    try:
+        return MaskFile(path, read_bytes(path))
+    except ImageError as error:
+        raise unreadable_mask(path, name) from error
+
+
+def unreadable_mask(path: Path, name: str) -> ColmapEdgesError:
+    """Make the error for a mask that is no picture: not an `ImageError`, which skips the image."""
+    return ColmapEdgesError(f"cannot read mask {path} of image {name}; replace or delete it")
+
+
+def decode_mask(file: MaskFile, view: View) -> BoolArray:
+    """Decode a view's mask.
+
+    Returns:
+        (H, W) whether a pixel may show edges: it, or one near by, is not black.
+
+    Raises:
+        ColmapEdgesError: when that cannot be done, or it is not of its camera's size.
+    """
+    mask = cv2.imdecode(file.data, GRAY) if len(file.data) else None
+    if mask is None:
+        raise unreadable_mask(file.path, view.name)
+    height, width = mask.shape
+    if (width, height) != (view.width, view.height):
+        raise ColmapEdgesError(
+            f"mask {file.path} is {width}x{height}, the camera of image {view.name} "
+            f"{view.width}x{view.height}; masks need the size of their images"
+        )
+    around = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
+    return np.asarray(cv2.dilate((mask > 0).astype(np.uint8), around) > 0)
+
+
+def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: int) -> Chains:
+    """What a mask leaves of chains, which it may cut into pieces.
+
+    Args:
+        chains: chains of the image enlarged `scale` times.
+        mask: (H, W) the pixels of the image that may show edges.
+        scale: how many times the image is enlarged.
+        min_length_px: shortest piece kept, in points.
+    """
+    height, width = mask.shape
+    columns, rows = np.floor(chains.points / scale).astype(np.int64).T
+    seen = mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+    # A number for each stretch of a chain that is seen or not seen throughout.
+    labels = 2 * owners_of(chains.offsets) + seen
+    bounds = np.flatnonzero(np.diff(labels, prepend=-1, append=-1))
+    starts, ends = bounds[:-1], bounds[1:]
+    kept = seen[starts] & (ends - starts >= min_length_px)
+    starts, ends = starts[kept], ends[kept]
+    return chains.select(ranges_of(starts, ends), ends - starts)
