@@ -27,7 +27,7 @@ from colmap_edges.workspace import find_images, find_model
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
-RECONSTRUCT_FLAGS = MESH_FLAGS - {"meshing", "use_edges"}
+RECONSTRUCT_FLAGS = MESH_FLAGS - {"meshing", "use_edges", "masks_are_background"}
 DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "random_seed", "detection", "edge_graph"}
 # What to open the files of an output folder with.
 VIEWERS = {

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from colmap_edges.backdrop import Backdrop
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.memory import return_freed_memory
@@ -75,6 +76,7 @@ class GraphStore(Sequence[EdgeGraph]):
         """
         self.length, self.max_bytes, self.elsewhere = count, max_bytes, elsewhere
         self.keys: list[str] = []  # of the graphs in the cache, once they are there
+        self.backdrops: list[Backdrop] = []  # of the images, once all are done
         self.num_bytes = 0
         self.kept: OrderedDict[int, EdgeGraph] = OrderedDict()
         self.written: set[int] = set()

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Picture
+from colmap_edges.backdrop import NO_BACKDROP, Backdrop, masked_backdrop, plain_backdrop
 from colmap_edges.cache import Arrays, Cache, key_of
 from colmap_edges.detection import Chains, detect_chains
 from colmap_edges.edge_graph import EdgeGraph, build_edge_graph
@@ -37,12 +38,14 @@ class DetectedEdges:
         dropped: (K, 2) points of chains that are not in the graph, image pixels.
         num_chains: chains of the detector, before they are joined.
         num_chain_pixels: their points.
+        backdrop: the plain backdrop, where the image has one.
     """
 
     graph: EdgeGraph
     dropped: FloatArray
     num_chains: int
     num_chain_pixels: int
+    backdrop: Backdrop = NO_BACKDROP
 
 
 class Visitor(Protocol):
@@ -73,6 +76,7 @@ class ImageWork:
         detection: options of the detector.
         edge_graph: options of the edge graph.
         mask_path: folder of masks, or one for all images; none without it.
+        masks_are_background: whether the background is what masks hide, not a plain backdrop.
         cache: graphs of earlier runs, if they are kept.
         visitor: looks at every image that can be read.
     """
@@ -81,6 +85,7 @@ class ImageWork:
     detection: DetectionOptions
     edge_graph: EdgeGraphOptions
     mask_path: Path | None = None
+    masks_are_background: bool = False
     cache: Cache | None = None
     visitor: Visitor | None = None
 
@@ -105,6 +110,7 @@ class ImageRecord:
         key: key of its graph in the cache; empty without a cache.
         masked: whether it has a mask.
         reused: whether its graph was there.
+        backdrop: what the image shows of the background.
         damage: why the image could not be read; none when it could.
         visited: what the visitor gave back.
     """
@@ -113,6 +119,7 @@ class ImageRecord:
     key: str = ""
     masked: bool = False
     reused: bool = False
+    backdrop: Backdrop = NO_BACKDROP
     damage: ImageError | None = field(default=None)
     visited: Any = None
 
@@ -153,9 +160,10 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
     key = graph_key(data, mask, view, work) if work.cache else ""
     entry = work.cache.load(KIND, key) if work.cache else None
+    usable = decode_mask(mask, view) if mask else None
     if entry is None:
         image = decode_image(data, path, view)
-        found = detect_edges(image, decode_mask(mask, view) if mask else None, view, work)
+        found = detect_edges(image, usable, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
     else:
@@ -167,12 +175,16 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
             return image if entry is None else decode_image(data, path, view)
 
         visited = work.visitor.visit(index, view, read, found)
+    backdrop = found.backdrop
+    if work.masks_are_background:
+        backdrop = NO_BACKDROP if usable is None else masked_backdrop(usable)
     record = ImageRecord(
         counts=counts_of(found),
         key=key,
         masked=mask is not None,
         reused=entry is not None,
         visited=visited,
+        backdrop=backdrop,
     )
     return found.graph, record
 
@@ -190,6 +202,7 @@ def detect_edges(
         dropped=dropped,
         num_chains=len(chains.offsets) - 1,
         num_chain_pixels=len(chains.points),
+        backdrop=plain_backdrop(image),
     )
 
 
@@ -215,7 +228,8 @@ def arrays_of(found: DetectedEdges) -> Arrays:
     """What a cache entry holds of an image."""
     arrays = {entry.name: getattr(found.graph, entry.name) for entry in fields(EdgeGraph)}
     counts = np.array([found.num_chains, found.num_chain_pixels])
-    return arrays | {"dropped": found.dropped, "num_chains_and_pixels": counts}
+    arrays |= {"dropped": found.dropped, "num_chains_and_pixels": counts}
+    return arrays | {f"backdrop_{name}": array for name, array in vars(found.backdrop).items()}
 
 
 def edges_from(arrays: Arrays) -> DetectedEdges:
@@ -226,6 +240,7 @@ def edges_from(arrays: Arrays) -> DetectedEdges:
         dropped=arrays["dropped"],
         num_chains=num_chains,
         num_chain_pixels=num_chain_pixels,
+        backdrop=Backdrop(**{e.name: arrays[f"backdrop_{e.name}"] for e in fields(Backdrop)}),
     )
 
 

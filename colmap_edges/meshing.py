@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.backdrop import BackgroundRays
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 from colmap_edges.output import write_whole
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from colmap_edges.edges import Edges3D
     from colmap_edges.model import Model
 
+NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
 MESH_FORMATS = (".ply", ".obj", ".glb")
 
 
@@ -61,6 +63,7 @@ def mesh(
     method: str | None = None,
     options: MeshingOptions | None = None,
     num_threads: int = 0,
+    background: BackgroundRays | None = None,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -70,6 +73,7 @@ def mesh(
         method: overrides `options.method`.
         options: how to mesh; the defaults suit any model.
         num_threads: threads to use, 0 for all cores; the result does not depend on it.
+        background: lines of sight of its posed images that meet nothing, as `reconstruct` finds.
 
     Raises:
         ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
@@ -80,7 +84,8 @@ def mesh(
     if method is not None:
         options = replace(options, method=method)
     curves = [] if edges is None else with_outlines(edges)
-    return finished(mesh_with_curves(model, curves, options, num_threads), model, options)
+    found = mesh_with_curves(model, curves, options, num_threads, background)
+    return finished(found, model, options)
 
 
 def with_outlines(edges: Edges3D) -> list[Edges3D]:
@@ -89,7 +94,11 @@ def with_outlines(edges: Edges3D) -> list[Edges3D]:
 
 
 def mesh_with_curves(
-    model: Model, curves: list[Edges3D], options: MeshingOptions, num_threads: int
+    model: Model,
+    curves: list[Edges3D],
+    options: MeshingOptions,
+    num_threads: int,
+    background: BackgroundRays | None = None,
 ) -> Mesh:
     """Mesh the points of a model, then of curves; vertices hold indices in that order."""
     points, cameras = [model.points3D_xyz], [model.track_views]
@@ -113,6 +122,7 @@ def mesh_with_curves(
         options,
         polylines if curves else None,
         num_threads,
+        background,
     )
 
 
@@ -179,6 +189,7 @@ def mesh_points(
     options: MeshingOptions,
     edges: Polylines | None = None,
     num_threads: int = 0,
+    background: BackgroundRays | None = None,
 ) -> Mesh:
     """Mesh points that cameras see.
 
@@ -195,6 +206,7 @@ def mesh_points(
         options: how to mesh.
         edges: polylines through the points that the mesh should follow.
         num_threads: threads to use, 0 for all cores; the result does not depend on it.
+        background: lines of sight of the cameras that meet nothing.
 
     Returns:
         The mesh; `point3D_ids` holds indices into `points`, -1 for vertices the mesher added.
@@ -212,10 +224,12 @@ def mesh_points(
         np.ascontiguousarray(camera_centers, np.float64).reshape(-1, 3),
         polyline_offsets,
         polyline_points,
+        *(background if background and options.background_weight else NO_BACKGROUND),
         method=options.method,
         sigma_factor=options.sigma_factor,
         quality_weight=options.quality_weight,
         edge_solid_weight=options.edge_solid_weight,
+        background_weight=options.background_weight,
         vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
         vote_threshold=options.vote_threshold,
         merge_factor=options.merge_factor,

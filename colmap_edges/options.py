@@ -409,6 +409,13 @@ class MeshingOptions(Options):
         ge=0,
         le=1,
     )
+    background_weight: float = option(
+        16.0,
+        "Weight of a line of sight to a plain backdrop (with masks_are_background: to what masks "
+        "hide) against one to a point; 0 uses none",
+        ge=0,
+        basic=True,
+    )
     vote_crossed: float = option(
         1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", ge=0
     )
@@ -466,6 +473,10 @@ class PipelineOptions(Options):
     report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
     refine_poses: bool = option(
         False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
+    )
+    masks_are_background: bool = option(
+        False,
+        "What masks hide is behind all there is, as the sky is: lines of sight to it meet nothing",
     )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))

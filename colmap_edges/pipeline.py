@@ -17,6 +17,7 @@ import numpy as np
 
 import colmap_edges
 from colmap_edges.array_types import FloatArray, IntArray
+from colmap_edges.backdrop import BackgroundRays, background_rays
 from colmap_edges.cache import Cache, key_of
 from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph
@@ -76,6 +77,7 @@ NOT_OF_TRACING = {
     "mesh_type",
     "num_threads",
     "max_graph_memory_gb",
+    "masks_are_background",
 }
 
 
@@ -108,6 +110,8 @@ class EdgeReconstruction:
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
             and SfM points are the input's unless `refine_poses` is set.
         residuals_px: (T,) distance of each observation from the projection of its edge point.
+        background: lines of sight to a plain backdrop or, with `masks_are_background`, to what
+            masks hide, for `mesh`; none where no such background is seen.
         stages: records of the stages, as in report.json.
         findings: where edges were lost and what to do about it; empty when all went well.
     """
@@ -116,6 +120,7 @@ class EdgeReconstruction:
     point3D_ids: IntArray
     reconstruction: Any
     residuals_px: FloatArray
+    background: BackgroundRays | None
     stages: list[dict[str, Any]]
     findings: list[Finding]
 
@@ -167,9 +172,7 @@ def run(
             viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh)
         else:
-            check_images_exist(model.views, paths.image_path)
-            if paths.mask_path:
-                check_masks(model.views, paths.mask_path)
+            check_pictures(model, paths.image_path, paths.mask_path, options)
             contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
@@ -223,7 +226,8 @@ def run_edges(
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        mesh = mesh_stage(model, edges, extended, folder, options, stages)
+        rays = background_rays(model.views, graphs.backdrops, options.masks_are_background)
+        mesh = mesh_stage(model, edges, extended, folder, options, stages, rays)
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
@@ -260,9 +264,7 @@ def reconstruct(
     stages = Stages()
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
-    check_images_exist(model.views, image_path)
-    if mask_path:
-        check_masks(model.views, mask_path)
+    check_pictures(model, image_path, mask_path, options)
     model = enlarged(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         graphs = detect_stage(model, image_path, options, stages, None, workers, mask_path)
@@ -274,6 +276,7 @@ def reconstruct(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
+        background=background_rays(model.views, graphs.backdrops, options.masks_are_background),
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
@@ -310,6 +313,21 @@ def check_model(model: Model, where: str) -> None:
             f"{where} has {len(model.views)} images with poses; "
             "3D edges need at least 2: run `colmap mapper` on more images first"
         )
+
+
+def check_pictures(
+    model: Model, image_path: Path, mask_path: Path | None, options: PipelineOptions
+) -> None:
+    """Check that the images are there, and masks where they are asked for.
+
+    Raises:
+        ColmapEdgesError: when they are not.
+    """
+    check_images_exist(model.views, image_path)
+    if mask_path:
+        check_masks(model.views, mask_path)
+    elif options.masks_are_background:
+        raise OptionError("masks_are_background is 1 and there are no masks; give mask_path")
 
 
 def model_counts(model: Model) -> dict[str, Any]:
@@ -368,6 +386,7 @@ def detect_stage(
         detection=options.detection,
         edge_graph=options.edge_graph,
         mask_path=mask_path,
+        masks_are_background=options.masks_are_background,
         cache=workers.cache,
         visitor=visitor,
     )
@@ -413,6 +432,7 @@ def find_graphs(
         if work.visitor and record.visited is not None:
             work.visitor.collect(index, record.visited)
     store.keys = [record.key for record in records if record.key]
+    store.backdrops = [record.backdrop for record in records]
     return store, records
 
 
@@ -617,14 +637,18 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
+    background: BackgroundRays | None = None,
 ) -> Mesh:
     """Mesh a model's points and edges; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
         curves = [] if edges is None else with_outlines(edges)
-        mesh = mesh_with_curves(model, curves, options.meshing, thread_count(options))
+        threads = thread_count(options)
+        mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
         mesh = finished(mesh, extended, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        if mesh.stats["background_rays"]:
+            stage.counts["background_rays"] = int(mesh.stats["background_rays"])
         stage.counts["details"] = plain_counts(mesh.stats)
     return mesh
 

@@ -30,9 +30,12 @@ std::vector<mesher::Vec3> ToPoints(const Matrix<double, 3>& array) {
   return points;
 }
 
+std::vector<Index> ToIndices(const Vector<Index>& values) {
+  return {values.data(), values.data() + values.size()};
+}
+
 mesher::Rows ToRows(const Vector<std::int64_t>& offsets, const Vector<Index>& values) {
-  return {{offsets.data(), offsets.data() + offsets.size()},
-          {values.data(), values.data() + values.size()}};
+  return {{offsets.data(), offsets.data() + offsets.size()}, ToIndices(values)};
 }
 
 // A numpy array that owns a copy of `values`, `Columns` numbers an item.
@@ -48,17 +51,24 @@ nb::ndarray<nb::numpy, T> ToArray(const std::vector<Item>& values) {
 nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>& offsets,
                      const Vector<Index>& cameras, const Matrix<double, 3>& centers,
                      const Vector<std::int64_t>& polyline_offsets, const Vector<Index>& polylines,
-                     const std::string& method, double sigma_factor, double quality_weight,
-                     double edge_solid_weight, const std::array<double, 3>& vote_weights,
+                     const Vector<Index>& background_cameras,
+                     const Matrix<double, 3>& background_directions, const std::string& method,
+                     double sigma_factor, double quality_weight, double edge_solid_weight,
+                     double background_weight, const std::array<double, 3>& vote_weights,
                      double vote_threshold, double merge_factor, double min_segment_factor,
                      double long_facet_factor, int min_component_faces, int num_threads) {
-  const mesher::MesherInput input{ToPoints(points), ToRows(offsets, cameras), ToPoints(centers),
-                                  ToRows(polyline_offsets, polylines)};
+  const mesher::MesherInput input{ToPoints(points),
+                                  ToRows(offsets, cameras),
+                                  ToPoints(centers),
+                                  ToRows(polyline_offsets, polylines),
+                                  ToIndices(background_cameras),
+                                  ToPoints(background_directions)};
   mesher::MesherOptions options;
   options.method = method;
   options.merge_factor = merge_factor;
   options.min_segment_factor = min_segment_factor;
-  options.visibility = {sigma_factor, quality_weight, edge_solid_weight, num_threads};
+  options.visibility = {sigma_factor, quality_weight, edge_solid_weight, background_weight,
+                        num_threads};
   options.votes = {vote_weights, vote_threshold, num_threads};
   options.surface = {long_facet_factor, min_component_faces};
   mesher::MesherResult result;
@@ -76,8 +86,9 @@ NB_MODULE(_mesher, m) {
   m.doc() = "Delaunay meshing of sparse points with visibility";
   m.attr("cgal_version") = CGAL_VERSION_STR;
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
-        "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, nb::kw_only(), "method"_a,
-        "sigma_factor"_a, "quality_weight"_a, "edge_solid_weight"_a, "vote_weights"_a,
-        "vote_threshold"_a, "merge_factor"_a, "min_segment_factor"_a, "long_facet_factor"_a,
-        "min_component_faces"_a, "num_threads"_a);
+        "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,
+        "background_directions"_a, nb::kw_only(), "method"_a, "sigma_factor"_a, "quality_weight"_a,
+        "edge_solid_weight"_a, "background_weight"_a, "vote_weights"_a, "vote_threshold"_a,
+        "merge_factor"_a, "min_segment_factor"_a, "long_facet_factor"_a, "min_component_faces"_a,
+        "num_threads"_a);
 }

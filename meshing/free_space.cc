@@ -8,9 +8,13 @@ namespace mesher {
 namespace {
 
 std::vector<std::int64_t> CountRays(const Triangulation& triangulation, const Rows& rays,
-                                    const std::vector<Vec3>& cameras, int num_threads) {
+                                    const std::vector<Vec3>& cameras,
+                                    const std::vector<BackgroundRay>& background, int num_threads) {
   std::vector<std::int64_t> counts(triangulation.cells.size());
   auto count = [&](Index cell) { AtomicAdd(counts[cell], std::int64_t{1}); };
+  auto count_crossed = [&](const RayWalker& walker) {
+    count(walker.Walk(0, [&](const Crossing& crossing) { count(crossing.cell); }));
+  };
   ParallelChunks(triangulation.num_vertices(), num_threads, [&](auto begin, auto end) {
     for (auto v = begin; v < end; ++v) {
       for (const Index* camera = rays.begin(v); camera != rays.end(v); ++camera) {
@@ -18,8 +22,16 @@ std::vector<std::int64_t> CountRays(const Triangulation& triangulation, const Ro
         if (walker.front() == kNone)
           walker.VisitOutside(true, count);
         else
-          count(walker.Walk(0, [&](const Crossing& crossing) { count(crossing.cell); }));
+          count_crossed(walker);
       }
+    }
+  });
+  VisitAroundCameras(triangulation, background,
+                     [&](Index cell, std::int64_t num_rays) { counts[cell] += num_rays; });
+  ParallelChunks(background.size(), num_threads, [&](auto begin, auto end) {
+    for (auto i = begin; i < end; ++i) {
+      const RayWalker walker(triangulation, background[i].vertex, background[i].target);
+      if (walker.front() != kNone) count_crossed(walker);
     }
   });
   return counts;
@@ -28,8 +40,10 @@ std::vector<std::int64_t> CountRays(const Triangulation& triangulation, const Ro
 }  // namespace
 
 std::vector<double> CountVotes(const Triangulation& triangulation, const Rows& rays,
-                               const std::vector<Vec3>& cameras, const VoteOptions& options) {
-  const auto counts = CountRays(triangulation, rays, cameras, options.num_threads);
+                               const std::vector<Vec3>& cameras,
+                               const std::vector<BackgroundRay>& background,
+                               const VoteOptions& options) {
+  const auto counts = CountRays(triangulation, rays, cameras, background, options.num_threads);
   std::vector<double> votes(counts.size());
   ParallelChunks(triangulation.num_cells(), options.num_threads, [&](auto begin, auto end) {
     for (auto c = begin; c < end; ++c) {

@@ -19,7 +19,9 @@ struct VoteOptions {
 
 // Votes of all rays for each cell; see VisibilityProblem for `rays`.
 std::vector<double> CountVotes(const Triangulation& triangulation, const Rows& rays,
-                               const std::vector<Vec3>& cameras, const VoteOptions& options);
+                               const std::vector<Vec3>& cameras,
+                               const std::vector<BackgroundRay>& background,
+                               const VoteOptions& options);
 
 // 1 for the cells with enough votes.
 std::vector<std::uint8_t> FreeByVotes(const std::vector<double>& votes, double threshold);

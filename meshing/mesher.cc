@@ -29,6 +29,13 @@ class Stopwatch {
   std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
+void CheckIndices(const std::vector<Index>& values, std::size_t limit, const std::string& name) {
+  for (Index value : values)
+    if (value < 0 || value >= static_cast<Index>(limit))
+      throw std::invalid_argument(name + " holds index " + std::to_string(value) + " of " +
+                                  std::to_string(limit));
+}
+
 void CheckRows(const Rows& rows, std::size_t limit, const std::string& name) {
   const auto& offsets = rows.offsets;
   if (offsets.empty() || offsets.front() != 0 ||
@@ -36,10 +43,7 @@ void CheckRows(const Rows& rows, std::size_t limit, const std::string& name) {
       !std::is_sorted(offsets.begin(), offsets.end()))
     throw std::invalid_argument(name + " offsets must rise from 0 to the number of values, " +
                                 std::to_string(rows.values.size()));
-  for (Index value : rows.values)
-    if (value < 0 || value >= static_cast<Index>(limit))
-      throw std::invalid_argument(name + " holds index " + std::to_string(value) + " of " +
-                                  std::to_string(limit));
+  CheckIndices(rows.values, limit, name);
 }
 
 void CheckInput(const MesherInput& input) {
@@ -50,6 +54,14 @@ void CheckInput(const MesherInput& input) {
                                 " rows for " + std::to_string(input.points.size()) + " points");
   if (!std::all_of(input.cameras.begin(), input.cameras.end(), IsFinite))
     throw std::invalid_argument("camera centers must be finite");
+  if (input.background_cameras.size() != input.background_directions.size())
+    throw std::invalid_argument("background rays have " +
+                                std::to_string(input.background_cameras.size()) + " cameras and " +
+                                std::to_string(input.background_directions.size()) + " directions");
+  CheckIndices(input.background_cameras, input.cameras.size(), "background");
+  for (const Vec3& direction : input.background_directions)
+    if (!(Norm(direction) > 0) || !IsFinite(direction))
+      throw std::invalid_argument("directions of background rays must be finite and not 0");
 }
 
 // Shift and power-of-two scale that bring the points to the unit cube around the origin, where
@@ -87,6 +99,7 @@ struct Scene {
   std::vector<Vec3> cameras;
   Rows polylines;
   std::vector<double> radii;  // within which points of polylines are taken for one
+  std::vector<BackgroundRay> background;
 };
 
 // Polylines of vertices, interrupted at points that were dropped.
@@ -115,7 +128,7 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   }
   const UnitFrame frame(points);
   for (Vec3& p : points) p = frame(p);
-  Scene scene{frame, {}, {}, {}, {}, {}, {}};
+  Scene scene{frame, {}, {}, {}, {}, {}, {}, {}};
   std::vector<Index> vertex_of(input.points.size(), kNone);
   for (const Vec3& camera : input.cameras) scene.cameras.push_back(frame(camera));
 
@@ -165,7 +178,8 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   const auto representatives = Representatives(scene.points, radii);
   std::vector<Index> place_of(scene.points.size());
   std::vector<std::vector<Index>> members;
-  Scene merged{scene.frame, {}, {}, {}, std::move(scene.cameras), std::move(scene.polylines), {}};
+  Scene merged{scene.frame, {}, {}, {}, std::move(scene.cameras), std::move(scene.polylines),
+               {},          {}};
   for (Index v = 0; v < static_cast<Index>(scene.points.size()); ++v) {
     if (representatives[v] == v) {
       place_of[v] = static_cast<Index>(members.size());
@@ -189,8 +203,36 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   return merged;
 }
 
+// Makes the cameras that see the background vertices, in an order that depends on their places
+// alone, for rays to start at. No rays lead to these vertices.
+void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& scene) {
+  std::vector<Index> cameras = input.background_cameras;
+  std::sort(cameras.begin(), cameras.end(), [&](Index a, Index b) {
+    return scene.cameras[a] < scene.cameras[b] || (scene.cameras[a] == scene.cameras[b] && a < b);
+  });
+  cameras.erase(std::unique(cameras.begin(), cameras.end()), cameras.end());
+  std::vector<Index> vertex_of(scene.cameras.size(), kNone);
+  for (const Index camera : cameras) vertex_of[camera] = builder.Insert(scene.cameras[camera], 0);
+  while (scene.rays.size() < builder.num_vertices())
+    scene.rays.offsets.push_back(scene.rays.offsets.back());
+
+  Vec3 low = builder.points()[0], high = low;
+  for (const Vec3& p : builder.points())
+    for (int axis = 0; axis < 3; ++axis) {
+      low[axis] = std::min(low[axis], p[axis]);
+      high[axis] = std::max(high[axis], p[axis]);
+    }
+  const double outside = 2 * Norm(high - low);
+  for (std::size_t i = 0; i < input.background_cameras.size(); ++i) {
+    const Index camera = input.background_cameras[i];
+    const Vec3& direction = input.background_directions[i];
+    const Vec3 target = scene.cameras[camera] + (outside / Norm(direction)) * direction;
+    scene.background.push_back({vertex_of[camera], target});
+  }
+}
+
 // Without any cell if the points span no volume. Adds the rays of points that it adds.
-Triangulation Triangulate(const MesherOptions& options, Scene& scene,
+Triangulation Triangulate(const MesherInput& input, const MesherOptions& options, Scene& scene,
                           std::map<std::string, double>& stats) {
   DelaunayBuilder builder(scene.points);
   if (builder.dimension() < 3) return {};
@@ -203,6 +245,7 @@ Triangulation Triangulate(const MesherOptions& options, Scene& scene,
     stats["edge_segments_missing"] = conforming.segments_missing;
     stats["edge_points_added"] = conforming.points_added;
   }
+  if (!input.background_cameras.empty()) AddBackground(input, builder, scene);
   return builder.Flatten();
 }
 
@@ -218,14 +261,16 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
                                          const MesherOptions& options, MesherResult& result,
                                          Stopwatch& watch) {
   if (options.method == "graphcut") {
-    CutProblem problem = VisibilityProblem(triangulation, scene.rays, scene.cameras,
-                                           EdgePoints(triangulation, scene), options.visibility);
+    CutProblem problem =
+        VisibilityProblem(triangulation, scene.rays, scene.cameras,
+                          EdgePoints(triangulation, scene), scene.background, options.visibility);
     watch.Lap("visibility");
     Cut cut = MinimumCut(triangulation.cells, std::move(problem));
     result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
     return std::move(cut.is_source);
   }
-  const auto votes = CountVotes(triangulation, scene.rays, scene.cameras, options.votes);
+  const auto votes =
+      CountVotes(triangulation, scene.rays, scene.cameras, scene.background, options.votes);
   watch.Lap("visibility");
   auto is_free = FreeByVotes(votes, options.votes.threshold);
   return options.method == "carve" ? is_free : GrowManifold(triangulation, votes, is_free);
@@ -280,8 +325,9 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
   Scene scene =
       WithMergedPoints(MakeScene(input, result.stats), options.merge_factor, result.stats);
   watch.Lap("sorting");
-  const Triangulation triangulation = Triangulate(options, scene, result.stats);
+  const Triangulation triangulation = Triangulate(input, options, scene, result.stats);
   result.stats["cells"] = triangulation.num_cells();
+  result.stats["background_rays"] = static_cast<double>(scene.background.size());
   watch.Lap("triangulation");
   if (triangulation.cells.empty()) return result;
   const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);

@@ -19,6 +19,9 @@ struct MesherInput {
   Rows visibility;  // point -> cameras
   std::vector<Vec3> cameras;
   Rows polylines;  // rows of points that the mesh should follow
+  // Lines of sight to the background, which meet nothing: from which camera, in which direction.
+  std::vector<Index> background_cameras;
+  std::vector<Vec3> background_directions;
 };
 
 struct MesherOptions {

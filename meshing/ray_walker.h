@@ -213,4 +213,18 @@ class RayWalker {
   Index front_ = kNone, behind_ = kNone;
 };
 
+// Calls visit(cell, number of the camera's rays) for the cells around the cameras of background
+// rays: they are free, since no surface touches a camera.
+template <typename Visit>
+void VisitAroundCameras(const Triangulation& triangulation,
+                        const std::vector<BackgroundRay>& background, Visit&& visit) {
+  std::vector<std::int64_t> num_rays(background.empty() ? 0 : triangulation.points.size());
+  for (const BackgroundRay& ray : background) ++num_rays[ray.vertex];
+  for (std::size_t v = 0; v < num_rays.size(); ++v) {
+    if (num_rays[v] == 0) continue;
+    for (const Index* c = triangulation.stars.begin(v); c != triangulation.stars.end(v); ++c)
+      visit(*c, num_rays[v]);
+  }
+}
+
 }  // namespace mesher

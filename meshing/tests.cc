@@ -318,6 +318,12 @@ void TestRepresentativesEqualBruteForce() {
   }
 }
 
+void CheckNoFaceTouchesCameras(const MesherInput& input, const MesherResult& result, int round) {
+  for (const Vec3& vertex : result.vertices)
+    for (const Index camera : input.background_cameras)
+      Check(Norm(vertex - input.cameras[camera]) > 1e-12, "a face touches a camera", round);
+}
+
 void TestAllMethodsOnHardInput() {
   for (int round = 0; round < 60; ++round) {
     Random random(round);
@@ -331,11 +337,17 @@ void TestAllMethodsOnHardInput() {
     }
     for (int n = 0; n < 40; ++n) input.polylines.values.push_back(random() % input.points.size());
     input.polylines.offsets = {0, 15, 40};
+    for (unsigned n = round % 4 ? random() % 50 : 0; n > 0; --n) {
+      input.background_cameras.push_back(random() % input.cameras.size());
+      input.background_directions.push_back(round % 2 ? Vec3{1, double(n % 2), 0}
+                                                      : RandomPoints(1, random)[0]);
+    }
     MesherOptions options;
     options.visibility.num_threads = options.votes.num_threads = 1 + round % 3;
     for (const char* method : {"graphcut", "carve", "manifold"}) {
       options.method = method;
       const MesherResult result = MeshPoints(input, options);
+      if (options.method != "manifold") CheckNoFaceTouchesCameras(input, result, round);
       for (const auto& face : result.faces)
         for (Index v : face)
           Check(v >= 0 && v < Index(result.vertices.size()), "a face has no vertex", round);

@@ -40,6 +40,13 @@ struct Triangulation {
   }
 };
 
+// A line of sight from a vertex, where a camera stands, that meets nothing up to its target, which
+// lies outside the convex hull.
+struct BackgroundRay {
+  Index vertex;
+  Vec3 target;
+};
+
 // Grows a triangulation point by point and flattens it. Points must be distinct and finite.
 class DelaunayBuilder {
  public:

@@ -49,6 +49,13 @@ void AddRay(const Triangulation& triangulation, const RayWalker& walker, const S
   }
 }
 
+void AddBackgroundRay(const RayWalker& walker, std::int64_t weight, CutProblem& problem) {
+  if (walker.front() == kNone) return;  // away from all points
+  walker.Walk(0, [&](const Crossing& crossing) {
+    AtomicAdd(problem.arcs[4 * std::size_t(crossing.cell) + crossing.facet], weight);
+  });
+}
+
 struct Sphere {
   Vec3 center;
   bool is_flat;
@@ -130,6 +137,7 @@ double TypicalSpacing(const Triangulation& triangulation) {
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
                              const std::vector<Vec3>& cameras,
                              const std::vector<std::uint8_t>& is_edge,
+                             const std::vector<BackgroundRay>& background,
                              const VisibilityOptions& options) {
   CutProblem problem(triangulation.cells.size());
   const SoftWeight weight(options.sigma_factor * TypicalSpacing(triangulation));
@@ -140,6 +148,15 @@ CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& ray
         AddRay(triangulation, RayWalker(triangulation, v, cameras[*camera]), weight, solid,
                problem);
     }
+  });
+  const std::int64_t background_weight = Scaled(options.background_weight, kRayWeight);
+  VisitAroundCameras(triangulation, background, [&](Index cell, std::int64_t num_rays) {
+    problem.source[cell] += num_rays * background_weight;
+  });
+  ParallelChunks(background.size(), options.num_threads, [&](auto begin, auto end) {
+    for (auto i = begin; i < end; ++i)
+      AddBackgroundRay(RayWalker(triangulation, background[i].vertex, background[i].target),
+                       background_weight, problem);
   });
   AddQuality(triangulation, options, problem);
   return problem;

@@ -11,6 +11,7 @@ struct VisibilityOptions {
   double sigma_factor = 1;         // softness of a point's depth, in units of the spacing of points
   double quality_weight = 0.1;     // weight of well-shaped surfaces against one ray
   double edge_solid_weight = 0.7;  // of the solid behind an edge point, against that behind others
+  double background_weight = 16;   // of a ray to the background against one to a point
   int num_threads = 1;
 };
 
@@ -27,6 +28,7 @@ double TypicalSpacing(const Triangulation& triangulation);
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
                              const std::vector<Vec3>& cameras,
                              const std::vector<std::uint8_t>& is_edge,
+                             const std::vector<BackgroundRay>& background,
                              const VisibilityOptions& options);
 
 }  // namespace mesher

@@ -24,8 +24,8 @@ ROOMS = {
         "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
     ),
     "2D edges": (
-        "blur", "detection", "enlargement", "masks", "corners", "edge_graph", "graph_store",
-        "image_graphs",
+        "blur", "detection", "enlargement", "masks", "backdrop", "corners", "edge_graph",
+        "graph_store", "image_graphs",
     ),
     "3D edges by chains": (
         "view_selection", "side_likelihood", "chain_depths", "view_graphs", "cross_check",
@@ -56,9 +56,11 @@ ROOMS = {
 LIBRARIES = {
     "pycolmap": ("model", "triangulation", "evaluation.poses"),
     "cv2": (
+        "backdrop",
         "blur",
         "detection",
         "images",
+        "masks",
         "overlay",
         "report.pictures",
         "viewer",

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from colmap_edges import meshing
+from colmap_edges.backdrop import BackgroundRays
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 
@@ -221,6 +222,105 @@ def test_merging_does_not_depend_on_order_and_scale():
     assert larger.stats["points_merged"] == mesh.stats["points_merged"]
     backwards = lines._replace(point_indices=lines.point_indices[::-1])
     np.testing.assert_array_equal(meshing.mesh_points(*scene, OPTIONS, backwards).faces, mesh.faces)
+
+
+HOLE, THICKNESS = 0.4, 0.3
+
+
+def is_plate(points):
+    """Whether points are inside a square plate with a square hole."""
+    x, y, z = np.abs(points - [0, 0, THICKNESS / 2]).T
+    return (np.maximum(x, y) <= 1) & (np.maximum(x, y) >= HOLE) & (z <= THICKNESS / 2)
+
+
+def plate_scene(scale=1.0):
+    """Points on the rims of the plate, above all on none of its faces, and rays that miss it."""
+    ticks = np.linspace(-1, 1, 41)
+    sides = [np.column_stack([ticks, np.full(41, side)]) for side in (-1, 1)]
+    square = np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
+    centers = 4 * fibonacci_sphere(30) + [0, 0, THICKNESS / 2]
+    points, seen = [], []
+    for size in (1, HOLE):
+        for height in (0, THICKNESS):
+            rim = np.column_stack([size * square, np.full(len(square), height)])
+            for point in rim:
+                steps = np.linspace(1e-3, 1, 500)[:, None]
+                sight = (steps * (c - point) + point for c in centers)
+                points.append(point)
+                seen.append([i for i, line in enumerate(sight) if not is_plate(line).any()])
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in seen])])
+    targets = np.column_stack(
+        [np.random.default_rng(0).uniform(-1.5, 1.5, (600, 2)), np.zeros(600)]
+    )
+    cameras, directions = [], []
+    for index, center in enumerate(centers):
+        lines = center + np.linspace(0, 2, 1000)[:, None, None] * (targets - center)
+        free = ~is_plate(lines.reshape(-1, 3)).reshape(1000, -1).any(axis=0)
+        cameras.append(np.full(free.sum(), index, np.int32))
+        directions.append((targets - center)[free])
+    rays = BackgroundRays(np.concatenate(cameras), np.concatenate(directions))
+    visible = np.concatenate(seen).astype(np.int32)
+    return (scale * np.array(points), offsets, visible, scale * centers), rays
+
+
+def blocked_share(mesh, rays, centers):
+    """Share of lines of sight that meet a mesh, whatever the side."""
+    found = as_trimesh(mesh).ray.intersects_any(centers[rays.cameras], rays.directions)
+    return found.mean()
+
+
+def test_lines_of_sight_to_the_background_open_holes():
+    scene, rays = plate_scene()
+    closed = meshing.mesh_points(*scene, OPTIONS)
+    options = replace(OPTIONS, long_facet_factor=0.0)
+    opened = meshing.mesh_points(*scene, options, background=rays)
+    assert opened.stats["background_rays"] == len(rays.cameras)
+    assert blocked_share(closed, rays, scene[3]) > 0.03
+    assert blocked_share(opened, rays, scene[3]) < 5e-4, "but for a ray that grazes the rim"
+    solid = as_trimesh(opened)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx((4 - (2 * HOLE) ** 2) * THICKNESS, rel=0.02)
+    assert (opened.point3D_ids >= 0).all(), "no camera is in the mesh"
+    unused = meshing.mesh_points(*scene, replace(OPTIONS, background_weight=0), background=rays)
+    np.testing.assert_array_equal(unused.faces, closed.faces)
+
+
+def test_background_rays_vote_when_space_is_carved():
+    scene, rays = plate_scene()
+    options = replace(OPTIONS, method="carve", vote_near=0.0)
+    closed = blocked_share(meshing.mesh_points(*scene, options), rays, scene[3])
+    opened = blocked_share(meshing.mesh_points(*scene, options, background=rays), rays, scene[3])
+    assert opened < 0.2 * closed
+
+
+def test_order_scale_and_threads_do_not_matter_to_background_rays():
+    scene, rays = plate_scene()
+    reference = meshing.mesh_points(*scene, OPTIONS, num_threads=1, background=rays)
+    order = np.random.default_rng(0).permutation(len(rays.cameras))
+    longer = np.random.default_rng(1).uniform(1e-3, 1e3, (len(order), 1))
+    mixed = BackgroundRays(rays.cameras[order], rays.directions[order] * longer[order])
+    points, offsets, cameras, centers = scene
+    again = meshing.mesh_points(*scene, OPTIONS, num_threads=3, background=mixed)
+    np.testing.assert_array_equal(again.faces, reference.faces)
+    larger = meshing.mesh_points(
+        1e6 * points, offsets, cameras, 1e6 * centers, OPTIONS, background=rays
+    )
+    assert face_set(larger) == face_set(reference)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "directions", "message"),
+    [
+        ([0, 30], np.ones((2, 3)), "background holds index 30 of 30"),
+        ([0], np.ones((2, 3)), "1 cameras and 2 directions"),
+        ([0], np.zeros((1, 3)), "finite and not 0"),
+        ([0], np.full((1, 3), np.nan), "finite and not 0"),
+    ],
+)
+def test_background_rays_have_to_fit(cameras, directions, message):
+    rays = BackgroundRays(np.array(cameras, np.int32), directions)
+    with pytest.raises(ValueError, match=message):
+        meshing.mesh_points(*box_scene(), OPTIONS, background=rays)
 
 
 def test_points_that_are_not_finite_are_dropped_and_counted():

@@ -1,0 +1,148 @@
+"""Where images show the background: a plain backdrop, told by itself, or what masks hide.
+
+Lines of sight to the background meet nothing. No point says so, since a background has none; meshes
+of points alone close the holes of bodies without texture and span webs between silhouettes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from colmap_edges.array_types import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    Picture,
+)
+from colmap_edges.model import View
+
+NUM_SAMPLES = 10_000  # of an image, on a grid
+MAX_DEVIATION = 3  # gray levels by which a plain backdrop differs from its median, in any channel
+MIN_BORDER_RATIO = 0.95  # of the image's border that shows a plain backdrop
+MIN_VIEWS_RATIO = 0.9  # of the images that show one, or none is believed
+# Bodies as bright as the backdrop have places where they are a little less so. Where none are, what
+# the body encloses of the backdrop's colour is seen through a hole.
+NEAR_LEVELS = 2  # that such places are off beyond the deviation
+MAX_NEAR_RATIO = 1e-3  # of the body, all images together
+BORDER_PX = 2  # of the body that is mixed with the backdrop
+
+
+class BackgroundRays(NamedTuple):
+    """Lines of sight that meet nothing.
+
+    Attributes:
+        cameras: (K,) int32 index of the view each starts at.
+        directions: (K, 3) float64 in the world; their lengths do not matter.
+    """
+
+    cameras: Int32Array
+    directions: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backdrop:
+    """What of an image is seen to be background.
+
+    Attributes:
+        around: (K, 2) float32 image pixels, COLMAP's origin, that show it around bodies.
+        enclosed: (L, 2) float32 those that bodies enclose.
+        body_pixels: (2,) int64 of what is not background the number of pixels, and of those
+            nearly of its colour.
+    """
+
+    around: Float32Array
+    enclosed: Float32Array
+    body_pixels: IntArray
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether there is any."""
+        return len(self.around) > 0
+
+
+NO_BACKDROP = Backdrop(
+    around=np.zeros((0, 2), np.float32),
+    enclosed=np.zeros((0, 2), np.float32),
+    body_pixels=np.zeros(2, np.int64),
+)
+
+
+def plain_backdrop(image: Picture) -> Backdrop:
+    """The plain backdrop of an image (H, W, 3), if the image's border shows nothing else."""
+    border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    color = np.rint(np.median(border, axis=0))
+    low, high = color - MAX_DEVIATION, color + MAX_DEVIATION
+    on_border = ((border >= low) & (border <= high)).all(axis=1)
+    if on_border.mean() < MIN_BORDER_RATIO:
+        return NO_BACKDROP
+    plain = cv2.inRange(image, low, high)
+    body = cv2.erode(255 - plain, square(BORDER_PX)) > 0
+    if not body.any():
+        return NO_BACKDROP  # nothing in view: a blank image rather
+    near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
+    pixels = sampled(cv2.erode(plain, square(1)) > 0)
+    _, labels = cv2.connectedComponents(plain, connectivity=4)
+    outside = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    is_around = np.isin(labels[pixels[:, 1], pixels[:, 0]], outside)
+    centers = (pixels + 0.5).astype(np.float32)
+    return Backdrop(
+        around=centers[is_around],
+        enclosed=centers[~is_around],
+        body_pixels=np.array([body.sum(), (body & near).sum()]),
+    )
+
+
+def masked_backdrop(mask: BoolArray) -> Backdrop:
+    """The background where a mask (H, W) is false."""
+    centers = (sampled(~mask) + 0.5).astype(np.float32)
+    return Backdrop(
+        around=centers, enclosed=np.zeros((0, 2), np.float32), body_pixels=np.array([mask.sum(), 0])
+    )
+
+
+def square(radius: int) -> ByteArray:
+    """The pixels within a distance along rows and columns, to erode by."""
+    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+
+
+def sampled(shown: BoolArray) -> IntArray:
+    """(K, 2) columns and rows of the pixels of a grid at which (H, W) `shown` is true."""
+    step = max(1, round(float(np.sqrt(shown.size / NUM_SAMPLES))))
+    rows, columns = np.nonzero(shown[step // 2 :: step, step // 2 :: step])
+    return np.column_stack([columns, rows]) * step + step // 2
+
+
+def background_rays(
+    views: Sequence[View], backdrops: Sequence[Backdrop], are_masks: bool
+) -> BackgroundRays | None:
+    """The lines of sight to the background of all views.
+
+    Args:
+        views: the V views.
+        backdrops: (V,) what their images show of it.
+        are_masks: whether masks say so, who are believed each.
+
+    Returns:
+        The rays in the order of the views; none where no background is believed to be seen.
+    """
+    seen = sum(backdrop.is_seen for backdrop in backdrops)
+    if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(backdrops)):
+        return None
+    body, near = np.sum([backdrop.body_pixels for backdrop in backdrops], axis=0).tolist()
+    with_holes = near <= MAX_NEAR_RATIO * body
+    cameras, directions = [], []
+    for index, (view, backdrop) in enumerate(zip(views, backdrops, strict=True)):
+        parts = [backdrop.around, backdrop.enclosed] if with_holes else [backdrop.around]
+        ideal = view.ideal_from_image(np.concatenate(parts).astype(np.float64)) / view.focal_px
+        ideal = ideal[np.isfinite(ideal).all(axis=1)]
+        cameras.append(np.full(len(ideal), index, np.int32))
+        directions.append(np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation)
+    return BackgroundRays(np.concatenate(cameras), np.concatenate(directions))

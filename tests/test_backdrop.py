@@ -1,0 +1,199 @@
+"""The background: plain backdrops are told from all else, and lines of sight to it start right."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from curves import make_view
+from test_masks import paths_of, write_masks
+
+from colmap_edges import pipeline
+from colmap_edges.backdrop import (
+    MAX_DEVIATION,
+    NO_BACKDROP,
+    Backdrop,
+    background_rays,
+    masked_backdrop,
+    plain_backdrop,
+    sampled,
+)
+from colmap_edges.errors import OptionError
+from colmap_edges.meshing import mesh
+from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline import reconstruct, run
+
+GRAY = (120, 120, 120)
+
+
+def picture(color=(255, 255, 255), body=GRAY, height=90, width=120):
+    """A body with a hole before a plain backdrop."""
+    image = np.full((height, width, 3), color, np.uint8)
+    cv2.rectangle(image, (30, 20), (90, 70), body, -1)
+    cv2.rectangle(image, (50, 35), (70, 55), color, -1)
+    return image
+
+
+def shown(backdrop, image, part="around"):
+    """The picture of what was sampled, pixel by pixel."""
+    found = np.zeros(image.shape[:2], bool)
+    columns, rows = np.floor(getattr(backdrop, part)).astype(int).T
+    found[rows, columns] = True
+    return found
+
+
+@pytest.mark.parametrize("color", [(255, 255, 255), (0, 0, 0), (40, 200, 60)])
+def test_around_and_within_a_body(color):
+    """Every pixel is sampled of so small an image, but next to the body and the image's border."""
+    image = picture(color)
+    backdrop = plain_backdrop(image)
+    around, enclosed = shown(backdrop, image), shown(backdrop, image, "enclosed")
+    expected = np.ones(image.shape[:2], bool)
+    expected[19:72, 29:92] = False
+    np.testing.assert_array_equal(around, expected)
+    assert np.array_equal(np.argwhere(enclosed)[[0, -1]], [[36, 51], [54, 69]])
+    assert enclosed.sum() == 19 * 19
+    assert backdrop.is_seen
+    assert backdrop.body_pixels[1] == 0
+    np.testing.assert_array_equal(backdrop.around % 1, 0.5)
+
+
+def test_noise_within_the_deviation_is_plain():
+    rng = np.random.default_rng(0)
+    image = picture((200, 200, 200)).astype(int)
+    noisy = image + rng.integers(-MAX_DEVIATION, MAX_DEVIATION + 1, image.shape)
+    assert len(plain_backdrop(noisy.astype(np.uint8)).around) > 5000
+
+
+def clutter(image):
+    """What is no plain backdrop: something else along a tenth of the border."""
+    image[:, :6] = np.arange(len(image))[:, None, None] * 2
+    return image
+
+
+def gradient(image):
+    """A sky or a lit wall, brighter to one side."""
+    image[:] = np.linspace(150, 250, image.shape[1])[None, :, None]
+    return image
+
+
+@pytest.mark.parametrize("change", [clutter, gradient, lambda image: image[:, :0:-1] * 0 + 7])
+def test_other_backgrounds_are_left_alone(change):
+    """Clutter, a gradient, and an image that shows nothing at all."""
+    assert not plain_backdrop(np.ascontiguousarray(change(picture()), np.uint8)).is_seen
+
+
+def test_samples_are_a_grid_of_about_as_many():
+    pixels = sampled(np.ones((3000, 4000), bool))
+    assert len(pixels) == pytest.approx(10_000, rel=0.05)
+    assert len(np.unique(np.diff(np.unique(pixels[:, 0])))) == 1
+    assert len(sampled(np.zeros((30, 40), bool))) == 0
+    assert len(sampled(np.ones((3, 4), bool))) == 12
+
+
+def test_rays_go_through_the_pixels():
+    views = [make_view(np.eye(3), np.zeros(3)), make_view(np.diag([-1.0, 1, -1]), np.ones(3), 1)]
+    backdrop = plain_backdrop(picture(height=480, width=640))
+    rays = background_rays(views, [backdrop] * 2, False)
+    pixels = np.concatenate([backdrop.around, backdrop.enclosed])
+    for index, view in enumerate(views):
+        points = view.center + 3.0 * rays.directions[rays.cameras == index]
+        found, depths = view.project(points)
+        assert (depths > 0).all()
+        np.testing.assert_allclose(found, pixels, atol=1e-3)
+
+
+def test_a_backdrop_is_believed_when_nearly_all_views_show_it():
+    views = [make_view(np.eye(3), np.zeros(3), i) for i in range(20)]
+    backdrop = plain_backdrop(picture(height=480, width=640))
+    count = len(backdrop.around) + len(backdrop.enclosed)
+    for missing, expected in ((0, 20), (2, 18), (3, 0), (20, 0)):
+        backdrops = [NO_BACKDROP] * missing + [backdrop] * (20 - missing)
+        rays = background_rays(views, backdrops, False)
+        assert (len(rays.cameras) if rays else 0) == expected * count
+    assert len(background_rays(views, [NO_BACKDROP] * 19 + [backdrop], True).cameras) == count
+
+
+def test_holes_are_believed_when_the_body_is_nowhere_as_bright():
+    """A lit body that reaches the backdrop's white has places that nearly do."""
+    view = make_view(np.eye(3), np.zeros(3))
+    dark = picture(height=480, width=640)
+    bright = dark.copy()
+    bright[22:30, 32:88] = 255 - MAX_DEVIATION - 1
+    for image, holes in ((dark, True), (bright, False)):
+        backdrop = plain_backdrop(image)
+        assert len(backdrop.enclosed)
+        rays = background_rays([view], [backdrop], False)
+        assert len(rays.cameras) == len(backdrop.around) + holes * len(backdrop.enclosed)
+
+
+def test_pixels_that_the_lens_cannot_see_have_no_ray():
+    camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL_FISHEYE", 100.0, 640, 480)
+    camera.params = [100.0, 320.0, 240.0, -0.3]
+    view = make_view(np.eye(3), np.zeros(3), camera=camera)
+    backdrop = masked_backdrop(np.zeros((480, 640), bool))
+    rays = background_rays([view], [backdrop], True)
+    assert 0 < len(rays.cameras) <= len(backdrop.around)
+    assert np.isfinite(rays.directions).all()
+
+
+def before_white(small, folder):
+    """The images of a scene with all that is black, which is its background, made white."""
+    for path in sorted(small[0].iterdir()):
+        image = cv2.imread(str(path))
+        image[(image == image[0, 0]).all(axis=2)] = 255
+        cv2.imwrite(str(folder / path.name), image)
+    return folder, small[1]
+
+
+def test_a_run_tells_the_mesher(small, tmp_path):
+    """The same with and without a cache, from folders and in Python; none when not wanted."""
+    (tmp_path / "images").mkdir()
+    scene = before_white(small, tmp_path / "images")
+    options = PipelineOptions(num_threads=2)
+    meshes = []
+    for cache in (None, tmp_path / "cache", tmp_path / "cache"):
+        paths = replace(paths_of(scene, tmp_path, None), cache_path=cache)
+        report = run("mesh", paths, options, overwrite=True)
+        counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
+        assert counts["mesh"]["background_rays"] > 1000
+        meshes.append((tmp_path / "out" / "mesh.ply").read_bytes())
+    assert meshes[0] == meshes[1] == meshes[2]
+    found = reconstruct(pycolmap.Reconstruction(str(scene[1])), scene[0], options)
+    assert len(found.background.cameras) == counts["mesh"]["background_rays"]
+    given = mesh(scene[1], found.edges, background=found.background)
+    assert len(given.faces) == counts["mesh"]["faces"]
+    unused = replace(options, meshing=replace(options.meshing, background_weight=0.0))
+    report = run("mesh", paths_of(scene, tmp_path, None), unused, overwrite=True)
+    counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    assert "background_rays" not in counts["mesh"]
+
+
+def test_what_masks_hide_may_be_background(small, tmp_path):
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[:40] = 0
+    masks = write_masks(tmp_path / "masks", small[0], mask)
+    counts = []
+    for are_background in (True, False):
+        options = PipelineOptions(num_threads=2, masks_are_background=are_background)
+        report = run("mesh", paths_of(small, tmp_path, masks), options, overwrite=True)
+        counts.append(report["stages"][-2]["counts"].get("background_rays", 0))
+    assert counts[0] == 6 * 120 * 18, "of every second pixel"
+    assert counts[1] not in (0, counts[0]), "of the plain backdrop"
+    with pytest.raises(OptionError, match="there are no masks; give mask_path"):
+        run(
+            "mesh",
+            paths_of(small, tmp_path, None),
+            PipelineOptions(masks_are_background=True),
+            overwrite=True,
+        )
+
+
+def test_masked_views_without_masks_show_no_background(small, tmp_path):
+    masks = write_masks(tmp_path / "masks", small[0], np.zeros((180, 240), np.uint8), every=3)
+    model = pipeline.load_model(small[1])
+    options = PipelineOptions(masks_are_background=True)
+    store = pipeline.detect_stage(model, small[0], options, pipeline.Stages(), mask_path=masks)
+    assert sum(backdrop.is_seen for backdrop in store.backdrops) == 2
+    assert isinstance(store.backdrops[0], Backdrop)
