@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ MIN_VIEWS_RATIO = 0.9  # of the images that show one, or none is believed
 NEAR_LEVELS = 2  # that such places are off beyond the deviation
 MAX_NEAR_RATIO = 1e-3  # of the body, all images together
 BORDER_PX = 2  # of the body that is mixed with the backdrop
+MAX_MASK_PX = 2000  # side of the mask of a body that is kept
 
 
 class BackgroundRays(NamedTuple):
@@ -56,11 +57,19 @@ class Backdrop:
         enclosed: (L, 2) float32 those that bodies enclose.
         body_pixels: (2,) int64 of what is not background the number of pixels, and of those
             nearly of its colour.
+        packed_body: (h, w') uint8, eight pixels each, of the mask of what is not background.
+        body_width: (1,) int64 width of that mask.
     """
 
     around: Float32Array
     enclosed: Float32Array
     body_pixels: IntArray
+    packed_body: ByteArray
+    body_width: IntArray
+
+    def body(self) -> BoolArray:
+        """(h, w) the mask of what is not background; the image's size, or smaller."""
+        return np.unpackbits(self.packed_body, axis=1, count=int(self.body_width[0])) > 0
 
     @property
     def is_seen(self) -> bool:
@@ -72,6 +81,8 @@ NO_BACKDROP = Backdrop(
     around=np.zeros((0, 2), np.float32),
     enclosed=np.zeros((0, 2), np.float32),
     body_pixels=np.zeros(2, np.int64),
+    packed_body=np.zeros((0, 0), np.uint8),
+    body_width=np.zeros(1, np.int64),
 )
 
 
@@ -97,15 +108,30 @@ def plain_backdrop(image: Picture) -> Backdrop:
         around=centers[is_around],
         enclosed=centers[~is_around],
         body_pixels=np.array([body.sum(), (body & near).sum()]),
+        **packed(plain == 0),
     )
 
 
 def masked_backdrop(mask: BoolArray) -> Backdrop:
-    """The background where a mask (H, W) is false."""
+    """The background where the mask (H, W) of what may show edges is false."""
     centers = (sampled(~mask) + 0.5).astype(np.float32)
     return Backdrop(
-        around=centers, enclosed=np.zeros((0, 2), np.float32), body_pixels=np.array([mask.sum(), 0])
+        around=centers,
+        enclosed=np.zeros((0, 2), np.float32),
+        body_pixels=np.array([mask.sum(), 0]),
+        **packed(mask),
     )
+
+
+def packed(body: BoolArray) -> dict[str, Any]:
+    """A mask (H, W) as `Backdrop` keeps it."""
+    factor = min(1.0, MAX_MASK_PX / max(body.shape))
+    size = [max(1, round(side * factor)) for side in body.shape[::-1]]
+    smaller = cv2.resize(255 * body.astype(np.uint8), size, interpolation=cv2.INTER_AREA) >= 128
+    return {
+        "packed_body": np.packbits(smaller, axis=1),
+        "body_width": np.array([smaller.shape[1]]),
+    }
 
 
 def square(radius: int) -> ByteArray:
@@ -136,8 +162,7 @@ def background_rays(
     seen = sum(backdrop.is_seen for backdrop in backdrops)
     if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(backdrops)):
         return None
-    body, near = np.sum([backdrop.body_pixels for backdrop in backdrops], axis=0).tolist()
-    with_holes = near <= MAX_NEAR_RATIO * body
+    with_holes = shows_holes(backdrops)
     cameras, directions = [], []
     for index, (view, backdrop) in enumerate(zip(views, backdrops, strict=True)):
         parts = [backdrop.around, backdrop.enclosed] if with_holes else [backdrop.around]
@@ -146,3 +171,9 @@ def background_rays(
         cameras.append(np.full(len(ideal), index, np.int32))
         directions.append(np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation)
     return BackgroundRays(np.concatenate(cameras), np.concatenate(directions))
+
+
+def shows_holes(backdrops: Sequence[Backdrop]) -> bool:
+    """Whether what bodies enclose of the backdrop's colour is seen through holes."""
+    body, near = np.sum([backdrop.body_pixels for backdrop in backdrops], axis=0).tolist()
+    return bool(near <= MAX_NEAR_RATIO * body)

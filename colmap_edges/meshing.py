@@ -15,6 +15,7 @@ from colmap_edges.backdrop import BackgroundRays
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 from colmap_edges.output import write_whole
+from colmap_edges.silhouettes import Background
 
 if TYPE_CHECKING:
     from colmap_edges.edges import Edges3D
@@ -63,7 +64,7 @@ def mesh(
     method: str | None = None,
     options: MeshingOptions | None = None,
     num_threads: int = 0,
-    background: BackgroundRays | None = None,
+    background: Background | None = None,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -73,7 +74,7 @@ def mesh(
         method: overrides `options.method`.
         options: how to mesh; the defaults suit any model.
         num_threads: threads to use, 0 for all cores; the result does not depend on it.
-        background: lines of sight of its posed images that meet nothing, as `reconstruct` finds.
+        background: what its posed images' sight of the background says, as `reconstruct` finds.
 
     Raises:
         ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
@@ -98,9 +99,9 @@ def mesh_with_curves(
     curves: list[Edges3D],
     options: MeshingOptions,
     num_threads: int,
-    background: BackgroundRays | None = None,
+    background: Background | None = None,
 ) -> Mesh:
-    """Mesh the points of a model, then of curves; vertices hold indices in that order."""
+    """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
     points, cameras = [model.points3D_xyz], [model.track_views]
     offsets, lines = [model.track_offsets], [np.zeros(1, np.int64)]
     for each in curves:
@@ -114,6 +115,11 @@ def mesh_with_curves(
         np.concatenate(lines),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
+    if background and options.background_weight:
+        more = background.silhouettes
+        points.append(more.points)
+        cameras.append(more.track_views)
+        offsets.append(offsets[-1][-1] + more.track_offsets[1:])
     return mesh_points(
         np.concatenate(points),
         np.concatenate(offsets),
@@ -122,7 +128,7 @@ def mesh_with_curves(
         options,
         polylines if curves else None,
         num_threads,
-        background,
+        background.rays if background else None,
     )
 
 

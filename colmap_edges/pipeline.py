@@ -17,7 +17,7 @@ import numpy as np
 
 import colmap_edges
 from colmap_edges.array_types import FloatArray, IntArray
-from colmap_edges.backdrop import BackgroundRays, background_rays
+from colmap_edges.backdrop import Backdrop
 from colmap_edges.cache import Cache, key_of
 from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph
@@ -59,6 +59,7 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
 from colmap_edges.report import Contents, PictureTaker, write_report
+from colmap_edges.silhouettes import Background, find_background
 from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
 from colmap_edges.viewer import NO_VIEWER, Viewer
 
@@ -110,8 +111,8 @@ class EdgeReconstruction:
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
             and SfM points are the input's unless `refine_poses` is set.
         residuals_px: (T,) distance of each observation from the projection of its edge point.
-        background: lines of sight to a plain backdrop or, with `masks_are_background`, to what
-            masks hide, for `mesh`; none where no such background is seen.
+        background: what the sight of a plain backdrop or, with `masks_are_background`, of what
+            masks hide says, for `mesh`; none where no such background is seen.
         stages: records of the stages, as in report.json.
         findings: where edges were lost and what to do about it; empty when all went well.
     """
@@ -120,7 +121,7 @@ class EdgeReconstruction:
     point3D_ids: IntArray
     reconstruction: Any
     residuals_px: FloatArray
-    background: BackgroundRays | None
+    background: Background | None
     stages: list[dict[str, Any]]
     findings: list[Finding]
 
@@ -226,8 +227,7 @@ def run_edges(
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        rays = background_rays(model.views, graphs.backdrops, options.masks_are_background)
-        mesh = mesh_stage(model, edges, extended, folder, options, stages, rays)
+        mesh = mesh_stage(model, edges, extended, folder, options, stages, graphs.backdrops)
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
 
@@ -276,7 +276,9 @@ def reconstruct(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=background_rays(model.views, graphs.backdrops, options.masks_are_background),
+        background=find_background(
+            model.views, graphs.backdrops, options.masks_are_background, edges
+        ),
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
@@ -637,18 +639,23 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-    background: BackgroundRays | None = None,
+    backdrops: Sequence[Backdrop] = (),
 ) -> Mesh:
     """Mesh a model's points and edges; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
         curves = [] if edges is None else with_outlines(edges)
+        background = None
+        if edges and backdrops and options.meshing.background_weight:
+            are_masks = options.masks_are_background
+            background = find_background(model.views, backdrops, are_masks, edges)
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
         mesh = finished(mesh, extended, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-        if mesh.stats["background_rays"]:
-            stage.counts["background_rays"] = int(mesh.stats["background_rays"])
+        if background:
+            stage.counts["background_rays"] = len(background.rays.cameras)
+            stage.counts["silhouette_points"] = len(background.silhouettes.points)
         stage.counts["details"] = plain_counts(mesh.stats)
     return mesh
 

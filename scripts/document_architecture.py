@@ -36,7 +36,7 @@ ROOMS = {
         "edge_field", "matching", "correspondences", "following", "visibility", "paper_tracing",
     ),
     "poses": ("bundle_adjustment",),
-    "files and mesh": ("edge_io", "meshing", "overlay"),
+    "files and mesh": ("edge_io", "silhouettes", "meshing", "overlay"),
     "report": (
         "diagnosis", "report", "report.contents", "report.charts", "report.page",
         "report.pictures", "report.scene3d", "report.tracks", "viewer",
@@ -62,6 +62,7 @@ LIBRARIES = {
         "images",
         "masks",
         "overlay",
+        "silhouettes",
         "report.pictures",
         "viewer",
         "evaluation.pictures",
