@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ import numpy as np
 from colmap_edges.array_types import (
     BoolArray,
     ByteArray,
-    Float32Array,
     FloatArray,
     Int32Array,
     IntArray,
@@ -53,36 +52,30 @@ class Backdrop:
     """What of an image is seen to be background.
 
     Attributes:
-        around: (K, 2) float32 image pixels, COLMAP's origin, that show it around bodies.
-        enclosed: (L, 2) float32 those that bodies enclose.
+        packed_body: (h, w') uint8, eight pixels each, of the mask of what is not background.
+        body_width: (1,) int64 width of that mask; 0 where no background is seen.
         body_pixels: (2,) int64 of what is not background the number of pixels, and of those
             nearly of its colour.
-        packed_body: (h, w') uint8, eight pixels each, of the mask of what is not background.
-        body_width: (1,) int64 width of that mask.
     """
 
-    around: Float32Array
-    enclosed: Float32Array
-    body_pixels: IntArray
     packed_body: ByteArray
     body_width: IntArray
+    body_pixels: IntArray
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether there is any."""
+        return bool(self.body_width[0])
 
     def body(self) -> BoolArray:
         """(h, w) the mask of what is not background; the image's size, or smaller."""
         return np.unpackbits(self.packed_body, axis=1, count=int(self.body_width[0])) > 0
 
-    @property
-    def is_seen(self) -> bool:
-        """Whether there is any."""
-        return len(self.around) > 0
-
 
 NO_BACKDROP = Backdrop(
-    around=np.zeros((0, 2), np.float32),
-    enclosed=np.zeros((0, 2), np.float32),
-    body_pixels=np.zeros(2, np.int64),
     packed_body=np.zeros((0, 0), np.uint8),
     body_width=np.zeros(1, np.int64),
+    body_pixels=np.zeros(2, np.int64),
 )
 
 
@@ -95,55 +88,33 @@ def plain_backdrop(image: Picture) -> Backdrop:
     if on_border.mean() < MIN_BORDER_RATIO:
         return NO_BACKDROP
     plain = cv2.inRange(image, low, high)
-    body = cv2.erode(255 - plain, square(BORDER_PX)) > 0
-    if not body.any():
+    inner = cv2.erode(255 - plain, square(BORDER_PX)) > 0
+    if not inner.any():
         return NO_BACKDROP  # nothing in view: a blank image rather
     near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
-    pixels = sampled(cv2.erode(plain, square(1)) > 0)
-    _, labels = cv2.connectedComponents(plain, connectivity=4)
-    outside = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    is_around = np.isin(labels[pixels[:, 1], pixels[:, 0]], outside)
-    centers = (pixels + 0.5).astype(np.float32)
-    return Backdrop(
-        around=centers[is_around],
-        enclosed=centers[~is_around],
-        body_pixels=np.array([body.sum(), (body & near).sum()]),
-        **packed(plain == 0),
-    )
+    return kept(plain == 0, np.array([inner.sum(), (inner & near).sum()]))
 
 
 def masked_backdrop(mask: BoolArray) -> Backdrop:
     """The background where the mask (H, W) of what may show edges is false."""
-    centers = (sampled(~mask) + 0.5).astype(np.float32)
-    return Backdrop(
-        around=centers,
-        enclosed=np.zeros((0, 2), np.float32),
-        body_pixels=np.array([mask.sum(), 0]),
-        **packed(mask),
-    )
+    return NO_BACKDROP if mask.all() else kept(mask, np.array([mask.sum(), 0]))
 
 
-def packed(body: BoolArray) -> dict[str, Any]:
-    """A mask (H, W) as `Backdrop` keeps it."""
+def kept(body: BoolArray, body_pixels: IntArray) -> Backdrop:
+    """The backdrop around a body (H, W)."""
     factor = min(1.0, MAX_MASK_PX / max(body.shape))
     size = [max(1, round(side * factor)) for side in body.shape[::-1]]
     smaller = cv2.resize(255 * body.astype(np.uint8), size, interpolation=cv2.INTER_AREA) >= 128
-    return {
-        "packed_body": np.packbits(smaller, axis=1),
-        "body_width": np.array([smaller.shape[1]]),
-    }
+    return Backdrop(
+        packed_body=np.packbits(smaller, axis=1),
+        body_width=np.array([smaller.shape[1]]),
+        body_pixels=body_pixels,
+    )
 
 
 def square(radius: int) -> ByteArray:
     """The pixels within a distance along rows and columns, to erode by."""
     return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-
-
-def sampled(shown: BoolArray) -> IntArray:
-    """(K, 2) columns and rows of the pixels of a grid at which (H, W) `shown` is true."""
-    step = max(1, round(float(np.sqrt(shown.size / NUM_SAMPLES))))
-    rows, columns = np.nonzero(shown[step // 2 :: step, step // 2 :: step])
-    return np.column_stack([columns, rows]) * step + step // 2
 
 
 def background_rays(
@@ -165,9 +136,12 @@ def background_rays(
     with_holes = shows_holes(backdrops)
     cameras, directions = [], []
     for index, (view, backdrop) in enumerate(zip(views, backdrops, strict=True)):
-        parts = [backdrop.around, backdrop.enclosed] if with_holes else [backdrop.around]
-        ideal = view.ideal_from_image(np.concatenate(parts).astype(np.float64)) / view.focal_px
-        ideal = ideal[np.isfinite(ideal).all(axis=1)]
+        if not backdrop.is_seen:
+            continue
+        body = backdrop.body()
+        scale = np.array([view.width, view.height]) / body.shape[::-1]
+        ideal = view.ideal_from_image((shown_pixels(body, with_holes) + 0.5) * scale)
+        ideal = ideal[np.isfinite(ideal).all(axis=1)] / view.focal_px
         cameras.append(np.full(len(ideal), index, np.int32))
         directions.append(np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation)
     return BackgroundRays(np.concatenate(cameras), np.concatenate(directions))
@@ -177,3 +151,21 @@ def shows_holes(backdrops: Sequence[Backdrop]) -> bool:
     """Whether what bodies enclose of the backdrop's colour is seen through holes."""
     body, near = np.sum([backdrop.body_pixels for backdrop in backdrops], axis=0).tolist()
     return bool(near <= MAX_NEAR_RATIO * body)
+
+
+def shown_pixels(body: BoolArray, with_holes: bool) -> IntArray:
+    """Columns and rows (K, 2) of pixels on a grid that show background, not next to the body.
+
+    Args:
+        body: (h, w) what is not background.
+        with_holes: whether it also shows where the body encloses it.
+    """
+    plain = 1 - body.astype(np.uint8)
+    inner = cv2.erode(plain, square(1)) > 0
+    if not with_holes:
+        _, labels = cv2.connectedComponents(plain, connectivity=4)
+        outside = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        inner &= np.isin(labels, outside)
+    step = max(1, round(float(np.sqrt(body.size / NUM_SAMPLES))))
+    rows, columns = np.nonzero(inner[step // 2 :: step, step // 2 :: step])
+    return np.column_stack([columns, rows]) * step + step // 2

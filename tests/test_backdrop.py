@@ -17,7 +17,7 @@ from colmap_edges.backdrop import (
     background_rays,
     masked_backdrop,
     plain_backdrop,
-    sampled,
+    shown_pixels,
 )
 from colmap_edges.errors import OptionError
 from colmap_edges.meshing import mesh
@@ -35,10 +35,11 @@ def picture(color=(255, 255, 255), body=GRAY, height=90, width=120):
     return image
 
 
-def shown(backdrop, image, part="around"):
-    """The picture of what was sampled, pixel by pixel."""
-    found = np.zeros(image.shape[:2], bool)
-    columns, rows = np.floor(getattr(backdrop, part)).astype(int).T
+def shown(backdrop, with_holes):
+    """The picture of what is sampled, pixel by pixel."""
+    body = backdrop.body()
+    found = np.zeros(body.shape, bool)
+    columns, rows = shown_pixels(body, with_holes).T
     found[rows, columns] = True
     return found
 
@@ -48,7 +49,8 @@ def test_around_and_within_a_body(color):
     """Every pixel is sampled of so small an image, but next to the body and the image's border."""
     image = picture(color)
     backdrop = plain_backdrop(image)
-    around, enclosed = shown(backdrop, image), shown(backdrop, image, "enclosed")
+    around = shown(backdrop, with_holes=False)
+    enclosed = shown(backdrop, with_holes=True) & ~around
     expected = np.ones(image.shape[:2], bool)
     expected[19:72, 29:92] = False
     np.testing.assert_array_equal(around, expected)
@@ -56,14 +58,14 @@ def test_around_and_within_a_body(color):
     assert enclosed.sum() == 19 * 19
     assert backdrop.is_seen
     assert backdrop.body_pixels[1] == 0
-    np.testing.assert_array_equal(backdrop.around % 1, 0.5)
 
 
 def test_noise_within_the_deviation_is_plain():
     rng = np.random.default_rng(0)
     image = picture((200, 200, 200)).astype(int)
     noisy = image + rng.integers(-MAX_DEVIATION, MAX_DEVIATION + 1, image.shape)
-    assert len(plain_backdrop(noisy.astype(np.uint8)).around) > 5000
+    backdrop = plain_backdrop(noisy.astype(np.uint8))
+    np.testing.assert_array_equal(backdrop.body(), plain_backdrop(picture()).body())
 
 
 def clutter(image):
@@ -85,18 +87,33 @@ def test_other_backgrounds_are_left_alone(change):
 
 
 def test_samples_are_a_grid_of_about_as_many():
-    pixels = sampled(np.ones((3000, 4000), bool))
+    pixels = shown_pixels(np.zeros((3000, 4000), bool), with_holes=False)
     assert len(pixels) == pytest.approx(10_000, rel=0.05)
     assert len(np.unique(np.diff(np.unique(pixels[:, 0])))) == 1
-    assert len(sampled(np.zeros((30, 40), bool))) == 0
-    assert len(sampled(np.ones((3, 4), bool))) == 12
+    assert len(shown_pixels(np.ones((30, 40), bool), with_holes=True)) == 0
+    assert len(shown_pixels(np.zeros((3, 4), bool), with_holes=True)) == 12
+
+
+def test_large_masks_are_kept_smaller():
+    """Rays still go through pixels of the image."""
+    body = np.zeros((3000, 4000), bool)
+    body[:, :2000] = True
+    backdrop = masked_backdrop(body)
+    assert backdrop.body().shape == (1500, 2000)
+    assert backdrop.packed_body.nbytes == 1500 * 250
+    view = replace(make_view(np.eye(3), np.zeros(3)), width=4000, height=3000)
+    rays = background_rays([view], [backdrop], True)
+    pixels, _ = view.project(rays.directions)
+    assert len(pixels) == pytest.approx(5000, rel=0.05)
+    assert 2000 < pixels[:, 0].min() < 2100
+    assert pixels.max(axis=0) == pytest.approx((4000, 3000), abs=60)
 
 
 def test_rays_go_through_the_pixels():
     views = [make_view(np.eye(3), np.zeros(3)), make_view(np.diag([-1.0, 1, -1]), np.ones(3), 1)]
     backdrop = plain_backdrop(picture(height=480, width=640))
     rays = background_rays(views, [backdrop] * 2, False)
-    pixels = np.concatenate([backdrop.around, backdrop.enclosed])
+    pixels = shown_pixels(backdrop.body(), with_holes=True) + 0.5
     for index, view in enumerate(views):
         points = view.center + 3.0 * rays.directions[rays.cameras == index]
         found, depths = view.project(points)
@@ -107,7 +124,7 @@ def test_rays_go_through_the_pixels():
 def test_a_backdrop_is_believed_when_nearly_all_views_show_it():
     views = [make_view(np.eye(3), np.zeros(3), i) for i in range(20)]
     backdrop = plain_backdrop(picture(height=480, width=640))
-    count = len(backdrop.around) + len(backdrop.enclosed)
+    count = len(shown_pixels(backdrop.body(), with_holes=True))
     for missing, expected in ((0, 20), (2, 18), (3, 0), (20, 0)):
         backdrops = [NO_BACKDROP] * missing + [backdrop] * (20 - missing)
         rays = background_rays(views, backdrops, False)
@@ -121,11 +138,12 @@ def test_holes_are_believed_when_the_body_is_nowhere_as_bright():
     dark = picture(height=480, width=640)
     bright = dark.copy()
     bright[22:30, 32:88] = 255 - MAX_DEVIATION - 1
-    for image, holes in ((dark, True), (bright, False)):
+    for image, with_holes in ((dark, True), (bright, False)):
         backdrop = plain_backdrop(image)
-        assert len(backdrop.enclosed)
         rays = background_rays([view], [backdrop], False)
-        assert len(rays.cameras) == len(backdrop.around) + holes * len(backdrop.enclosed)
+        counts = [len(shown_pixels(backdrop.body(), holes)) for holes in (False, True)]
+        assert counts[0] < counts[1]
+        assert len(rays.cameras) == counts[with_holes]
 
 
 def test_pixels_that_the_lens_cannot_see_have_no_ray():
@@ -134,7 +152,7 @@ def test_pixels_that_the_lens_cannot_see_have_no_ray():
     view = make_view(np.eye(3), np.zeros(3), camera=camera)
     backdrop = masked_backdrop(np.zeros((480, 640), bool))
     rays = background_rays([view], [backdrop], True)
-    assert 0 < len(rays.cameras) <= len(backdrop.around)
+    assert 0 < len(rays.cameras) < 0.5 * 10_000
     assert np.isfinite(rays.directions).all()
 
 

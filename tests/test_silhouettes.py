@@ -173,7 +173,8 @@ def test_nothing_known_or_seen_makes_no_points(ball):
 def test_masks_come_back_as_they_were(ball):
     backdrop = masked_backdrop(ball[0].mask)
     np.testing.assert_array_equal(backdrop.body(), ball[0].mask)
-    wide = masked_backdrop(np.ones((100, 4001), bool))
+    wide = masked_backdrop(np.arange(4001) < np.full((100, 1), 2000))
     assert wide.body().shape == (50, 2000)
-    assert wide.body().all()
+    assert wide.body().mean() == pytest.approx(0.5, abs=1e-3)
+    assert not masked_backdrop(np.ones((40, 60), bool)).is_seen
     assert NO_BACKDROP.body().size == 0

@@ -146,7 +146,7 @@ def left_out_view_errors(
     result = reconstruct(reconstruction, image_path, options)
     found, scale = result.edges, result.stages[0]["counts"]["image_scale"]
     used = model_from_reconstruction(reconstruction)
-    surface = mesh(used, edges=found)
+    surface = mesh(used, edges=found, background=result.background)
     caster = RayCaster(surface.vertices, surface.faces)
     errors = []
     for view in unused:
