@@ -8,7 +8,7 @@ Hulls, IJCV 2007).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +22,8 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.model import View
 
 NUM_LINES = 4000  # of sight that are tried, all views together
-NUM_TESTED = 40  # views that say what is before the background, spread around
+NUM_VIEWS = 100  # whose silhouettes are looked at, spread around
+NUM_TESTED = 40  # of them that say what is before the background, spread around, too
 NUM_STEPS = 256  # along a line of sight, across the sphere around all edges
 MAX_STRETCH = 0.25  # of that sphere's diameter
 NUM_SEEING = 8  # views that a point is seen by at most, those that look straightest at it
@@ -46,6 +47,9 @@ class SeenPoints(NamedTuple):
     track_views: Int32Array
 
 
+NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))
+
+
 @dataclass(frozen=True)
 class Background:
     """What the sight of the background says of what stands before it.
@@ -66,9 +70,9 @@ class Body(NamedTuple):
     mask: BoolArray
 
     def holds(self, points: FloatArray) -> BoolArray:
-        """(N,) whether (N, 3) points are seen before nothing but the background: false for these.
+        """(N,) false for (N, 3) points where the view sees background.
 
-        True also for those that the view does not see.
+        True where it sees a body, and for points that are not in its image.
         """
         pixels, depths = self.view.project(points)
         scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
@@ -101,36 +105,37 @@ def find_background(
     rays = background_rays(views, backdrops, are_masks)
     if rays is None:
         return None
-    bodies: list[tuple[int, Body]] = []
-    if shows_holes(backdrops):
-        pairs = enumerate(zip(views, backdrops, strict=True))
-        bodies = [(i, Body(view, seen.body())) for i, (view, seen) in pairs if seen.is_seen]
+    if edges.num_points == 0 or not shows_holes(backdrops):
+        return Background(rays, NO_POINTS)  # bodies as bright as the backdrop may seem cut off
+    seen = [i for i, backdrop in enumerate(backdrops) if backdrop.is_seen]
+    centers = np.array([views[i].center for i in seen])
+    chosen = np.sort(spread(centers - edges.points.mean(axis=0), NUM_VIEWS)).tolist()
+    bodies = {seen[k]: Body(views[seen[k]], backdrops[seen[k]].body()) for k in chosen}
     return Background(rays, silhouette_points(bodies, edges.points))
 
 
-def silhouette_points(bodies: Sequence[tuple[int, Body]], known: FloatArray) -> SeenPoints:
+def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoints:
     """Points on the silhouettes that are not those of edges.
 
     Args:
-        bodies: what is seen of them in some of the views, with the views' indices.
-        known: (N, 3) points of edges.
+        bodies: what is seen of them, by the indices of the views.
+        known: (N, 3) points of edges, some at least.
     """
-    none = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))
-    if len(bodies) < 2 or len(known) == 0:
-        return none
+    if len(bodies) < 2:
+        return NO_POINTS
     low, high = known.min(axis=0), known.max(axis=0)
     center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
-    centers = np.array([body.view.center for _, body in bodies])
-    tested = [bodies[i][1] for i in spread(centers - center, NUM_TESTED)]
+    indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
+    centers = np.array([body.view.center for body in seen])
+    tested = [seen[i] for i in spread(centers - center, NUM_TESTED)]
     around = [body.dilated(1) for body in tested]
     count = -(-NUM_LINES // len(bodies))
-    found = [touched(body, around, known, (center, radius), count) for _, body in bodies]
+    found = [touched(body, around, known, (center, radius), count) for body in seen]
     points = np.concatenate([points for points, _ in found])
     normals = np.concatenate([normals for _, normals in found])
     if len(points) == 0:
-        return none
+        return NO_POINTS
     rows, columns = seeing(points, normals, centers, [body.eroded(1) for body in tested], radius)
-    indices = np.array([index for index, _ in bodies], np.int32)
     order = order_of(rows, len(points))
     offsets = offsets_of(np.bincount(rows, minlength=len(points)))
     return SeenPoints(points, offsets, indices[columns[order]])
@@ -138,10 +143,12 @@ def silhouette_points(bodies: Sequence[tuple[int, Body]], known: FloatArray) -> 
 
 def spread(positions: FloatArray, count: int) -> IntArray:
     """Indices of `count` of (N, 3) positions, or all: each as far as can be from those before."""
+    if len(positions) <= count:
+        return np.arange(len(positions))
     directions = positions / (np.linalg.norm(positions, axis=1, keepdims=True) + 1e-300)
     chosen = [0]
     nearest = directions @ directions[0]
-    while len(chosen) < min(count, len(directions)):
+    while len(chosen) < count:
         chosen.append(int(np.argmin(nearest)))
         nearest = np.maximum(nearest, directions @ directions[chosen[-1]])
     return np.array(chosen)

@@ -1,5 +1,7 @@
 """Points on silhouettes lie on smooth bodies, and are seen from where nothing is in between."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
@@ -8,7 +10,16 @@ from test_meshing import OPTIONS, as_trimesh, fibonacci_sphere
 
 from colmap_edges import meshing
 from colmap_edges.backdrop import NO_BACKDROP, background_rays, masked_backdrop
-from colmap_edges.silhouettes import Body, contour, seeing, silhouette_points, spread, within
+from colmap_edges.edges import arrays_of_edges, edges_from_arrays
+from colmap_edges.silhouettes import (
+    Body,
+    contour,
+    find_background,
+    seeing,
+    silhouette_points,
+    spread,
+    within,
+)
 
 RADIUS = 0.5
 CORNERS = RADIUS * np.array([[-1, -1, -1], [1, 1, 1.0]]) / np.sqrt(3)  # two points known of it
@@ -45,8 +56,7 @@ def ball():
 
 
 def test_points_lie_on_a_ball_and_are_seen_from_outside(ball):
-    numbered = [(3 * i, body) for i, body in enumerate(ball)]
-    found = silhouette_points(numbered, CORNERS)
+    found = silhouette_points({3 * i: body for i, body in enumerate(ball)}, CORNERS)
     assert len(found.points) > 1000
     error = np.linalg.norm(found.points, axis=1) - RADIUS
     pixel = 4.0 / ball[0].view.focal_px
@@ -65,7 +75,7 @@ def test_points_lie_on_a_ball_and_are_seen_from_outside(ball):
 def test_points_make_the_mesh_of_a_ball(ball):
     """Two points known of it, and its silhouettes, are enough."""
     views = [body.view for body in ball]
-    found = silhouette_points(list(enumerate(ball)), CORNERS)
+    found = silhouette_points(dict(enumerate(ball)), CORNERS)
     rays = background_rays(views, [masked_backdrop(body.mask) for body in ball], True)
     centers = np.array([view.center for view in views])
     mesh = meshing.mesh_points(*found, centers, OPTIONS, background=rays)
@@ -145,7 +155,7 @@ def test_lenses_bend_silhouettes():
         fields = {**vars(view), "camera": camera}
         views.append(type(view)(**{name: fields[name] for name in view.__dataclass_fields__}))
     bodies = [masked(view, hits_ball(np.array([0.3, 0.2, 0.1]))) for view in views]
-    found = silhouette_points(list(enumerate(bodies)), CORNERS + np.array([0.3, 0.2, 0.1]))
+    found = silhouette_points(dict(enumerate(bodies)), CORNERS + np.array([0.3, 0.2, 0.1]))
     error = np.linalg.norm(found.points - [0.3, 0.2, 0.1], axis=1) - RADIUS
     assert len(found.points) > 1000
     assert np.percentile(np.abs(error), 95) < 2 * 4.0 / 600
@@ -161,13 +171,24 @@ def test_views_are_spread():
 
 
 def test_nothing_known_or_seen_makes_no_points(ball):
-    for bodies, known in (([], CORNERS), ([(0, ball[0])], CORNERS)):
-        assert len(silhouette_points(bodies, known).points) == 0
-    assert len(silhouette_points(list(enumerate(ball)), np.zeros((0, 3))).points) == 0
-    blank = [(i, Body(body.view, np.zeros_like(body.mask))) for i, body in enumerate(ball)]
+    for bodies in ({}, {0: ball[0]}):
+        assert len(silhouette_points(bodies, CORNERS).points) == 0
+    blank = {i: Body(body.view, np.zeros_like(body.mask)) for i, body in enumerate(ball)}
     found = silhouette_points(blank, CORNERS)
     assert len(found.points) == 0
     np.testing.assert_array_equal(found.track_offsets, [0])
+
+
+def test_rays_alone_where_nothing_more_is_known(ball, scene_edges):
+    """Without edges, and where bodies are as bright as the backdrop."""
+    views = [body.view for body in ball]
+    backdrops = [masked_backdrop(body.mask) for body in ball]
+    bright = [replace(each, body_pixels=np.array([100, 1])) for each in backdrops]
+    none = edges_from_arrays({k: v[:0] for k, v in arrays_of_edges(scene_edges).items()})
+    for edges, seen in ((none, backdrops), (scene_edges, bright)):
+        found = find_background(views, seen, True, edges)
+        assert len(found.rays.cameras) > 10_000
+        assert len(found.silhouettes.points) == 0
 
 
 def test_masks_come_back_as_they_were(ball):
