@@ -276,9 +276,7 @@ def reconstruct(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=find_background(
-            model.views, graphs.backdrops, options.masks_are_background, edges
-        ),
+        background=find_background(model, graphs.backdrops, options.masks_are_background, edges),
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
@@ -647,7 +645,7 @@ def mesh_stage(
         background = None
         if edges and backdrops and options.meshing.background_weight:
             are_masks = options.masks_are_background
-            background = find_background(model.views, backdrops, are_masks, edges)
+            background = find_background(model, backdrops, are_masks, edges)
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
         mesh = finished(mesh, extended, options.meshing)

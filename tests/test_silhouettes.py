@@ -14,6 +14,7 @@ from colmap_edges.edges import arrays_of_edges, edges_from_arrays
 from colmap_edges.silhouettes import (
     Body,
     contour,
+    contradicted_share,
     find_background,
     seeing,
     silhouette_points,
@@ -179,16 +180,43 @@ def test_nothing_known_or_seen_makes_no_points(ball):
     np.testing.assert_array_equal(found.track_offsets, [0])
 
 
-def test_rays_alone_where_nothing_more_is_known(ball, scene_edges):
+@pytest.fixture(scope="module")
+def on_ball(ball, scene_model, scene_edges):
+    """A model of the ball's views, with 3D edge points on the ball."""
+    points = RADIUS * fibonacci_sphere(scene_edges.num_points)
+    model = replace(scene_model, views=tuple(body.view for body in ball))
+    return model, replace(scene_edges, points=points)
+
+
+def without_points(edges):
+    return edges_from_arrays({name: rows[:0] for name, rows in arrays_of_edges(edges).items()})
+
+
+def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
     """Without edges, and where bodies are as bright as the backdrop."""
-    views = [body.view for body in ball]
+    model, edges = on_ball
     backdrops = [masked_backdrop(body.mask) for body in ball]
     bright = [replace(each, body_pixels=np.array([100, 1])) for each in backdrops]
-    none = edges_from_arrays({k: v[:0] for k, v in arrays_of_edges(scene_edges).items()})
-    for edges, seen in ((none, backdrops), (scene_edges, bright)):
-        found = find_background(views, seen, True, edges)
+    model = replace(model, points3D_xyz=edges.points)
+    for known, seen in ((without_points(edges), backdrops), (edges, bright)):
+        found = find_background(model, seen, False, known)
         assert len(found.rays.cameras) > 10_000
         assert len(found.silhouettes.points) == 0
+
+
+def test_frames_around_images_are_no_background(ball, on_ball, caplog):
+    """What a fisheye lens shows is framed by black; but points project there."""
+    x, y = np.meshgrid(np.arange(640) - 320, np.arange(480) - 240)
+    frame = masked_backdrop(x**2 + y**2 < 60**2)
+    known = [masked_backdrop(body.mask) for body in ball]
+    framed = [Body(body.view, frame.body()) for body in ball]
+    assert contradicted_share(ball, on_ball[1].points) < 0.001
+    assert contradicted_share(framed, on_ball[1].points) > 0.5
+    assert find_background(on_ball[0], known, False, on_ball[1])
+    assert find_background(on_ball[0], [frame] * len(ball), False, on_ball[1]) is None
+    assert not caplog.records
+    assert find_background(on_ball[0], [frame] * len(ball), True, on_ball[1])
+    assert "it is meant for masks that hide nothing but the background" in caplog.text
 
 
 def test_masks_come_back_as_they_were(ball):
