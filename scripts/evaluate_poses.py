@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Pose errors of the demo scene before and after adjustments, on clean and on noisy poses."""
+"""Pose errors before and after adjustments, of the demo or a scene of Strecha's benchmark."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import click
 import pycolmap
 
 from colmap_edges.enlargement import enlarged
+from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation.poses import (
+    TruePoses,
     adjust_by_colmap,
     at_true_cameras,
     load_true_cameras,
     pose_errors,
     with_pose_noise,
 )
+from colmap_edges.evaluation.strecha import load_true_poses
 from colmap_edges.evaluation.tables import markdown
 from colmap_edges.model import model_from_reconstruction
 from colmap_edges.options import PipelineOptions
@@ -35,14 +38,33 @@ HEADER = (
 @click.option("--noise_px", "noises", type=float, multiple=True, default=(0.0, 0.2))
 @click.option("--random_seed", "seeds", type=int, multiple=True, default=(0,), show_default=True)
 @click.option("--num_threads", type=int, default=-1, show_default=True)
-def main(demo_path: Path, noises: tuple[float, ...], seeds: tuple[int, ...], num_threads: int):
-    truth = load_true_cameras(demo_path / "true_cameras.json")
-    sfm = pycolmap.Reconstruction(demo_path / "sparse")
-    true = at_true_cameras(sfm, truth)
+@click.option("--camera_path", type=Path, help="Folder of true NAME.camera files: their scene.")
+@click.option("--image_path", type=Path, help="Its images.")
+@click.option("--input_path", type=Path, help="Its COLMAP model.")
+@exit_on_error()
+def main(
+    demo_path: Path,
+    noises: tuple[float, ...],
+    seeds: tuple[int, ...],
+    num_threads: int,
+    camera_path: Path | None,
+    image_path: Path | None,
+    input_path: Path | None,
+) -> None:
     options = PipelineOptions(refine_poses=True, num_threads=num_threads)
-    rows: list[list[Any]] = []
-    for name, source, levels in (("true", true, noises), ("COLMAP's own", sfm, (0.0,))):
+    if camera_path is None:
         images = demo_path / "images"
+        cameras = load_true_cameras(demo_path / "true_cameras.json")
+        sfm = pycolmap.Reconstruction(demo_path / "sparse")
+        truth: TruePoses = cameras
+        starts = [("true", at_true_cameras(sfm, cameras), noises), ("COLMAP's own", sfm, (0.0,))]
+    elif image_path is None or input_path is None:
+        raise click.UsageError("--camera_path needs --image_path and --input_path")
+    else:
+        images, truth = image_path, load_true_poses(camera_path)
+        starts = [("COLMAP's own", pycolmap.Reconstruction(input_path), (0.0,))]
+    rows: list[list[Any]] = []
+    for name, source, levels in starts:
         model = enlarged(model_from_reconstruction(source), images, options.detection)
         graphs = detect_stage(model, images, options, Stages())
         for noise_px in levels:

@@ -15,7 +15,28 @@ from colmap_edges.errors import ColmapEdgesError
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrueCameras:
+class TruePoses:
+    """The true poses of a scene.
+
+    Attributes:
+        cam_from_world: (3, 4) pose by name of image.
+    """
+
+    cam_from_world: dict[str, Any]
+
+    def pose(self, name: str) -> Any:
+        """The pycolmap.Rigid3d of an image.
+
+        Raises:
+            ColmapEdgesError: when it has none.
+        """
+        if name not in self.cam_from_world:
+            raise ColmapEdgesError(f"there is no true pose of image {name}")
+        return pycolmap.Rigid3d(np.array(self.cam_from_world[name]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueCameras(TruePoses):
     """The one true camera of a scene and the true poses.
 
     Attributes:
@@ -23,18 +44,12 @@ class TrueCameras:
         width: in pixels.
         height: in pixels.
         params: the camera's parameters in COLMAP's order.
-        cam_from_world: (3, 4) pose by name of image.
     """
 
     model: str
     width: int
     height: int
     params: list[float]
-    cam_from_world: dict[str, Any]
-
-    def pose(self, name: str) -> Any:
-        """The pycolmap.Rigid3d of an image."""
-        return pycolmap.Rigid3d(np.array(self.cam_from_world[name]))
 
 
 def load_true_cameras(path: Path) -> TrueCameras:
@@ -55,7 +70,7 @@ def images_of(reconstruction: Any) -> list[Any]:
     return sorted(posed, key=lambda image: image.name)
 
 
-def pose_errors(reconstruction: Any, truth: TrueCameras) -> tuple[float, float]:
+def pose_errors(reconstruction: Any, truth: TruePoses) -> tuple[float, float]:
     """Errors of the poses after the similarity that fits their centres to the true ones best.
 
     Returns:

@@ -8,6 +8,7 @@ import numpy as np
 
 from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.poses import TruePoses
 from colmap_edges.triangulation import PosedImage, posed_image
 
 
@@ -27,6 +28,20 @@ def posed_images(image_path: Path, camera_path: Path | None = None) -> list[Pose
     if not images:
         raise ColmapEdgesError(f"{camera_path} holds no NAME.camera for the images of {image_path}")
     return images
+
+
+def load_true_poses(camera_path: Path) -> TruePoses:
+    """The poses of a folder's NAME.camera files.
+
+    Raises:
+        ColmapEdgesError: There are none, or one cannot be read.
+    """
+    paths = sorted(camera_path.glob("*.camera"))
+    if not paths:
+        raise ColmapEdgesError(f"{camera_path} holds no NAME.camera")
+    cameras = {path.stem: read_camera(path, np.eye(3)) for path in paths}
+    poses = {name: np.column_stack([turn, shift]) for name, (_, turn, shift) in cameras.items()}
+    return TruePoses(cam_from_world=poses)
 
 
 def read_calibration(path: Path) -> FloatArray | None:

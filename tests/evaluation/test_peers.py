@@ -198,6 +198,14 @@ def test_strecha_camera_files(model, tmp_path):
     (again,) = strecha.posed_images(tmp_path)
     np.testing.assert_allclose(again.calibration, miniature.CALIBRATION)
 
+    pose = strecha.load_true_poses(tmp_path).pose("0000.jpg")
+    np.testing.assert_allclose(pose.matrix(), np.column_stack([rotation, translation]), atol=1e-9)
+    with pytest.raises(ColmapEdgesError, match=r"no true pose of image 0001.jpg"):
+        strecha.load_true_poses(tmp_path).pose("0001.jpg")
+    (tmp_path / "0000.jpg.camera").unlink()
+    with pytest.raises(ColmapEdgesError, match=r"holds no NAME.camera"):
+        strecha.load_true_poses(tmp_path)
+
 
 def test_lines_in_unknown_images_are_refused(model):
     line = peers.Line(

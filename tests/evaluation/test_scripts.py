@@ -74,6 +74,23 @@ def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout,
     assert list((tmp_path / "out").rglob("depth_*.png"))
 
 
+def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
+    """The start is true; whatever adjusts it moves it by little."""
+    images = root / "Rectified" / "scan6"
+    model = ("--image_path", images, "--input_path", sparse)
+    run("export_layout.py", "--layout", "strecha", *model, "--output_path", tmp_path)
+    done = run("evaluate_poses.py", "--camera_path", tmp_path, *model)
+    rows = [line.split(" | ") for line in done.stdout.splitlines()[2:]]
+    assert [row[3] for row in rows] == [
+        *("start", "SfM points (COLMAP)", "SfM points (COLMAP, Cauchy)", "SfM and edge points")
+    ]
+    centres = [float(row[4]) for row in rows]
+    assert centres[0] < 1e-9
+    assert max(centres) < 0.5
+    done = run("evaluate_poses.py", "--camera_path", tmp_path, "--image_path", images, code=2)
+    assert "--camera_path needs --image_path and --input_path" in done.stderr
+
+
 def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
     write_line3dpp(sparse, tmp_path / "lines.txt")
     top = miniature.HEIGHT
