@@ -54,8 +54,10 @@ def check_masks(views: Iterable[View], mask_path: Path) -> None:
     Raises:
         ColmapEdgesError: when no image has one.
     """
+    if not mask_path.exists():
+        raise ColmapEdgesError(f"mask_path {mask_path} is neither a folder nor a file")
     names = [view.name for view in views]
-    if not is_file(mask_path) and not any(path_of_mask(mask_path, name) for name in names):
+    if not any(path_of_mask(mask_path, name) for name in names):
         raise ColmapEdgesError(
             f"mask_path {mask_path} has no mask of any of the {len(names)} images; name them as "
             f"COLMAP does: that of {names[0]} is {names[0]}.png"

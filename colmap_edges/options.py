@@ -491,6 +491,8 @@ class PipelineOptions(Options):
         super().__post_init__()
         if self.refine_poses and not self.use_edges:
             raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
+        if self.masks_are_background and not self.use_edges:
+            raise OptionError("masks_are_background is 1 and use_edges 0, which reads no images")
 
 
 # What --quality sets; medium is the defaults.

@@ -288,8 +288,6 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
         path = getattr(paths, name)
         if not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
-    if paths.mask_path and not paths.mask_path.exists():
-        raise ColmapEdgesError(f"mask_path {paths.mask_path} is neither a folder nor a file")
     given = (paths.image_path, paths.input_path, paths.mask_path, paths.cache_path)
     sources = [path for path in given if path is not None]
     check_output_path(paths.output_path, sources, overwrite)

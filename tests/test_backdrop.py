@@ -208,6 +208,11 @@ def test_what_masks_hide_may_be_background(small, tmp_path):
         )
 
 
+def test_masks_are_not_asked_for_without_edges():
+    with pytest.raises(OptionError, match="masks_are_background is 1 and use_edges 0"):
+        PipelineOptions(masks_are_background=True, use_edges=False)
+
+
 def test_masked_views_without_masks_show_no_background(small, tmp_path):
     masks = write_masks(tmp_path / "masks", small[0], np.zeros((180, 240), np.uint8), every=3)
     model = pipeline.load_model(small[1])

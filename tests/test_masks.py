@@ -244,5 +244,7 @@ def test_unreadable_masks(tmp_path, monkeypatch):
 def test_masks_are_looked_for_before_work_starts(scene_model, tmp_path):
     with pytest.raises(ColmapEdgesError, match="has no mask of any"):
         check_masks(scene_model.views, tmp_path)
+    with pytest.raises(ColmapEdgesError, match="is neither a folder nor a file"):
+        check_masks(scene_model.views, tmp_path / "nowhere")
     (tmp_path / f"{scene_model.views[-1].name}.png").touch()
     check_masks(scene_model.views, tmp_path)
