@@ -21,6 +21,7 @@ from colmap_edges.array_types import (
     IntArray,
     Picture,
 )
+from colmap_edges.images import square
 from colmap_edges.model import View
 
 NUM_SAMPLES = 10_000  # of an image, on a grid
@@ -80,7 +81,7 @@ NO_BACKDROP = Backdrop(
 
 
 def plain_backdrop(image: Picture) -> Backdrop:
-    """The plain backdrop of an image (H, W, 3), if the image's border shows nothing else."""
+    """The plain backdrop of an image (H, W, 3) uint8, if the image's border shows nothing else."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     color = np.rint(np.median(border, axis=0))
     low, high = color - MAX_DEVIATION, color + MAX_DEVIATION
@@ -112,11 +113,6 @@ def kept(body: BoolArray, body_pixels: IntArray) -> Backdrop:
     )
 
 
-def square(radius: int) -> ByteArray:
-    """The pixels within a distance along rows and columns, to erode by."""
-    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-
-
 def background_rays(
     views: Sequence[View], backdrops: Sequence[Backdrop], are_masks: bool
 ) -> BackgroundRays | None:
@@ -140,10 +136,10 @@ def background_rays(
             continue
         body = backdrop.body()
         scale = np.array([view.width, view.height]) / body.shape[::-1]
-        ideal = view.ideal_from_image((shown_pixels(body, with_holes) + 0.5) * scale)
-        ideal = ideal[np.isfinite(ideal).all(axis=1)] / view.focal_px
-        cameras.append(np.full(len(ideal), index, np.int32))
-        directions.append(np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation)
+        rays = view.rays((shown_pixels(body, with_holes) + 0.5) * scale)
+        rays = rays[np.isfinite(rays).all(axis=1)]
+        cameras.append(np.full(len(rays), index, np.int32))
+        directions.append(rays)
     return BackgroundRays(np.concatenate(cameras), np.concatenate(directions))
 
 

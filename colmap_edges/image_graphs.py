@@ -160,7 +160,9 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
     key = graph_key(data, mask, view, work) if work.cache else ""
     entry = work.cache.load(KIND, key) if work.cache else None
-    usable = decode_mask(mask, view) if mask else None
+    usable = None
+    if mask and (entry is None or work.masks_are_background):
+        usable = decode_mask(mask, view)
     if entry is None:
         image = decode_image(data, path, view)
         found = detect_edges(image, usable, view, work)

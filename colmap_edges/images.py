@@ -135,6 +135,11 @@ def colors_at(image: Picture, points: FloatArray) -> ByteArray:
     return np.ascontiguousarray(values[:, ::-1])
 
 
+def square(radius: int) -> ByteArray:
+    """(2 radius + 1, 2 radius + 1) ones: what pictures are eroded and dilated by."""
+    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+
+
 def encoded(kind: str, picture: Picture, options: Sequence[int] = ()) -> bytes:
     """The bytes of an image file.
 

@@ -13,7 +13,7 @@ from colmap_edges.array_types import BoolArray, ByteArray
 from colmap_edges.csr import owners_of, ranges_of
 from colmap_edges.detection import Chains
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images import is_file, path_of_image, read_bytes
+from colmap_edges.images import is_file, path_of_image, read_bytes, square
 from colmap_edges.model import View
 
 # An edge along the border of a mask belongs to what is seen beside it, and masks are drawn roughly.
@@ -24,7 +24,12 @@ GRAY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATIO
 
 @dataclass(frozen=True)
 class MaskFile:
-    """The mask of an image, as it is read."""
+    """The mask of an image, as it is read.
+
+    Attributes:
+        path: where it is.
+        data: (B,) uint8 the file's bytes.
+    """
 
     path: Path
     data: ByteArray
@@ -102,8 +107,7 @@ def decode_mask(file: MaskFile, view: View) -> BoolArray:
             f"mask {file.path} is {width}x{height}, the camera of image {view.name} "
             f"{view.width}x{view.height}; masks need the size of their images"
         )
-    around = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
-    return np.asarray(cv2.dilate((mask > 0).astype(np.uint8), around) > 0)
+    return np.asarray(cv2.dilate((mask > 0).astype(np.uint8), square(MARGIN_PX)) > 0)
 
 
 def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: int) -> Chains:

@@ -72,6 +72,12 @@ class View:
         rays = np.column_stack([np.asarray(ideal) / self.focal_px, np.ones(len(ideal))])
         return np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
 
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """World directions (N, 3) through (N, 2) image pixels, one unit deep; NaN as above."""
+        ideal = self.ideal_from_image(pixels) / self.focal_px
+        directions: FloatArray = np.column_stack([ideal, np.ones(len(ideal))]) @ self.rotation
+        return directions
+
     def cam_from_world(self, points: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates; z is the depth."""
         return points @ self.rotation.T + self.translation

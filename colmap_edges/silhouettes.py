@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
-from colmap_edges.backdrop import Backdrop, BackgroundRays, background_rays, shows_holes, square
+from colmap_edges.backdrop import Backdrop, BackgroundRays, background_rays, shows_holes
 from colmap_edges.csr import offsets_of, order_of
 from colmap_edges.edges import Edges3D
+from colmap_edges.images import square
 from colmap_edges.model import Model, View
 
 logger = logging.getLogger(__name__)
@@ -76,17 +77,22 @@ class Body(NamedTuple):
     view: View
     mask: BoolArray
 
+    def at(self, points: FloatArray) -> tuple[IntArray, BoolArray]:
+        """Which of (N, 3) points are in the image, (K,), and whether a body is seen there, (K,)."""
+        pixels, depths = self.view.project(points)
+        scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
+        seen = np.flatnonzero(self.view.holds(pixels, depths))
+        columns, rows = np.floor(pixels[seen] * scale).astype(np.int64).T
+        return seen, self.mask[rows, columns]
+
     def holds(self, points: FloatArray) -> BoolArray:
         """(N,) false for (N, 3) points where the view sees background.
 
         True where it sees a body, and for points that are not in its image.
         """
-        pixels, depths = self.view.project(points)
-        scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
-        seen = np.flatnonzero(self.view.holds(pixels, depths))
-        columns, rows = np.floor(pixels[seen] * scale).astype(np.int64).T
         held = np.ones(len(points), bool)
-        held[seen] = self.mask[rows, columns]
+        seen, is_body = self.at(points)
+        held[seen] = is_body
         return held
 
     def dilated(self, radius: int) -> Body:
@@ -144,8 +150,9 @@ def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
     points = known[:: max(1, len(known) // NUM_CHECKED)]
     hidden = total = 0
     for body in bodies:
-        hidden += int(np.sum(~body.dilated(1).holds(points)))
-        total += int(np.sum(body.view.holds(*body.view.project(points))))
+        _, is_body = body.dilated(1).at(points)
+        hidden += int(np.sum(~is_body))
+        total += len(is_body)
     return hidden / total if total else 0.0
 
 
@@ -206,11 +213,9 @@ def touched(
     """
     (center, radius), view = sphere, body.view
     pixels, outward = contour(body, known, count)
-    ideal = view.ideal_from_image(pixels)
-    across = view.ideal_from_image(pixels + outward) - ideal
-    directions = np.column_stack([ideal / view.focal_px, np.ones(len(ideal))]) @ view.rotation
+    directions = view.rays(pixels)
+    normals = view.rays(pixels + outward) - directions
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    normals = np.column_stack([across, np.zeros(len(across))]) @ view.rotation
     normals -= np.einsum("ij,ij->i", normals, directions)[:, None] * directions
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-300
     depths = (directions @ (center - view.center))[:, None] + np.linspace(

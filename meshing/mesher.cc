@@ -64,18 +64,28 @@ void CheckInput(const MesherInput& input) {
       throw std::invalid_argument("directions of background rays must be finite and not 0");
 }
 
+struct Bounds {
+  Vec3 low, high;
+};
+
+// The box around some points, one at least.
+Bounds BoundsOf(const std::vector<Vec3>& points) {
+  Bounds bounds{points[0], points[0]};
+  for (const Vec3& p : points)
+    for (int axis = 0; axis < 3; ++axis) {
+      bounds.low[axis] = std::min(bounds.low[axis], p[axis]);
+      bounds.high[axis] = std::max(bounds.high[axis], p[axis]);
+    }
+  return bounds;
+}
+
 // Shift and power-of-two scale that bring the points to the unit cube around the origin, where
 // neither huge offsets nor tiny units cost digits. Scaling by a power of two rounds nothing.
 class UnitFrame {
  public:
   explicit UnitFrame(const std::vector<Vec3>& points) {
     if (points.empty()) return;
-    Vec3 low = points[0], high = points[0];
-    for (const Vec3& p : points)
-      for (int axis = 0; axis < 3; ++axis) {
-        low[axis] = std::min(low[axis], p[axis]);
-        high[axis] = std::max(high[axis], p[axis]);
-      }
+    const auto [low, high] = BoundsOf(points);
     const Vec3 size = high - low;
     center_ = 0.5 * low + 0.5 * high;
     const double largest = std::max({size.x, size.y, size.z});
@@ -216,12 +226,7 @@ void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& sc
   while (scene.rays.size() < builder.num_vertices())
     scene.rays.offsets.push_back(scene.rays.offsets.back());
 
-  Vec3 low = builder.points()[0], high = low;
-  for (const Vec3& p : builder.points())
-    for (int axis = 0; axis < 3; ++axis) {
-      low[axis] = std::min(low[axis], p[axis]);
-      high[axis] = std::max(high[axis], p[axis]);
-    }
+  const auto [low, high] = BoundsOf(builder.points());
   const double outside = 2 * Norm(high - low);
   for (std::size_t i = 0; i < input.background_cameras.size(); ++i) {
     const Index camera = input.background_cameras[i];

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.array_types import BoolArray, FloatArray
+from colmap_edges.array_types import BoolArray
 from colmap_edges.csr import offsets_of
-from colmap_edges.model import Model, View
+from colmap_edges.model import Model
 
 
 def select_points(model: Model, keep: BoolArray) -> Model:
@@ -24,10 +24,3 @@ def select_points(model: Model, keep: BoolArray) -> Model:
         track_views=model.track_views[kept],
         track_points2D=model.track_points2D[kept],
     )
-
-
-def pixel_rays(view: View, pixels: FloatArray) -> FloatArray:
-    """World directions (N, 3) through image pixels (N, 2), one unit deep: t along them is depth."""
-    ideal = view.ideal_from_image(pixels) / view.focal_px
-    rays: FloatArray = np.column_stack([ideal, np.ones(len(pixels))]) @ view.rotation
-    return rays

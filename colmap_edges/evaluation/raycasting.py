@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.observations import pixel_rays
 from colmap_edges.model import View
 
 
@@ -102,4 +101,4 @@ class RayCaster:
 
     def depth_at(self, view: View, pixels: FloatArray) -> FloatArray:
         """Depths (N,) along the optical axis of `view` at `pixels` (N, 2); NaN off the mesh."""
-        return self.cast(view.center, pixel_rays(view, pixels))
+        return self.cast(view.center, view.rays(pixels))
