@@ -9,12 +9,13 @@ paper's three-view selection).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from colmap_edges.array_types import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.csr import offsets_of, owners_of, ranks_of
+from colmap_edges.declared_options import derived
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
@@ -173,7 +174,7 @@ def learn_side_likelihoods(
     Returns:
         What sides say of a match: nothing where too few depths are sure.
     """
-    few = replace(options, sample_step_px=4 * options.sample_step_px)
+    few = derived(options, sample_step_px=4 * options.sample_step_px)
     random = np.random.default_rng(0)
     same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
     for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):

@@ -2,77 +2,35 @@
 
 from __future__ import annotations
 
-import operator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from colmap_edges.declared_options import Options, option
 from colmap_edges.errors import OptionError
-
-
-def option(
-    default: Any,
-    help: str,
-    *,
-    ge: float | None = None,
-    gt: float | None = None,
-    le: float | None = None,
-    choices: tuple[str, ...] | None = None,
-    basic: bool = False,
-) -> Any:
-    """Declare one option: its default, one line of help with the unit, and its range.
-
-    Those that are `basic` stand in the short help of the command line.
-    """
-    limits = {"ge": ge, "gt": gt, "le": le}
-    metadata = {"help": help, "limits": limits, "choices": choices, "basic": basic}
-    return field(default=default, metadata=metadata)
-
-
-class Options:
-    """Base of the option groups: checks every field against its declared range."""
-
-    def __post_init__(self) -> None:
-        """Raise `OptionError` for the first value outside its range."""
-        for entry in fields(self):  # type: ignore[arg-type]
-            name = f"{type(self).__name__.removesuffix('Options')}.{entry.name}"
-            check_range(name, getattr(self, entry.name), entry.metadata)
-
-
-def check_range(name: str, value: Any, metadata: Any) -> None:
-    """Raise `OptionError` when `value` is outside the limits or choices in `metadata`."""
-    choices = metadata.get("choices")
-    if choices and value not in choices:
-        raise OptionError(f"{name} is {value!r}; choose one of: {', '.join(choices)}")
-    limits = metadata.get("limits", {})
-    for key, sign, holds in (
-        ("ge", ">=", operator.ge),
-        ("gt", ">", operator.gt),
-        ("le", "<=", operator.le),
-    ):
-        bound = limits.get(key)
-        if bound is not None and not holds(value, bound):
-            raise OptionError(f"{name} is {value}; it must be {sign} {bound}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectionOptions(Options):
     """Image -> pixel chains (EdgeDrawing)."""
 
-    min_chain_length_px: int = option(12, "Shortest chain kept, in pixels", ge=2, basic=True)
+    min_chain_length_px: int = option(
+        12, "Shortest chain kept, in pixels", within=(2, 1000), basic=True
+    )
     gamma: float = option(
         2.2,
         "Exponent from the images' grays to light; 1 for cameras whose grays are light itself",
-        gt=0,
-        le=4,
+        within=(0.25, 4),
         basic=True,
     )
-    sigma_px: float = option(1.0, "Gaussian blur of the sub-pixel step, in pixels", gt=0)
+    sigma_px: float = option(
+        1.0, "Gaussian blur of the sub-pixel step, in pixels", within=(0.1, 10)
+    )
     min_blur_px: float = option(
         0.8,
         "Blur of edges (standard deviation, in pixels) below which images are enlarged, at most "
         "1.5 times and up to 3200 px; other options' pixels are then these, unless they say "
         "otherwise; 0: never",
-        ge=0,
+        within=(0, 5),
         basic=True,
     )
 
@@ -82,26 +40,31 @@ class EdgeGraphOptions(Options):
     """Chains -> 2D edge graph (paper: 2D Edge-Graphs)."""
 
     max_smoothing_distance_px: float = option(
-        1.0, "Largest distance between a chain and its smoothed polyline, in pixels", gt=0
+        1.0,
+        "Largest distance between a chain and its smoothed polyline, in pixels",
+        within=(0.05, 20),
     )
     max_regular_angle_deg: float = option(
-        20.0, "Largest turn within a regular length (alpha_R), in degrees", gt=0, le=180
+        20.0, "Largest turn within a regular length (alpha_R), in degrees", within=(1, 180)
     )
     top_regular_length_ratio: float = option(
-        0.1, "Share of polylines, longest first, that sets the regular-length threshold", gt=0, le=1
+        0.1,
+        "Share of polylines, longest first, that sets the regular-length threshold",
+        within=(0, 1),
     )
     filter_regular_length: bool = option(
         False, "Drop components without a polyline of the threshold's regular length", basic=True
     )
-    max_gap_px: float = option(4.0, "Largest gap across which chains are joined, in pixels", ge=0)
+    max_gap_px: float = option(
+        4.0, "Largest gap across which chains are joined, in pixels", within=(0, 50)
+    )
     max_join_angle_deg: float = option(
-        30.0, "Largest turn where two chains are joined, in degrees", ge=0, le=90
+        30.0, "Largest turn where two chains are joined, in degrees", within=(0, 90)
     )
     min_corner_angle_deg: float = option(
         45.0,
         "Smallest turn of a corner, where chains are cut, in degrees; 180: nowhere",
-        gt=0,
-        le=180,
+        within=(1, 180),
     )
 
 
@@ -109,33 +72,37 @@ class EdgeGraphOptions(Options):
 class ViewSelectionOptions(Options):
     """Which views are compared with which."""
 
-    num_neighbors: int = option(6, "Number of views each view is compared with", ge=2, basic=True)
+    num_neighbors: int = option(
+        6, "Number of views each view is compared with", within=(2, 100), basic=True
+    )
     num_later_neighbors: int = option(
         10,
         "Number of views each view is compared with in later rounds, in which few chains are left; "
         "num_neighbors at least",
-        ge=2,
+        within=(2, 100),
     )
     num_witnesses: int = option(
-        40, "Largest number of views in which observations of an edge are looked for", ge=2
+        40,
+        "Largest number of views in which observations of an edge are looked for",
+        within=(2, 1000),
     )
     good_angle_deg: float = option(
-        5.0, "Triangulation angle from which views are compared without loss, in degrees", gt=0
+        5.0,
+        "Triangulation angle from which views are compared without loss, in degrees",
+        within=(0.1, 90),
     )
     max_angle_deg: float = option(
         60.0,
         "Largest triangulation angle between compared views, in degrees; where too few are within "
         "it, max_witness_angle_deg counts",
-        gt=0,
-        le=180,
+        within=(1, 180),
         basic=True,
     )
     max_witness_angle_deg: float = option(
         120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
-        gt=0,
-        le=180,
+        within=(1, 180),
     )
 
 
@@ -144,31 +111,38 @@ class ChainDepthOptions(Options):
     """Depths along chains from the agreement of many views."""
 
     sample_step_px: int = option(
-        24, "Largest distance between samples along a chain, in pixels", ge=1, basic=True
+        24,
+        "Largest distance between samples along a chain, in pixels",
+        within=(1, 1000),
+        basic=True,
     )
     max_disagreement_px: float = option(
         1.2,
         "Largest distance between agreeing crossings along the epipolar line, in pixels of the "
         "given images",
-        gt=0,
+        within=(0.05, 20),
         basic=True,
     )
     min_epipolar_angle_deg: float = option(
-        5.0, "Smallest angle between an edge and the epipolar line, in degrees", ge=0, le=90
+        5.0, "Smallest angle between an edge and the epipolar line, in degrees", within=(0, 90)
     )
     visibility_rate: float = option(
-        0.5, "Chance that an edge of one view is not hidden in another", gt=0, le=1
+        0.5, "Chance that an edge of one view is not hidden in another", within=(0.01, 1)
     )
     detection_rate: float = option(
-        0.8, "Chance that an edge that is not hidden is detected", gt=0, le=0.95
+        0.8, "Chance that an edge that is not hidden is detected", within=(0.01, 0.95)
     )
     none_score: float = option(
-        3.0, "Log likelihood ratio that the agreement of views must exceed to count"
+        3.0,
+        "Log likelihood ratio that the agreement of views must exceed to count",
+        within=(-10, 50),
     )
     break_penalty: float = option(
-        4.0, "Log likelihood lost where a chain changes from one depth to another", ge=0
+        4.0, "Log likelihood lost where a chain changes from one depth to another", within=(0, 100)
     )
-    max_clusters: int = option(6, "Depths of a sample between which the chain decides", ge=1)
+    max_clusters: int = option(
+        6, "Depths of a sample between which the chain decides", within=(1, 50)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,30 +152,34 @@ class RefinementOptions(Options):
     search_radius_px: float = option(
         4.0,
         "Radius in which observations are first looked for, in pixels of the given images",
-        gt=0,
+        within=(0.1, 50),
     )
     max_residual_px: float = option(
         1.35,
         "Largest distance of an edge point to the chain that observes it, in pixels of the given "
         "images",
-        gt=0,
+        within=(0.05, 20),
     )
     max_tangent_angle_deg: float = option(
-        12.0, "Largest angle between edge and observing chain, in degrees", gt=0, le=90
+        12.0, "Largest angle between edge and observing chain, in degrees", within=(1, 90)
     )
     robust_scale_px: float = option(
-        0.7, "Residual from which an observation loses influence, in pixels", gt=0
+        0.7, "Residual from which an observation loses influence, in pixels", within=(0.05, 20)
     )
     max_bend_px: float = option(
-        0.4, "Second difference of disparity from which bending costs less, in pixels", gt=0
+        0.4,
+        "Second difference of disparity from which bending costs less, in pixels",
+        within=(0.01, 20),
     )
     side_gray_weight: float = option(
         2.0,
         "Weight of the gray beside edges, which tells how far they are moved along themselves, "
         "against their places across; 0 leaves it aside",
-        ge=0,
+        within=(0, 100),
     )
-    noise_px: float = option(0.3, "Standard deviation of a chain across itself, in pixels", gt=0)
+    noise_px: float = option(
+        0.3, "Standard deviation of a chain across itself, in pixels", within=(0.01, 10)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,44 +196,57 @@ class TracingOptions(Options):
         2,
         "Times that views are compared: the second time what no edge runs through, with less "
         "agreement asked for",
-        ge=1,
+        within=(1, 10),
         basic=True,
     )
     max_cross_check_px: float = option(
-        3.0, "Largest difference of two views' depths of one point, in pixels of disparity", gt=0
+        3.0,
+        "Largest difference of two views' depths of one point, in pixels of disparity",
+        within=(0.05, 50),
     )
     min_agreeing_views: int = option(
-        2, "Other views that must find the same depth for a sample to be sure", ge=1, basic=True
+        2,
+        "Other views that must find the same depth for a sample to be sure",
+        within=(1, 100),
+        basic=True,
     )
     min_confirmed_ratio: float = option(
-        0.7, "Share of sure samples that a run must have", ge=0, le=1
+        0.7, "Share of sure samples that a run must have", within=(0, 1)
     )
-    min_run_samples: int = option(2, "Samples that a run must have", ge=2)
+    min_run_samples: int = option(2, "Samples that a run must have", within=(2, 100))
     max_disparity_gradient: float = option(
-        1.0, "Largest change of disparity along a chain, in pixels a pixel", gt=0
+        1.0, "Largest change of disparity along a chain, in pixels a pixel", within=(0.01, 100)
     )
-    max_bridge_px: int = option(200, "Longest stretch without depth inside a run, in pixels", ge=0)
-    extension_px: int = option(24, "How far a run is followed beyond its ends, in pixels", ge=0)
+    max_bridge_px: int = option(
+        200, "Longest stretch without depth inside a run, in pixels", within=(0, 10_000)
+    )
+    extension_px: int = option(
+        24, "How far a run is followed beyond its ends, in pixels", within=(0, 1000)
+    )
     point_spacing_px: int = option(
-        4, "Distance of edge points along the driving chain, in pixels", ge=1, basic=True
+        4, "Distance of edge points along the driving chain, in pixels", within=(1, 100), basic=True
     )
-    min_curve_points: int = option(3, "Edge points that a 3D edge must have", ge=2)
+    min_curve_points: int = option(3, "Edge points that a 3D edge must have", within=(2, 1000))
     min_observations: int = option(
-        3, "Observations that an edge point must have (paper: k_v)", ge=2, basic=True
+        3, "Observations that an edge point must have (paper: k_v)", within=(2, 100), basic=True
     )
     occlusion_radius_px: float = option(
-        10.0, "How far around a point nearer ones hide it, in pixels; 0 hides nothing", ge=0
+        10.0,
+        "How far around a point nearer ones hide it, in pixels; 0 hides nothing",
+        within=(0, 100),
     )
     max_sigma_ratio: float = option(
-        5.0, "Largest standard deviation of an edge point's depth, in medians of all", gt=1
+        5.0,
+        "Largest standard deviation of an edge point's depth, in medians of all",
+        within=(1, 1000),
     )
     max_residual_ratio: float = option(
         1.7,
         "Largest scatter of observations around a 3D edge, in medians of all observations'",
-        gt=1,
+        within=(1, 100),
     )
     max_false_edges: float = option(
-        1.0, "Number of 3D edges that chance may make in the whole scene", gt=0
+        1.0, "Number of 3D edges that chance may make in the whole scene", within=(1e-6, 1e6)
     )
 
 
@@ -267,19 +258,21 @@ class LinkingOptions(Options):
         8.0,
         "Largest gap across which 3D edges are joined where views observe an edge in it, in "
         "distances between edge points",
-        ge=0,
+        within=(0, 50),
     )
     max_join_angle_deg: float = option(
-        30.0, "Largest turn where two 3D edges are joined, in degrees", ge=0, le=90
+        30.0, "Largest turn where two 3D edges are joined, in degrees", within=(0, 90)
     )
     max_corner_spacings: float = option(
         8.0,
         "Longest way on which the end of a 3D edge is led to a corner where it meets others, in "
         "distances between edge points; 0 leads none",
-        ge=0,
+        within=(0, 50),
     )
     node_radius_spacings: float = option(
-        2.5, "Distance within which ends of 3D edges meet, in distances between edge points", ge=0
+        2.5,
+        "Distance within which ends of 3D edges meet, in distances between edge points",
+        within=(0, 50),
     )
 
 
@@ -288,13 +281,15 @@ class MatchingOptions(Options):
     """Polyline similarity and PECs (paper: Edge Matching and PEC generation)."""
 
     max_point_distance_px: float = option(
-        10.0, "Largest distance of an SfM point that is close to a polyline (d_s), in pixels", gt=0
+        10.0,
+        "Largest distance of an SfM point that is close to a polyline (d_s), in pixels",
+        within=(0.1, 100),
     )
     min_similarity: float = option(
-        0.3, "Smallest similarity that links two polylines in the similarity graph", ge=0, le=1
+        0.3, "Smallest similarity that links two polylines in the similarity graph", within=(0, 1)
     )
     resolution: float = option(
-        1.0, "Resolution of the Louvain communities; larger makes smaller PECs", gt=0
+        1.0, "Resolution of the Louvain communities; larger makes smaller PECs", within=(0.01, 100)
     )
 
 
@@ -306,13 +301,15 @@ class CorrespondenceOptions(Options):
     inner_radius_px: float = option(
         10.0,
         "Radius around an SfM point in which starts are sought (r_I), in sharpest pixels",
-        gt=0,
+        within=(0.1, 100),
     )
     outer_radius_px: float = option(
-        30.0, "Radius in which correspondences are sought (r_O), in sharpest pixels", gt=0
+        30.0,
+        "Radius in which correspondences are sought (r_O), in sharpest pixels",
+        within=(0.1, 200),
     )
     sample_spacing_px: float = option(
-        20.0, "Distance between starts along the polylines of a PEC, in pixels", gt=0
+        20.0, "Distance between starts along the polylines of a PEC, in pixels", within=(1, 1000)
     )
 
 
@@ -321,28 +318,34 @@ class FollowingOptions(Options):
     """PEPC validation and 3D edge generation (paper: PEPC validation)."""
 
     step_px: float = option(
-        10.0, "Walk along the leading polyline between edge points, in pixels", gt=0
+        10.0, "Walk along the leading polyline between edge points, in pixels", within=(1, 100)
     )
     max_error_px: float = option(
-        2.0, "Largest reprojection error of a valid triangulation (epsilon), in pixels", gt=0
+        2.0,
+        "Largest reprojection error of a valid triangulation (epsilon), in pixels",
+        within=(0.05, 50),
     )
     max_step_ratio: float = option(
-        4.0, "Longest walk in another view for one step, in expected steps", ge=1
+        4.0, "Longest walk in another view for one step, in expected steps", within=(1, 100)
     )
     min_epipolar_angle_deg: float = option(
-        5.0, "Smallest angle between an edge and an epipolar line, in degrees", ge=0, le=90
+        5.0, "Smallest angle between an edge and an epipolar line, in degrees", within=(0, 90)
     )
     full_triangulation_angle_deg: float = option(
-        10.0, "Triangulation angle from which a view counts fully when views are chosen", gt=0
+        10.0,
+        "Triangulation angle from which a view counts fully when views are chosen",
+        within=(0.1, 90),
     )
     max_stretch: float = option(
-        10.0, "Longest 3D step, relative to the same step seen frontally", ge=1
+        10.0, "Longest 3D step, relative to the same step seen frontally", within=(1, 1000)
     )
     min_steps: int = option(
-        2, "Directions that must be followable from a start (1 or 2)", ge=1, le=2
+        2, "Directions that must be followable from a start (1 or 2)", within=(1, 2)
     )
     max_view_triples: int = option(
-        3, "Triples of views tried, best conditioned first, until a selection is valid", ge=1
+        3,
+        "Triples of views tried, best conditioned first, until a selection is valid",
+        within=(1, 100),
     )
 
 
@@ -351,15 +354,21 @@ class VisibilityOptions(Options):
     """Visibility refinement and outlier filter (paper: Visibility refinement)."""
 
     max_distance_px: float = option(
-        4.0, "Distance within which a further view's polyline is sought (d_v), in pixels", gt=0
+        4.0,
+        "Distance within which a further view's polyline is sought (d_v), in pixels",
+        within=(0.1, 100),
     )
     max_error_px: float = option(
-        2.0, "Largest reprojection error with the new observation, in pixels", gt=0
+        2.0, "Largest reprojection error with the new observation, in pixels", within=(0.05, 50)
     )
     max_tangent_angle_deg: float = option(
-        20.0, "Largest angle between the projected edge and the polyline, in degrees", ge=0, le=90
+        20.0,
+        "Largest angle between the projected edge and the polyline, in degrees",
+        within=(0, 90),
     )
-    min_views: int = option(4, "Smallest number of views of a 3D edge, whatever the median", ge=2)
+    min_views: int = option(
+        4, "Smallest number of views of a 3D edge, whatever the median", within=(2, 100)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,7 +376,7 @@ class SamplingOptions(Options):
     """Fine sampling of 3D edges to edge points."""
 
     spacing_px: float = option(
-        2.0, "Distance between edge points, in pixels of the sharpest view", gt=0
+        2.0, "Distance between edge points, in pixels of the sharpest view", within=(0.25, 100)
     )
 
 
@@ -376,13 +385,17 @@ class BundleAdjustmentOptions(Options):
     """Poses refined on SfM points and edge points together."""
 
     robust_factor: float = option(
-        1.5, "Residual from which an observation loses influence, in standard deviations", gt=0
+        1.5,
+        "Residual from which an observation loses influence, in standard deviations",
+        within=(0.1, 100),
     )
     min_gain: float = option(
-        0.0, "Share of held-out points' cost that refined poses must save to be kept", ge=0, le=1
+        0.0, "Share of held-out points' cost that refined poses must save to be kept", within=(0, 1)
     )
-    max_rounds: int = option(6, "Most times that the noise is measured and steps are taken", ge=1)
-    max_steps: int = option(6, "Most steps of a round", ge=1)
+    max_rounds: int = option(
+        6, "Most times that the noise is measured and steps are taken", within=(1, 100)
+    )
+    max_steps: int = option(6, "Most steps of a round", within=(1, 100))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,56 +410,66 @@ class MeshingOptions(Options):
         basic=True,
     )
     sigma_factor: float = option(
-        1.0, "Softness of a point's depth (sigma), in lower quartiles of edge lengths", gt=0
+        1.0,
+        "Softness of a point's depth (sigma), in lower quartiles of edge lengths",
+        within=(0.01, 100),
     )
     quality_weight: float = option(
-        0.1, "Weight of well-shaped triangles against one ray; more is smoother", ge=0, basic=True
+        0.1,
+        "Weight of well-shaped triangles against one ray; more is smoother",
+        within=(0, 1000),
+        basic=True,
     )
     edge_solid_weight: float = option(
         0.7,
         "graphcut: weight of the solid behind an edge point against that behind other points; "
         "less leaves more free space behind occluding edges",
-        ge=0,
-        le=1,
+        within=(0, 1),
     )
     background_weight: float = option(
         16.0,
         "Weight of a line of sight to a plain backdrop (with masks_are_background: to what masks "
         "hide) against one to a point; 0 uses none",
-        ge=0,
+        within=(0, 1000),
         basic=True,
     )
     vote_crossed: float = option(
-        1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", ge=0
+        1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", within=(0, 1000)
     )
-    vote_near: float = option(0.2, "carve, manifold: vote for the cells around (w2)", ge=0)
-    vote_far: float = option(0.0, "carve, manifold: vote for the cells around those (w3)", ge=0)
-    vote_threshold: float = option(1.0, "carve, manifold: votes that make a cell free", gt=0)
+    vote_near: float = option(
+        0.2, "carve, manifold: vote for the cells around (w2)", within=(0, 1000)
+    )
+    vote_far: float = option(
+        0.0, "carve, manifold: vote for the cells around those (w3)", within=(0, 1000)
+    )
+    vote_threshold: float = option(
+        1.0, "carve, manifold: votes that make a cell free", within=(0.01, 1e6)
+    )
     merge_factor: float = option(
         0.05,
         "Make edge points one that are closer than this, in typical distances of neighbours on an "
         "edge as the cameras see them; 0 keeps all",
-        ge=0,
+        within=(0, 1),
     )
     min_segment_factor: float = option(
         0.25,
         "Split 3D edges until they are edges of the mesh, down to this length in medians of their "
         "segments; 0 splits none",
-        ge=0,
+        within=(0, 100),
     )
     long_facet_factor: float = option(
         0.5,
         "Drop triangles with a longer side, in distances to the cameras; 0 keeps all",
-        ge=0,
+        within=(0, 1000),
         basic=True,
     )
     min_component_faces: int = option(
-        1, "Drop connected components of fewer triangles", ge=1, basic=True
+        1, "Drop connected components of fewer triangles", within=(1, 1_000_000), basic=True
     )
     max_faces: int = option(
         0,
         "Simplify the mesh to this many triangles by quadric errors; 0 keeps all",
-        ge=0,
+        within=(0, 100_000_000),
         basic=True,
     )
 
@@ -480,11 +503,13 @@ class PipelineOptions(Options):
     )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
-    num_threads: int = option(-1, "Threads of work; -1 takes every core", ge=-1)
+    num_threads: int = option(-1, "Threads of work; -1 takes every core", within=(-1, 100_000))
     max_graph_memory_gb: float = option(
-        4.0, "Memory for 2D edge graphs, in gigabytes; those beyond it wait on disk (TMPDIR)", gt=0
+        4.0,
+        "Memory for 2D edge graphs, in gigabytes; those beyond it wait on disk (TMPDIR)",
+        within=(0.001, 100_000),
     )
-    random_seed: int = option(0, "Seed of every random choice", ge=0)
+    random_seed: int = option(0, "Seed of every random choice", within=(0, 4_294_967_295))
 
     def __post_init__(self) -> None:
         """Raise `OptionError` for a value outside its range, or options that contradict."""

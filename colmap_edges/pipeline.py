@@ -19,6 +19,7 @@ import colmap_edges
 from colmap_edges.array_types import FloatArray, IntArray
 from colmap_edges.backdrop import Backdrop
 from colmap_edges.cache import Cache, key_of
+from colmap_edges.declared_options import derived
 from colmap_edges.diagnosis import Finding, diagnose, funnel
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edge_io import write_dxf, write_glb, write_json, write_obj, write_ply
@@ -65,6 +66,8 @@ from colmap_edges.viewer import NO_VIEWER, Viewer
 
 logger = logging.getLogger(__name__)
 
+# More only take memory, of an image each, and in the end the system has none to give.
+MAX_THREADS_PER_CORE = 4
 # Options on which traced edges do not depend, besides those of detection, which makes the graphs.
 NOT_OF_TRACING = {
     "detection",
@@ -179,7 +182,7 @@ def run(
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
             report["stages"] = stages.records()
-        text = json.dumps(report, indent=2, default=str) + "\n"
+        text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
         (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     return report
 
@@ -339,10 +342,10 @@ def model_counts(model: Model) -> dict[str, Any]:
 
 
 def thread_count(options: PipelineOptions) -> int:
-    """Number of threads the options ask for."""
-    if options.num_threads > 0:
-        return options.num_threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Number of threads the options ask for, as far as that many are of any use."""
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    return min(options.num_threads, MAX_THREADS_PER_CORE * cores) if options.num_threads > 0 else cores
 
 
 @contextmanager
@@ -514,7 +517,7 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
     selection, depths = options.view_selection, options.chain_depth
     return replace(
         options,
-        chain_depth=replace(depths, sample_step_px=max(4 * depths.sample_step_px // 5, 1)),
+        chain_depth=derived(depths, sample_step_px=4 * depths.sample_step_px // 5),
         view_selection=replace(selection, max_witness_angle_deg=selection.max_angle_deg),
         refinement=replace(options.refinement, side_gray_weight=0.0),
         tracing=replace(options.tracing, num_rounds=1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import sys
 import time
@@ -53,7 +54,7 @@ class Stage:
         """What the report keeps of the stage."""
         return {
             "name": self.name,
-            "counts": self.counts,
+            "counts": plain_counts(self.counts),
             "wall_s": round(self.wall_s, 3),
             "cpu_s": round(self.cpu_s, 3),
             "peak_mb": round(self.peak_mb, 1),
@@ -106,7 +107,10 @@ def peak_memory_mb() -> float:
 
 
 def plain_counts(stats: Mapping[str, Any]) -> dict[str, Any]:
-    """`stats` as what JSON can hold: numbers of numpy become Python's, whole ones integers."""
+    """`stats` as what JSON can hold.
+
+    Numbers of numpy become Python's, whole ones integers, and None those that are no numbers.
+    """
     return {key: plain(value) for key, value in stats.items()}
 
 
@@ -116,6 +120,10 @@ def plain(value: Any) -> Any:
         return plain_counts(value)
     if hasattr(value, "tolist"):
         value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
     if isinstance(value, float):
+        if not math.isfinite(value):
+            return None
         return int(value) if value.is_integer() else round(value, 6)
     return value

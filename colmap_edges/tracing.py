@@ -21,6 +21,7 @@ from colmap_edges.chain_depths import (
 )
 from colmap_edges.cross_check import count_agreeing_views, lift
 from colmap_edges.csr import offsets_of
+from colmap_edges.declared_options import derived
 from colmap_edges.edge_graph import EdgeGraph
 from colmap_edges.edges import Edges3D
 from colmap_edges.executors import Call, Workers, local_workers, run_all, run_scheduled
@@ -142,8 +143,8 @@ def in_enlarged_pixels(options: PipelineOptions, scale: float) -> PipelineOption
     depths, refinement = options.chain_depth, options.refinement
     return replace(
         options,
-        chain_depth=replace(depths, max_disagreement_px=scale * depths.max_disagreement_px),
-        refinement=replace(
+        chain_depth=derived(depths, max_disagreement_px=scale * depths.max_disagreement_px),
+        refinement=derived(
             refinement,
             search_radius_px=scale * refinement.search_radius_px,
             max_residual_px=scale * refinement.max_residual_px,
@@ -155,10 +156,8 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
     """Options of later rounds: where fewer chains are left, less agreement is enough."""
     return replace(
         options,
-        chain_depth=replace(options.chain_depth, none_score=options.chain_depth.none_score - 2),
-        tracing=replace(
-            options.tracing, min_agreeing_views=max(1, options.tracing.min_agreeing_views - 1)
-        ),
+        chain_depth=derived(options.chain_depth, none_score=options.chain_depth.none_score - 2),
+        tracing=derived(options.tracing, min_agreeing_views=options.tracing.min_agreeing_views - 1),
     )
 
 

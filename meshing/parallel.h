@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <exception>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -26,7 +27,12 @@ void ParallelChunks(std::int64_t count, int num_threads, Work&& work) {
   };
   std::vector<std::exception_ptr> errors(std::max(num_threads, 1));
   std::vector<std::thread> threads;
-  for (std::size_t i = 1; i < errors.size(); ++i) threads.emplace_back(run, std::ref(errors[i]));
+  threads.reserve(errors.size());
+  try {
+    for (std::size_t i = 1; i < errors.size(); ++i) threads.emplace_back(run, std::ref(errors[i]));
+  } catch (const std::system_error&) {
+    // The system has no more threads to give; those that there are do the work.
+  }
   run(errors[0]);
   for (auto& thread : threads) thread.join();
   for (const auto& error : errors)

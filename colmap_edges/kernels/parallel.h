@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <exception>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -29,7 +30,12 @@ void ParallelFor(int64_t count, int num_threads, const Work& work) {
   };
   const int workers = int(std::max<int64_t>(1, std::min<int64_t>(num_threads, count)));
   std::vector<std::thread> threads;
-  for (int worker = 1; worker < workers; ++worker) threads.emplace_back(run, worker);
+  threads.reserve(workers);
+  try {
+    for (int worker = 1; worker < workers; ++worker) threads.emplace_back(run, worker);
+  } catch (const std::system_error&) {
+    // The system has no more threads to give; those that there are do the work.
+  }
   run(0);
   for (std::thread& thread : threads) thread.join();
   if (error) std::rethrow_exception(error);
