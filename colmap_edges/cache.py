@@ -44,6 +44,7 @@ class Cache:
             ColmapEdgesError: when it cannot be made.
         """
         self.folder = folder
+        self.has_warned = False
         self.unfinished = folder / "unfinished"
         try:
             self.unfinished.mkdir(parents=True, exist_ok=True)
@@ -90,14 +91,15 @@ class Cache:
             unfinished.replace(path)
         except OSError as error:
             unfinished.unlink(missing_ok=True)
-            return not_kept(path, error)
+            return self.not_kept(path, error)
         return True
 
-
-def not_kept(path: Path, error: OSError) -> bool:
-    """Warn that an entry could not be written."""
-    logger.warning("cannot write cache entry %s (%s); go on without", path, error.strerror)
-    return False
+    def not_kept(self, path: Path, error: OSError) -> bool:
+        """Warn that an entry could not be written: once, as the next will not be either."""
+        level = logging.DEBUG if self.has_warned else logging.WARNING
+        self.has_warned = True
+        logger.log(level, "cannot write cache entry %s (%s); go on without", path, error.strerror)
+        return False
 
 
 def seal(kind: str, key: str, packed: memoryview) -> bytes:

@@ -19,7 +19,14 @@ import click
 
 from colmap_edges import __version__
 from colmap_edges.errors import ColmapEdgesError, OptionError
-from colmap_edges.flags import make_flags, normalize, options_from_flags, read_config
+from colmap_edges.flags import (
+    Word,
+    make_flags,
+    normalize,
+    options_from_flags,
+    read_config,
+    with_dashes,
+)
 from colmap_edges.memory import reuse_freed_memory
 from colmap_edges.options import PRESETS, PipelineOptions
 from colmap_edges.stages import Progress, no_progress
@@ -53,6 +60,11 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 class Command(click.Command):
     """A command that lists the flags of each option group under the group's name."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Make a command as click does, with --help_full."""
+        super().__init__(*args, **kwargs)
+        self.params.append(full_help_flag())
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the flags, those of no group first; --help_full writes all."""
         groups: dict[str, list[tuple[str, str]]] = {}
@@ -80,6 +92,20 @@ def show_full_help(ctx: click.Context, _param: click.Parameter, value: bool) -> 
         ctx.exit()
 
 
+def full_help_flag(
+    help: str = "Show all options, also those of single steps, and exit",
+) -> click.Option:
+    """Make the flag that shows every flag."""
+    return click.Option(
+        ["--help_full"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=show_full_help,
+        help=help,
+    )
+
+
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
     """Take what the TOML file says as defaults; flags of the command line go before."""
     if value:
@@ -95,7 +121,7 @@ def quality_flag() -> click.Option:
     """Make the flag that chooses a preset."""
     return click.Option(
         ["--quality"],
-        type=click.Choice(tuple(PRESETS), case_sensitive=False),
+        type=Word(PRESETS),
         metavar="|".join(PRESETS),
         help="Preset: low is faster, high compares more views; other flags go before [medium]",
     )
@@ -150,14 +176,6 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
         click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
-        click.Option(
-            ["--help_full"],
-            is_flag=True,
-            is_eager=True,
-            expose_value=False,
-            callback=show_full_help,
-            help="Show all options, also those of single steps, and exit",
-        ),
         *make_flags(names),
     ]
 
@@ -182,7 +200,8 @@ def run_command(name: str, values: dict[str, Any]) -> None:
         signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
     started = time.perf_counter()
     optional = {name: values[name] for name in ("mask_path", "cache_path")}
-    paths = Paths(**paths_from_flags(values), **optional)
+    needs_images = name != "mesh" or options.use_edges
+    paths = Paths(**paths_from_flags(values, needs_images), **optional)
     target, overwrite = values["rerun"], values["overwrite"]
     with open_viewer(target, paths.output_path, overwrite) as viewer, progress_bars() as progress:
         report = run(
@@ -199,19 +218,21 @@ def run_command(name: str, values: dict[str, Any]) -> None:
         click.echo(f"The recording in {target} opens in rerun's viewer: rerun {target}")
 
 
-def paths_from_flags(values: dict[str, Any]) -> dict[str, Path]:
-    """The paths of a run; those that are not given come from the workspace."""
+def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, Any]:
+    """The paths of a run; those that are needed and not given come from the workspace."""
     workspace = values["workspace_path"]
     finders: dict[str, Callable[[Path], Path]] = {
-        "image_path": find_images,
         "input_path": find_model,
         "output_path": lambda folder: folder / "edges",
     }
+    if needs_images:
+        finders = {"image_path": find_images, **finders}
     missing = [name for name in finders if values[name] is None]
     if missing and workspace is None:
         flags = ", ".join(f"--{name}" for name in missing)
         raise click.UsageError(f"Missing {flags}; or give --workspace_path")
-    return {name: values[name] or find(workspace) for name, find in finders.items()}
+    found = {name: find(workspace) for name, find in finders.items() if name in missing}
+    return {"image_path": values["image_path"], **{n: values[n] for n in finders}, **found}
 
 
 def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
@@ -268,7 +289,8 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
     try:
         yield
     except OptionError as error:
-        raise click.UsageError(str(error)) from error
+        command = click.get_current_context().command
+        raise click.UsageError(with_dashes(str(error), command)) from error
     except BrokenPipeError as error:  # what reads the output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise click.exceptions.Exit(1) from error
@@ -309,7 +331,7 @@ def info(path: Path, verbose: bool) -> None:
 )
 @click.option(
     "--held_out_views",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, 1_000_000),
     default=0,
     show_default=True,
     help="Judge edges in every n-th image, left out of their reconstruction; 0 does not",
@@ -368,6 +390,7 @@ def cli() -> None:
     """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
 
 
+cli.params.append(full_help_flag("Show this; after a command, all of its options, and exit"))
 cli.add_command(
     make_run_command(
         "detect", "Detect 2D edge graphs: one .npz and one overlay an image.", DETECT_FLAGS

@@ -19,6 +19,7 @@ MIN_FOLLOWED_SHARE = 0.02
 MIN_POSED_SHARE = 0.7
 LARGE_RESIDUAL_PX = 1.0
 MAX_NAMES = 3
+MIN_VIEWS = 3  # in which an edge must be seen: any two agree on some depth, and one confirms it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,13 +73,16 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     counts = counts_by_stage(stages)
     findings = [*images_findings(counts.get("read", {}), options)]
     findings += detection_findings(counts.get("detect", {}), options)
+    enough = counts.get("read", {}).get("images_with_poses", MIN_VIEWS) >= MIN_VIEWS
     if trace := counts.get("trace"):
-        if counts.get("detect", {}).get("edge_pixels", 1):
+        if enough and counts.get("detect", {}).get("edge_pixels", 1):
             paper = options.tracing.method == "paper"
             findings += (paper_findings if paper else chain_findings)(trace, options)
         if trace["edges"] == 0 and not findings:
             findings.append(no_edges(trace, options))
     findings += residual_findings(counts.get("write", {}))
+    if counts.get("mesh", {}).get("faces") == 0:
+        findings.append(empty_mesh(counts["mesh"], options))
     return findings
 
 
@@ -86,10 +90,12 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
     """What the input model itself explains."""
     posed, unposed = read.get("images_with_poses", 0), read.get("images_without_poses", 0)
     flag, needed = needed_views(options)
-    if 0 < posed < needed:
+    if 0 < posed < max(needed, MIN_VIEWS):
+        lower = f", or set {flag} {posed}" if posed >= MIN_VIEWS else ""
         yield Finding(
-            text=f"only {posed} images have poses, but a 3D edge must be seen in {needed}",
-            remedy=f"take more images, or set {flag} {max(posed, 2)}",
+            text=f"only {posed} images have poses, but a 3D edge must be seen in "
+            f"{max(needed, MIN_VIEWS)}",
+            remedy=f"take more images{lower}",
         )
     if posed < MIN_POSED_SHARE * (posed + unposed):
         yield Finding(
@@ -257,6 +263,32 @@ def no_edges(trace: Counts, options: PipelineOptions) -> Finding:
         text="no 3D edge came out; what was found on the way does not reach "
         f"{options.tracing.min_curve_points} points seen in {needed_views(options)[1]} views",
         remedy=f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
+    )
+
+
+def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
+    """No triangle is left: by which step, and what matters there."""
+    meshing = options.meshing
+    found, long = mesh.get("boundary_facets", 0), mesh.get("long_facets_dropped", 0)
+    if long and long >= found / 2:
+        return Finding(
+            text=f"the mesh is empty: {long:,} of {found:,} triangles have a side longer than "
+            f"{meshing.long_facet_factor:g} distances to the cameras",
+            remedy="raise --Meshing.long_facet_factor, or set it to 0, which keeps all; "
+            "and check the model for points far away from all others",
+        )
+    if found:
+        return Finding(
+            text=f"the mesh is empty: {found - long:,} of {found:,} triangles are in connected "
+            f"components of fewer than {meshing.min_component_faces:,}",
+            remedy="lower --Meshing.min_component_faces",
+        )
+    flag = "quality_weight" if meshing.method == "graphcut" else "vote_threshold"
+    return Finding(
+        text="the mesh is empty: no surface parts free space from solid; lines of sight to "
+        f"{mesh.get('points', 0):,} points do not outweigh what asks for none",
+        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); give a model with more "
+        "points, none of them far away from all others",
     )
 
 

@@ -11,17 +11,21 @@ import numpy as np
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.model import Model, load_model
 from colmap_edges.output import REPORT_NAME
+from colmap_edges.workspace import find_model, is_model
 
 
 def describe(path: Path) -> str:
-    """Describe a COLMAP model or an output folder.
+    """Describe a COLMAP model, an output folder, or the model of a workspace.
 
     Raises:
-        ColmapEdgesError: when `path` is neither.
+        ColmapEdgesError: when `path` is none of them.
     """
     if (path / REPORT_NAME).is_file():
         return describe_output(path)
-    return describe_model(load_model(path))
+    if is_model(path) or not (path / "sparse").is_dir():
+        return describe_model(load_model(path))
+    found = find_model(path)
+    return f"{found}:\n{describe_model(load_model(found))}"
 
 
 def describe_model(model: Model) -> str:

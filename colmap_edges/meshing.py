@@ -12,6 +12,7 @@ import numpy as np
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.backdrop import BackgroundRays
+from colmap_edges.csr import offsets_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 from colmap_edges.output import write_whole
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from colmap_edges.model import Model
 
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
+# Below this part of a segment's usual length it is split where others cross it ever again, in vain.
+FINEST = 0.01
 MESH_FORMATS = (".ply", ".obj", ".glb")
 
 
@@ -103,26 +106,26 @@ def mesh_with_curves(
 ) -> Mesh:
     """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
     points, cameras = [model.points3D_xyz], [model.track_views]
-    offsets, lines = [model.track_offsets], [np.zeros(1, np.int64)]
+    tracks, lines = [np.diff(model.track_offsets)], [np.zeros(0, np.int64)]
     for each in curves:
         points.append(each.points)
         cameras.append(each.track_views)
-        offsets.append(offsets[-1][-1] + each.track_offsets[1:])
-        lines.append(lines[-1][-1] + each.edge_offsets[1:])
+        tracks.append(np.diff(each.track_offsets))
+        lines.append(np.diff(each.edge_offsets))
     first, count = len(model.points3D_xyz), sum(len(part) for part in points)
     polylines = Polylines(
         np.arange(first, count, dtype=np.int32),
-        np.concatenate(lines),
+        offsets_of(np.concatenate(lines)),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
     if background and options.background_weight:
         more = background.silhouettes
         points.append(more.points)
         cameras.append(more.track_views)
-        offsets.append(offsets[-1][-1] + more.track_offsets[1:])
+        tracks.append(np.diff(more.track_offsets))
     return mesh_points(
         np.concatenate(points),
-        np.concatenate(offsets),
+        offsets_of(np.concatenate(tracks)),
         np.concatenate(cameras),
         model.camera_centers,
         options,
@@ -239,7 +242,7 @@ def mesh_points(
         vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
         vote_threshold=options.vote_threshold,
         merge_factor=options.merge_factor,
-        min_segment_factor=options.min_segment_factor,
+        min_segment_factor=options.min_segment_factor and max(options.min_segment_factor, FINEST),
         long_facet_factor=options.long_facet_factor,
         min_component_faces=options.min_component_faces,
         num_threads=num_threads or os.cpu_count() or 1,

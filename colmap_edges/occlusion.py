@@ -15,6 +15,7 @@ from colmap_edges.model import Model, View, rows_by_view
 MAX_SLOPE = 3.0  # tangent of the angle between surface and image plane that neighbours may span
 MIN_GAP = 0.002  # share of the depth by which nothing is told to be nearer
 MARGIN_SIGMAS = 3.0  # what a point's depth may be wrong by
+MIN_RADIUS_PX = 0.01  # nothing is told apart that is nearer to each other
 FARTHEST_PX = 1e6  # from the principal point; no image shows what is there
 NEARER_SHARE = 0.5  # nearer neighbours for each at the same depth from which a point is hidden
 
@@ -81,7 +82,7 @@ def count_around(
         depths[ahead],
         MIN_GAP / 2 * depths[ahead] + MARGIN_SIGMAS * sigmas[ahead],
         curves[ahead],
-        radius_px,
+        max(radius_px, MIN_RADIUS_PX),
         MAX_SLOPE / view.focal_px,
         num_threads,
     )

@@ -1,4 +1,9 @@
-"""Every option of every stage, with its default, meaning, unit and range."""
+"""Every option of every stage, with its default, meaning, unit and range.
+
+Ranges are of what can be wanted in the option's unit: pixels within which things in an image are
+near each other, angles up to a quarter or half a turn, numbers of views as photographers take them.
+Every stage runs at both ends of each; `tests/test_option_extremes.py` holds us to it.
+"""
 
 from __future__ import annotations
 

@@ -90,14 +90,14 @@ class Paths:
     """Where a run reads and writes, absolute.
 
     Attributes:
-        image_path: folder of the images.
+        image_path: folder of the images; a mesh without edges needs none.
         input_path: folder of the COLMAP model.
         output_path: folder to make.
         mask_path: folder of masks named as COLMAP's are, or one mask of all images.
         cache_path: folder of results that later runs find again; none are kept without it.
     """
 
-    image_path: Path
+    image_path: Path | None = None
     input_path: Path
     output_path: Path
     mask_path: Path | None = None
@@ -160,6 +160,8 @@ def run(
     """
     paths = Paths(**{name: path and path.resolve() for name, path in vars(paths).items()})
     check_paths(paths, overwrite)
+    if command != "mesh" or options.use_edges:
+        image_folder(paths)
     if scheduler and paths.cache_path is None:
         raise OptionError("a scheduler needs cache_path: through it graphs go to the workers")
     if command == "mesh":
@@ -176,7 +178,7 @@ def run(
             viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh)
         else:
-            check_pictures(model, paths.image_path, paths.mask_path, options)
+            check_pictures(model, image_folder(paths), paths.mask_path, options)
             contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
@@ -211,7 +213,7 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
-    images, masks = paths.image_path, paths.mask_path
+    images, masks = image_folder(paths), paths.mask_path
     model = enlarged(model, images, options.detection)
     if command == "detect":
         detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
@@ -289,11 +291,22 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
     """Check that the inputs are folders and the output can be made."""
     for name in ("image_path", "input_path"):
         path = getattr(paths, name)
-        if not path.is_dir():
+        if path and not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
     given = (paths.image_path, paths.input_path, paths.mask_path, paths.cache_path)
     sources = [path for path in given if path is not None]
     check_output_path(paths.output_path, sources, overwrite)
+
+
+def image_folder(paths: Paths) -> Path:
+    """The folder of the images.
+
+    Raises:
+        OptionError: when it is not given.
+    """
+    if paths.image_path is None:
+        raise OptionError("image_path is not given; only a mesh without edges needs no images")
+    return paths.image_path
 
 
 def check_mesher() -> None:
@@ -312,7 +325,7 @@ def check_model(model: Model, where: str) -> None:
     if len(model.views) < 2:
         raise ColmapEdgesError(
             f"{where} has {len(model.views)} images with poses; "
-            "3D edges need at least 2: run `colmap mapper` on more images first"
+            "3D edges need at least 3: run `colmap mapper` on more images first"
         )
 
 
@@ -345,7 +358,9 @@ def thread_count(options: PipelineOptions) -> int:
     """Number of threads the options ask for, as far as that many are of any use."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    return min(options.num_threads, MAX_THREADS_PER_CORE * cores) if options.num_threads > 0 else cores
+    return (
+        min(options.num_threads, MAX_THREADS_PER_CORE * cores) if options.num_threads > 0 else cores
+    )
 
 
 @contextmanager

@@ -24,20 +24,33 @@ def find_images(workspace: Path) -> Path:
     return images
 
 
+def is_model(folder: Path) -> bool:
+    """Whether a folder holds a COLMAP model's files."""
+    return any((folder / name).is_file() for name in MODEL_FILES)
+
+
 def find_model(workspace: Path) -> Path:
-    """The sparse model of a workspace: in sparse/0, or in sparse as undistortion writes it.
+    """The sparse model of a workspace.
+
+    That in sparse/0; else in sparse, as undistortion writes it; else the first of the others that
+    mapping made.
 
     Raises:
         ColmapEdgesError: when there is none.
     """
     sparse = workspace / "sparse"
-    for folder in (sparse / "0", sparse):
-        if any((folder / name).is_file() for name in MODEL_FILES):
-            others = [path.name for path in sparse.glob("[1-9]*") if path.is_dir()]
-            if others:
-                logger.warning("%s is used; sparse has %d more models", folder, len(others))
-            return folder
-    raise ColmapEdgesError(
-        f"workspace {workspace} has no model in sparse/0 or sparse; run `colmap mapper` first, "
-        "or give --input_path"
-    )
+    numbered = [path for path in sparse.glob("*") if path.name.isdecimal() and is_model(path)]
+    numbered.sort(key=lambda path: int(path.name))
+    first = sparse / "0"
+    models = ([sparse] if is_model(sparse) else []) + numbered
+    if first in models:
+        models.insert(0, models.pop(models.index(first)))
+    if not models:
+        raise ColmapEdgesError(
+            f"workspace {workspace} has no model in sparse/0 or sparse; run `colmap mapper` first, "
+            "or give --input_path"
+        )
+    others = ", ".join(path.name for path in models[1:] if path != sparse)
+    if others:
+        logger.warning("%s is used; more models are in %s: %s", models[0], sparse, others)
+    return models[0]

@@ -17,7 +17,7 @@ TARGET = ROOT / "docs" / "architecture.md"
 # In the order in which they may import each other.
 ROOMS = {
     "ground": (
-        "errors", "array_types", "csr", "joining", "options", "edges", "stages", "kernels", "cache",
+        "errors", "array_types", "csr", "joining", "declared_options", "options", "edges", "stages", "kernels", "cache",
         "scheduling", "executors", "memory",
     ),
     "COLMAP and pictures": (

@@ -12,7 +12,9 @@ HEAD = """# Options
 
 Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows those in bold,
 `--help_full` all. Flags may be written with hyphens and in any case; in a TOML file (`--config`)
-groups are tables. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
+groups are tables, and one file serves all commands: each takes the keys that it knows. Numbers
+have a range, both ends of it included; beyond it they mean nothing in their unit, or ask for more
+than machines have. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
 No option is in world units: defaults hold for any scale of the model. Where a run reads, also masks
 (`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works (`--scheduler`) are
 no options of it; see [recipes](recipes.md).

@@ -51,7 +51,7 @@ def run(
     output = run_path / "evaluation"
     find_mesh(run_path)
     if output.exists() and not overwrite:
-        raise ColmapEdgesError(f"{output} exists; allow overwriting to replace it")
+        raise ColmapEdgesError(f"{output} is there already; add --overwrite to replace it")
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     with new_folder(output) as folder:
