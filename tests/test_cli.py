@@ -129,8 +129,8 @@ def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
     [
         ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; the nearest is EdgeGraph.max"),
         ("num_thread = 2", "unknown key num_thread; the nearest is num_threads"),
-        ("[EdgeGraph]\nmax_gap_px = 'wide'", "'wide' is not a valid float"),
-        ("[Detection]\nmin_chain_length_px = 12.5", "'12.5' is not a valid int"),
+        ("[EdgeGraph]\nmax_gap_px = 'wide'", "max_gap_px is 'wide'; it must be a number"),
+        ("[Detection]\nmin_chain_length_px = 12.5", "length_px is 12.5; it must be a whole"),
         ("[EdgeGraph\n", "cannot read"),
     ],
 )
@@ -145,7 +145,11 @@ def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
     ("args", "message"),
     [
         (["--EdgeGraph.max_gap", "1"], "No such option"),
-        (["--EdgeGraph.max_gap_px", "-1"], "EdgeGraph.max_gap_px is -1.0; it must be >= 0"),
+        (
+            ["--EdgeGraph.max_gap_px", "-1"],
+            "--EdgeGraph.max_gap_px is -1.0; it must be from 0",
+        ),
+        (["--random_seed", "-1"], "Error: --random_seed is -1; it must be"),
         (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
         (["--num_threads", "many"], "not a valid int"),
     ],

@@ -46,7 +46,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
 @pytest.mark.parametrize(
     ("lost", "text", "remedy"),
     [
-        ({"read": {"images_with_poses": 2}}, "only 2 images have poses", "min_observations 2"),
+        ({"read": {"images_with_poses": 2}}, "must be seen in 3", "take more images"),
         ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (

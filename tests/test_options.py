@@ -1,43 +1,81 @@
-from dataclasses import FrozenInstanceError, fields
+import json
+import math
+from dataclasses import FrozenInstanceError, asdict, fields
 
+import numpy as np
 import pytest
 
+from colmap_edges.declared_options import derived, option
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.options import (
+    ChainDepthOptions,
     DetectionOptions,
     EdgeGraphOptions,
-    Options,
     PipelineOptions,
     RefinementOptions,
     TracingOptions,
     preset,
 )
 
-GROUPS = Options.__subclasses__()
-LIMITED = [
-    pytest.param(group, entry, key, bound, id=f"{group.__name__}.{entry.name}-{key}")
+GROUPS = [
+    PipelineOptions,
+    *(entry.default_factory for entry in fields(PipelineOptions) if not entry.metadata),
+]
+NUMBERS = [
+    pytest.param(group, entry, id=f"{group.__name__}.{entry.name}")
     for group in GROUPS
     for entry in fields(group)
-    for key, bound in entry.metadata.get("limits", {}).items()
-    if bound is not None
+    if type(entry.default) in (int, float)
 ]
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: DetectionOptions(sigma_px=0.0), "Detection.sigma_px is 0.0; it must be > 0"),
+        (
+            lambda: DetectionOptions(sigma_px=0.0),
+            "Detection.sigma_px is 0.0; it must be from 0.1 to 10",
+        ),
         (
             lambda: DetectionOptions(min_chain_length_px=1),
-            "Detection.min_chain_length_px is 1; it must be >= 2",
+            "Detection.min_chain_length_px is 1; it must be from 2 to 1000",
         ),
         (
             lambda: EdgeGraphOptions(max_join_angle_deg=90.5),
-            "EdgeGraph.max_join_angle_deg is 90.5; it must be <= 90",
+            "EdgeGraph.max_join_angle_deg is 90.5; it must be from 0 to 90",
         ),
         (
             lambda: TracingOptions(method="magic"),
             "Tracing.method is 'magic'; choose one of: chains, paper",
+        ),
+        (
+            lambda: PipelineOptions(random_seed=-1),
+            "random_seed is -1; it must be from 0 to 4294967295",
+        ),
+        (
+            lambda: TracingOptions(num_rounds=10**5000),
+            "Tracing.num_rounds is a number of thousands of digits; it must be from 1 to 10",
+        ),
+        (
+            lambda: TracingOptions(num_rounds=2.0),
+            "Tracing.num_rounds is 2.0; it must be a whole number",
+        ),
+        (
+            lambda: TracingOptions(num_rounds=True),
+            "Tracing.num_rounds is True; it must be a whole number",
+        ),
+        (
+            lambda: TracingOptions(num_rounds="2"),
+            "Tracing.num_rounds is '2'; it must be a whole number",
+        ),
+        (lambda: DetectionOptions(gamma="2.2"), "Detection.gamma is '2.2'; it must be a number"),
+        (lambda: DetectionOptions(gamma=None), "Detection.gamma is None; it must be a number"),
+        (lambda: TracingOptions(method=1), "Tracing.method is 1; it must be a word"),
+        (lambda: PipelineOptions(report=1), "report is 1; it must be True or False"),
+        (
+            lambda: PipelineOptions(detection=TracingOptions),
+            "detection is <class 'colmap_edges.options.TracingOptions'>; "
+            "it must be DetectionOptions(...)",
         ),
     ],
 )
@@ -48,21 +86,35 @@ def test_range_error_names_group_field_value_and_bound(make, message):
     assert isinstance(error.value, ColmapEdgesError)
 
 
-@pytest.mark.parametrize(("group", "entry", "key", "bound"), LIMITED)
-def test_every_bound_holds(group, entry, key, bound):
-    outside = {"ge": bound - 1, "gt": bound, "le": bound + 1}[key]
-    with pytest.raises(OptionError, match=rf"\.{entry.name} is .* must be .* {bound}$"):
-        group(**{entry.name: outside})
-    if key != "gt":
+@pytest.mark.parametrize(("group", "entry"), NUMBERS)
+def test_every_number_has_a_smallest_and_a_largest_value(group, entry):
+    low, high = entry.metadata["within"]
+    assert math.isfinite(low)
+    assert low <= entry.default <= high < math.inf
+    for bound in (low, high):
         assert getattr(group(**{entry.name: bound}), entry.name) == bound
+    for outside in (low - 1, high + 1, math.nan, math.inf, -math.inf, 10**400):
+        with pytest.raises(OptionError, match=rf"{entry.name} is .*; it must be "):
+            group(**{entry.name: outside})
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.__name__)
-def test_not_a_number_is_in_no_range(group):
-    for entry in fields(group):
-        if any(bound is not None for bound in entry.metadata.get("limits", {}).values()):
-            with pytest.raises(OptionError, match=f"{entry.name} is nan"):
-                group(**{entry.name: float("nan")})
+@pytest.mark.parametrize("default", [1, 1.0])
+def test_no_number_can_be_declared_without_a_range(default):
+    with pytest.raises(TypeError, match="smallest and a largest"):
+        option(default, "Steps")
+
+
+def test_numbers_of_numpy_become_those_of_json():
+    options = DetectionOptions(min_chain_length_px=np.int64(20), gamma=np.float32(2))
+    assert json.dumps(asdict(options)) == json.dumps(
+        asdict(DetectionOptions(min_chain_length_px=20, gamma=2.0))
+    )
+
+
+def test_derived_values_end_where_their_range_does():
+    options = ChainDepthOptions(none_score=-9.0, sample_step_px=900)
+    options = derived(options, none_score=-11.0, sample_step_px=3600)
+    assert (options.none_score, options.sample_step_px) == (-10.0, 1000)
 
 
 def test_every_option_has_a_line_of_help():
