@@ -212,7 +212,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     cache.mkdir()
     (cache / "edge_graphs").touch()  # where a folder should be
     output, counts = mesh(small, tmp_path / "out", cache)
-    assert "cannot write cache entry" in caplog.text
+    assert caplog.text.count("cannot write cache entry") == 1  # not one an image
     assert hash_output(output) == hash_output(reference)
     assert reused(counts) == (0, 0)
 

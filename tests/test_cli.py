@@ -152,11 +152,57 @@ def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
         (["--random_seed", "-1"], "Error: --random_seed is -1; it must be"),
         (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
         (["--num_threads", "many"], "not a valid int"),
+        (["--num_threads", "10000000"], "--num_threads is 10000000; it must be from -1 to 100000"),
+        (["--Detection.gamma", "nan"], "--Detection.gamma is nan; it must be from 0.25 to 4"),
     ],
 )
 def test_usage_errors_exit_2(flags, tmp_path, args, message):
     assert message in call("detect", *flags, *args, code=2)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
+        (["--output_type", "PLY"], "'PLY' is none of BIN, TXT"),
+        (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
+        (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
+        (["--scheduler", "tcp://localhost:1"], "a --scheduler needs --cache_path"),
+    ],
+)
+def test_messages_spell_flags_as_help_does(flags, tmp_path, args, message):
+    assert message in call("mesh", *flags, *args, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_config_serves_all_commands(flags, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text("quality = 'low'\n[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n")
+    call("detect", *flags, "--config", config)
+    assert '"gamma": 2.0' in (tmp_path / "out" / "report.json").read_text()
+    call("mesh", *flags, "--config", config, "--overwrite", "--report", "0")
+    assert '"max_faces": 500' in (tmp_path / "out" / "report.json").read_text()
+
+
+def test_more_threads_than_can_be_used(flags, tmp_path):
+    call("mesh", *flags, "--num_threads", 50000, "--report", 0)
+    assert (tmp_path / "out" / "mesh.ply").stat().st_size > 10_000
+
+
+def test_a_mesh_without_edges_needs_no_images(flags, tmp_path, scene_paths):
+    call("mesh", *flags[2:], "--use_edges", 0)
+    assert (tmp_path / "out" / "mesh.ply").stat().st_size > 1000
+    shutil.copytree(scene_paths[1], tmp_path / "work" / "sparse" / "0")
+    call("mesh", "--workspace_path", tmp_path / "work", "--use_edges", 0)
+    assert (tmp_path / "work" / "edges" / "mesh.ply").is_file()
+    assert "Missing --image_path;" in call("mesh", *flags[2:], code=2)
+
+
+def test_an_empty_mesh_is_told_with_its_reason(flags):
+    output = call("mesh", *flags, "--Meshing.long_facet_factor", "1e-9", "--use_edges", 0)
+    assert "Note: the mesh is empty" in output
+    assert "To change that: raise --Meshing.long_facet_factor, or set it to 0" in output
 
 
 def test_missing_flag_exits_2():
@@ -183,6 +229,13 @@ def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
     call("detect", *flags)
     assert "output of colmap-edges detect" in call("info", tmp_path / "out")
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
+
+
+def test_info_of_a_workspace(tmp_path, scene_paths):
+    shutil.copytree(scene_paths[1], tmp_path / "sparse" / "0")
+    output = call("info", tmp_path)
+    assert output.startswith(f"{tmp_path / 'sparse' / '0'}:\n")
+    assert "images: 10 with poses" in output
 
 
 def test_reader_that_leaves_is_no_error(flags, tmp_path):
@@ -245,6 +298,8 @@ def test_help_fits_on_two_screens_and_full_help_has_all():
         assert entry.name in full or entry.default_factory is not None
     assert "--Refinement.noise_px" in full
     assert "--Refinement.noise_px" not in output
+    for command in (["info"], ["evaluate"], []):
+        assert "--help_full" in call(*command, "--help_full")
 
 
 def test_help_comes_at_once():
@@ -254,7 +309,7 @@ def test_help_comes_at_once():
     assert time.perf_counter() - started < 0.5
 
 
-@pytest.mark.parametrize("model", ["sparse/0", "sparse"])
+@pytest.mark.parametrize("model", ["sparse/0", "sparse", "sparse/1"])
 def test_workspace_gives_the_paths(scene_paths, tmp_path, model):
     shutil.copytree(scene_paths[0], tmp_path / "images")
     shutil.copytree(scene_paths[1], tmp_path / model)

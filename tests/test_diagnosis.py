@@ -1,7 +1,12 @@
 import pytest
 
 from colmap_edges.diagnosis import diagnose, funnel
-from colmap_edges.options import EdgeGraphOptions, PipelineOptions, TracingOptions
+from colmap_edges.options import (
+    EdgeGraphOptions,
+    MeshingOptions,
+    PipelineOptions,
+    TracingOptions,
+)
 
 READ = {"images_with_poses": 10, "images_without_poses": 0, "points3D": 500}
 DETECT = {"images": 10, "images_without_edges": 0, "chain_pixels": 9000, "edge_pixels": 9000}
@@ -101,6 +106,54 @@ def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
     assert remedy in finding.remedy
 
 
+@pytest.mark.parametrize(
+    ("meshing", "counts", "text", "remedy"),
+    [
+        (
+            {"long_facet_factor": 1e-9},
+            {"boundary_facets": 900, "long_facets_dropped": 900},
+            "900 of 900 triangles have a side longer than 1e-09 distances",
+            "--Meshing.long_facet_factor, or set it to 0",
+        ),
+        (
+            {"min_component_faces": 1000},
+            {"boundary_facets": 900, "component_faces_dropped": 890, "long_facets_dropped": 10},
+            "890 of 900 triangles are in connected components of fewer than 1,000",
+            "lower --Meshing.min_component_faces",
+        ),
+        (
+            {"quality_weight": 900.0},
+            {"points": 50, "boundary_facets": 0},
+            "lines of sight to 50 points",
+            "lower --Meshing.quality_weight (now 900)",
+        ),
+        (
+            {"method": "carve", "vote_threshold": 5000.0},
+            {"points": 50, "boundary_facets": 0},
+            "no surface parts free space from solid",
+            "lower --Meshing.vote_threshold (now 5000)",
+        ),
+    ],
+)
+def test_an_empty_mesh_has_its_reason(meshing, counts, text, remedy):
+    options = PipelineOptions(meshing=MeshingOptions(**meshing))
+    mesh = {"name": "mesh", "counts": {"vertices": 0, "faces": 0, "details": counts}}
+    (finding,) = diagnose([*stages(), mesh], options)
+    assert text in finding.text
+    assert remedy in finding.remedy
+
+
+def test_two_images_are_not_advised_what_cannot_help():
+    options = PipelineOptions(tracing=TracingOptions(min_observations=5))
+    for posed, remedy in ((2, "take more images"), (4, "or set --Tracing.min_observations 4")):
+        (finding,) = diagnose(stages(read={"images_with_poses": posed}), options)
+        assert "must be seen in 5" in finding.text
+        assert finding.remedy.endswith(remedy)
+    two = stages(read={"images_with_poses": 2}, trace={"samples_with_depth": 0}, edges=0)
+    (finding,) = diagnose(two, PipelineOptions())
+    assert "must be seen in 3" in finding.text
+
+
 def test_dropped_by_regular_length():
     options = PipelineOptions(edge_graph=EdgeGraphOptions(filter_regular_length=True))
     (finding,) = diagnose(stages(detect={"edge_pixels": 900}), options)
@@ -147,6 +200,9 @@ def test_flags_that_are_named_exist():
         stages(trace={"samples_with_depth": 1, "samples_confirmed": 0, "points_traced": 900}),
         stages(trace={"samples_confirmed": 3, "views_without_neighbors": 3}),
         stages(trace={"samples_in_runs": 1}, edges=0),
+        [{"name": "mesh", "counts": {"faces": 0, "long_facets_dropped": 1, "boundary_facets": 1}}],
+        [{"name": "mesh", "counts": {"faces": 0, "boundary_facets": 1}}],
+        [{"name": "mesh", "counts": {"faces": 0}}],
     ]
     words = " ".join(f.remedy for run in runs for f in diagnose(run, PipelineOptions())).split()
     named = {word.strip(",.;()") for word in words if word.startswith("--")}

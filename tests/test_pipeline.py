@@ -337,5 +337,51 @@ def test_colors_are_nearly_colmaps_own(scene, scene_paths, method):
 
 
 def test_threads_default_to_the_allowed_cores():
+    cores = len(os.sched_getaffinity(0))
     assert thread_count(PipelineOptions(num_threads=3)) == 3
-    assert thread_count(PipelineOptions()) == len(os.sched_getaffinity(0))
+    assert thread_count(PipelineOptions()) == cores
+    assert thread_count(PipelineOptions(num_threads=50_000)) == 4 * cores
+
+
+def test_report_holds_nothing_but_json():
+    stages = Stages()
+    with stages.stage("read") as stage:
+        stage.counts = {
+            "whole": np.float64(3),
+            "broken": np.array([0.5, np.nan, np.inf]),
+            "inner": {"none": float("-inf"), "word": "nan", "pair": (1, np.int64(2))},
+        }
+    (record,) = stages.records()
+    assert record["counts"] == {
+        "whole": 3,
+        "broken": [0.5, None, None],
+        "inner": {"none": None, "word": "nan", "pair": [1, 2]},
+    }
+    json.dumps(record, allow_nan=False)
+
+
+def test_without_edges_before_a_backdrop_the_points_are_meshed(scene_paths, tmp_path):
+    options = PipelineOptions(report=False, tracing=TracingOptions(min_observations=100))
+    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    found = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    assert found["trace"]["edges"] == 0
+    assert found["mesh"]["faces"] > 100
+    assert any("--Tracing.min_observations" in finding["remedy"] for finding in report["findings"])
+
+
+def test_threads_that_the_system_does_not_give_are_done_without():
+    """Of thousands of threads a few get their stack in the memory that there is."""
+    script = (
+        "import resource, numpy as np\n"
+        "from colmap_edges.meshing import mesh_points\n"
+        "from colmap_edges.options import MeshingOptions\n"
+        "points = np.random.default_rng(0).normal(size=(3000, 3))\n"
+        "rays = np.arange(3001), np.zeros(3000, np.int32), np.full((1, 3), 9.0)\n"
+        "few = mesh_points(points, *rays, MeshingOptions(), num_threads=1)\n"
+        "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 400_000_000,) * 2)\n"
+        "many = mesh_points(points, *rays, MeshingOptions(), num_threads=5000)\n"
+        "print(np.array_equal(few.faces, many.faces), len(few.faces) > 100)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "True True\n", done.stderr
