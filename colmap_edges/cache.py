@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_bytes
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -38,18 +40,19 @@ class Cache:
     """Arrays in a folder, by kind and key; any number of processes may use it at once."""
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`, made when missing.
+        """Use `folder`, made when missing; it may be one that can only be read.
 
         Raises:
-            ColmapEdgesError: when it cannot be made.
+            ColmapEdgesError: when it cannot be made, or not be read.
         """
         self.folder = folder
         self.unfinished = folder / "unfinished"
         try:
             self.unfinished.mkdir(parents=True, exist_ok=True)
+            remove_forgotten(self.unfinished)
         except OSError as error:
-            raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
-        remove_forgotten(self.unfinished)
+            if not (os.path.isdir(folder) and os.access(folder, os.X_OK)):  # noqa: PTH112
+                raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
 
     def path(self, kind: str, key: str) -> Path:
         """Where an entry is."""
@@ -59,10 +62,14 @@ class Cache:
         """The arrays of an entry; None when there is none, or it is damaged."""
         path = self.path(kind, key)
         try:
-            data = path.read_bytes()
-            os.utime(path)  # tells which entries are of use
-        except OSError:
+            data = read_bytes(path)
+        except (FileNotFoundError, NotADirectoryError):
             return None
+        except OSError as error:
+            logger.warning("cannot read cache entry %s (%s); it is made again", path, error)
+            return None
+        with suppress(OSError):  # of another user, or read-only
+            os.utime(path)  # tells which entries are of use
         packed = memoryview(data)[DIGEST_BYTES:]
         if seal(kind, key, packed) == data[:DIGEST_BYTES]:
             try:
@@ -89,7 +96,8 @@ class Cache:
                 file.write(packed.getbuffer())
             unfinished.replace(path)
         except OSError as error:
-            unfinished.unlink(missing_ok=True)
+            with suppress(OSError):  # a read-only folder says so of files that are not there, too
+                unfinished.unlink()
             return not_kept(path, error)
         return True
 

@@ -10,6 +10,7 @@ from typing import Any, TypeGuard, TypeVar, get_type_hints
 
 import click
 
+from colmap_edges.input_files import read_text
 from colmap_edges.options import Options, PipelineOptions, preset
 
 T = TypeVar("T", bound=Options)
@@ -150,7 +151,7 @@ def load_toml(path: Path) -> dict[str, Any]:
     else:
         import tomli as tomllib
     try:
-        return dict(tomllib.loads(path.read_text(encoding="utf-8")))
+        return dict(tomllib.loads(read_text(path)))
     except (OSError, ValueError) as error:
         raise click.UsageError(f"cannot read {path}: {error}") from error
 

@@ -61,6 +61,7 @@ from colmap_edges.overlay import draw_edge_graph
 from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.silhouettes import Background, find_background
 from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
+from colmap_edges.thinning import thinned
 from colmap_edges.viewer import NO_VIEWER, Viewer
 
 logger = logging.getLogger(__name__)
@@ -581,6 +582,7 @@ def trace(
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct 3D edges by the method that the options name."""
     threads = thread_count(options)
+    model = thinned(model, options.random_seed)
     if options.tracing.method == "paper":
         from colmap_edges.paper_tracing import trace_edges_paper
 
