@@ -335,6 +335,7 @@ def model_counts(model: Model) -> dict[str, Any]:
         "images_with_poses": len(model.views),
         "images_without_poses": len(model.unposed_names),
         "points3D": len(model.point3D_ids),
+        **({"points3D_too_far": len(model.far_point3D_ids)} if len(model.far_point3D_ids) else {}),
         "observations": len(model.track_views),
     }
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from colmap_edges.csr import offsets_of
 from colmap_edges.model import Model, rows_by_view
 
 MAX_OBSERVED = 100_000  # SfM points a view; COLMAP extracts 8,192 features of an image by default
@@ -35,13 +32,4 @@ def thinned(model: Model, random_seed: int, max_observed: int = MAX_OBSERVED) ->
         first = np.argsort(ranks[model.track_points[rows]], kind="stable")[:max_observed]
         kept[rows[first]] = True
     lengths = np.bincount(model.track_points[kept], minlength=len(model.point3D_ids))
-    points = np.flatnonzero(lengths)
-    return replace(
-        model,
-        points3D_xyz=model.points3D_xyz[points],
-        point3D_ids=model.point3D_ids[points],
-        points3D_rgb=model.points3D_rgb[points],
-        track_offsets=offsets_of(lengths[points]),
-        track_views=model.track_views[kept],
-        track_points2D=model.track_points2D[kept],
-    )
+    return model.selected(lengths > 0, kept)

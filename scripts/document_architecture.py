@@ -18,7 +18,7 @@ TARGET = ROOT / "docs" / "architecture.md"
 ROOMS = {
     "ground": (
         "errors", "array_types", "csr", "joining", "options", "edges", "stages", "kernels", "cache",
-        "scheduling", "executors", "memory", "input_files",
+        "scheduling", "executors", "memory", "input_files", "plausibility",
     ),
     "COLMAP and pictures": (
         "colmap_files", "model", "thinning", "images", "workspace", "output", "info",
