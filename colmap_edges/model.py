@@ -34,6 +34,10 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.plausibility import check_camera, check_ids, check_pose, within_reach
 
 
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+MAX_LENS_ERROR_PX = 0.1  # of a pixel that is undistorted and distorted again
+
+
 @dataclass(frozen=True, kw_only=True)
 class View:
     """One posed image: COLMAP's image, its camera and its pose.
@@ -65,9 +69,16 @@ class View:
         return center
 
     def ideal_from_image(self, points2D: FloatArray) -> FloatArray:
-        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot."""
-        lifted = np.asarray(self.camera.cam_from_img(np.ascontiguousarray(points2D, np.float64)))
-        return lifted.reshape(-1, 2) * self.focal_px
+        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot.
+
+        That is where its distortion has no inverse, or looks more than 90 degrees aside.
+        """
+        points2D = np.ascontiguousarray(points2D, np.float64)
+        ideal = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
+        if self.camera.model.name not in PINHOLES:  # COLMAP gives some pixels rays of others
+            off = np.abs(self.image_from_ideal(ideal) - points2D).max(axis=1, initial=0)
+            ideal[~(off < MAX_LENS_ERROR_PX)] = np.nan
+        return ideal
 
     def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
         """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
