@@ -51,7 +51,7 @@ class Cache:
             self.unfinished.mkdir(parents=True, exist_ok=True)
             remove_forgotten(self.unfinished)
         except OSError as error:
-            if not (os.path.isdir(folder) and os.access(folder, os.X_OK)):  # noqa: PTH112
+            if not can_be_entered(folder):
                 raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
 
     def path(self, kind: str, key: str) -> Path:
@@ -100,6 +100,15 @@ class Cache:
                 unfinished.unlink()
             return not_kept(path, error)
         return True
+
+
+def can_be_entered(folder: Path) -> bool:
+    """Whether files of a folder can be opened by their names."""
+    try:
+        os.stat(f"{folder}/.")  # noqa: PTH116, as a Path drops the dot
+    except OSError:
+        return False
+    return True
 
 
 def not_kept(path: Path, error: OSError) -> bool:

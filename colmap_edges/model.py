@@ -33,7 +33,6 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.plausibility import check_camera, check_ids, check_pose, within_reach
 
-
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 MAX_LENS_ERROR_PX = 0.1  # of a pixel that is undistorted and distorted again
 

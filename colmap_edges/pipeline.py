@@ -156,7 +156,8 @@ def run(
     Raises:
         ColmapEdgesError: on bad input or options.
     """
-    paths = Paths(**{name: path and path.resolve() for name, path in vars(paths).items()})
+    # Unlike Path.resolve, it raises nothing where links run in a circle.
+    paths = Paths(**{n: path and Path(os.path.realpath(path)) for n, path in vars(paths).items()})
     check_paths(paths, overwrite)
     if scheduler and paths.cache_path is None:
         raise OptionError("a scheduler needs cache_path: through it graphs go to the workers")

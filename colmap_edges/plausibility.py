@@ -73,9 +73,12 @@ def check_pose(cam_from_world: Any, name: str) -> None:
             f"the pose of image {name} has the translation {matrix[:, 3].tolist()}, which is "
             "nowhere; deregister it"
         )
-    # COLMAP takes quaternions that it cannot normalize for no rotation at all.
-    if abs(np.linalg.norm(cam_from_world.rotation.quat) - 1) > 1e-3:
-        raise ColmapEdgesError(f"the pose of image {name} has no rotation; deregister it")
+    length = float(np.linalg.norm(cam_from_world.rotation.quat))
+    if abs(length - 1) > 1e-3:  # COLMAP takes one that it cannot normalize for no rotation at all
+        raise ColmapEdgesError(
+            f"the rotation of image {name} is a quaternion of length {length:g}, not 1; "
+            "deregister it"
+        )
 
 
 def check_ids(point3D_ids: NDArray[np.uint64]) -> None:

@@ -25,7 +25,7 @@ WRITE = {"median_residual_px": 0.2}
 PAPER_OPTIONS = PipelineOptions(tracing=TracingOptions(method="paper"))
 
 
-def stages(read=(), detect=(), trace=(), write=(), details=CHAINS, edges=40):
+def stages(read=(), detect=(), trace=(), write=(), mesh=(), details=CHAINS, edges=40):
     """Records of a run in which all went well but for what is given."""
     traced = {"edges": edges, "edge_points": 5 * edges, "details": {**details, **dict(trace)}}
     return [
@@ -33,6 +33,7 @@ def stages(read=(), detect=(), trace=(), write=(), details=CHAINS, edges=40):
         {"name": "detect", "counts": {**DETECT, **dict(detect)}},
         {"name": "trace", "counts": traced},
         {"name": "write", "counts": {**WRITE, **dict(write)}},
+        {"name": "mesh", "counts": {"faces": 900, **dict(mesh)}},
     ]
 
 
@@ -47,6 +48,18 @@ def test_nothing_to_say_when_all_went_well(options, details):
     ("lost", "text", "remedy"),
     [
         ({"read": {"images_with_poses": 2}}, "only 2 images have poses", "min_observations 2"),
+        ({"read": {"points3D_too_far": 7}}, "7 of 507 SfM points are at infinity", "tri_angle"),
+        (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
+            "no edge was detected in any of 10 images where masks do not hide it",
+            "look at the masks",
+        ),
+        (
+            {"detect": {"images_masked": 9}, "edges": 0},
+            "no 3D edge came out of what masks leave of 9 of 10 images",
+            "invert them",
+        ),
+        ({"mesh": {"faces": 0}}, "the mesh has no face", "--Meshing.background_weight 0"),
         ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (
@@ -147,6 +160,7 @@ def test_flags_that_are_named_exist():
         stages(trace={"samples_with_depth": 1, "samples_confirmed": 0, "points_traced": 900}),
         stages(trace={"samples_confirmed": 3, "views_without_neighbors": 3}),
         stages(trace={"samples_in_runs": 1}, edges=0),
+        stages(mesh={"faces": 0}),
     ]
     words = " ".join(f.remedy for run in runs for f in diagnose(run, PipelineOptions())).split()
     named = {word.strip(",.;()") for word in words if word.startswith("--")}
