@@ -7,6 +7,9 @@ imported when first used, so that the command line starts at once.
 
 from __future__ import annotations
 
+# pycolmap brings compression symbols of its own, which corrupt memory where they are found before
+# those of zlib. Loaded here, zlib comes first whatever module of this package imports pycolmap.
+import zlib  # noqa: F401
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_bytes
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -38,19 +40,20 @@ class Cache:
     """Arrays in a folder, by kind and key; any number of processes may use it at once."""
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`, made when missing.
+        """Use `folder`, made when missing; it may be one that can only be read.
 
         Raises:
-            ColmapEdgesError: when it cannot be made.
+            ColmapEdgesError: when it cannot be made, or not be read.
         """
         self.folder = folder
         self.has_warned = False
         self.unfinished = folder / "unfinished"
         try:
             self.unfinished.mkdir(parents=True, exist_ok=True)
+            remove_forgotten(self.unfinished)
         except OSError as error:
-            raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
-        remove_forgotten(self.unfinished)
+            if not can_be_entered(folder):
+                raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
 
     def path(self, kind: str, key: str) -> Path:
         """Where an entry is."""
@@ -60,10 +63,14 @@ class Cache:
         """The arrays of an entry; None when there is none, or it is damaged."""
         path = self.path(kind, key)
         try:
-            data = path.read_bytes()
-            os.utime(path)  # tells which entries are of use
-        except OSError:
+            data = read_bytes(path)
+        except (FileNotFoundError, NotADirectoryError):
             return None
+        except OSError as error:
+            logger.warning("cannot read cache entry %s (%s); it is made again", path, error)
+            return None
+        with suppress(OSError):  # of another user, or read-only
+            os.utime(path)  # tells which entries are of use
         packed = memoryview(data)[DIGEST_BYTES:]
         if seal(kind, key, packed) == data[:DIGEST_BYTES]:
             try:
@@ -90,7 +97,8 @@ class Cache:
                 file.write(packed.getbuffer())
             unfinished.replace(path)
         except OSError as error:
-            unfinished.unlink(missing_ok=True)
+            with suppress(OSError):  # a read-only folder says so of files that are not there, too
+                unfinished.unlink()
             return self.not_kept(path, error)
         return True
 
@@ -100,6 +108,15 @@ class Cache:
         self.has_warned = True
         logger.log(level, "cannot write cache entry %s (%s); go on without", path, error.strerror)
         return False
+
+
+def can_be_entered(folder: Path) -> bool:
+    """Whether files of a folder can be opened by their names."""
+    try:
+        os.stat(f"{folder}/.")  # noqa: PTH116, as a Path drops the dot
+    except OSError:
+        return False
+    return True
 
 
 def seal(kind: str, key: str, packed: memoryview) -> bytes:

@@ -6,8 +6,10 @@ reads or appends in milliseconds; the formats are simple and fixed.
 
 from __future__ import annotations
 
+import os
 import struct
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from colmap_edges.array_types import ByteArray, FloatArray, IntArray
 from colmap_edges.csr import order_of, ranks_of
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import open_file, read_bytes
 
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
 POINT3D = np.dtype(
@@ -32,6 +35,8 @@ IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera
 NO_POINT3D = np.iinfo(np.uint64).max  # of a point2D that observes none
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
+GATHERED = 100_000  # records at once: their bytes' places take many times their memory
+MODEL_NAMES = ("cameras", "images", "points3D", "rigs", "frames")
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,17 @@ class ModelPoints:
     points3D: NDArray[np.void]
 
 
+def check_are_files(folder: Path) -> None:
+    """Check that what is named as a model's files can be opened as one: pycolmap waits for pipes.
+
+    Raises:
+        OSError: when one cannot.
+    """
+    for name, suffix in product(MODEL_NAMES, (".bin", ".txt")):
+        if os.path.lexists(folder / (name + suffix)):
+            open_file(folder / (name + suffix)).close()
+
+
 def is_binary(folder: Path) -> bool:
     """Whether a folder holds a binary model, which is what pycolmap reads if it does."""
     return all((folder / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D"))
@@ -70,12 +86,12 @@ def read_points(folder: Path) -> ModelPoints:
         ColmapEdgesError: when a file is truncated or has bytes too many.
     """
     images, points3D = folder / "images.bin", folder / "points3D.bin"
-    data = images.read_bytes()
+    data = read_bytes(images)
     points2D = {
         image.image_id: np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
         for image in image_records(data, images)
     }
-    data = points3D.read_bytes()
+    data = read_bytes(points3D)
     heads = gather(data, point3D_records(data, points3D)[0], POINT3D)
     return ModelPoints(points2D, heads[np.argsort(heads["id"])])
 
@@ -94,7 +110,7 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
         return
     files = {name: folder / f"{name}.bin" for name in ("cameras", "images", "points3D")}
     check_cameras(files["cameras"], parameters_of_model)
-    data = files["images"].read_bytes()
+    data = read_bytes(files["images"])
     images = image_records(data, files["images"])
     check_image_points(data, images, files["images"])
     if not (folder / "frames.bin").is_file():
@@ -135,7 +151,7 @@ class Reader:
     def __init__(self, path: Path) -> None:
         """Read the whole file."""
         self.path = path
-        self.data = path.read_bytes()
+        self.data = read_bytes(path)
         self.at = 0
 
     def take(self, layout: struct.Struct) -> tuple[int, ...]:
@@ -232,7 +248,7 @@ def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None
 
 def check_points3D(path: Path, images: list[ImageSpan]) -> None:
     """Check the records of points3D.bin and that each track points at an existing point2D."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     starts, lengths = point3D_records(data, path)
     heads = gather(data, starts, POINT3D)
     if len(np.unique(heads["id"])) != len(heads):
@@ -276,8 +292,12 @@ def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
 
 def gather(data: bytes, offsets: IntArray, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Records of `dtype` at byte `offsets` (N,) of `data`."""
-    raw = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(dtype.itemsize)]
-    return np.ascontiguousarray(raw).view(dtype).reshape(-1)
+    raw, within = np.frombuffer(data, np.uint8), np.arange(dtype.itemsize)
+    records = np.empty(len(offsets), dtype)
+    for start in range(0, len(offsets), GATHERED):
+        places = offsets[start : start + GATHERED, None] + within
+        records[start : start + GATHERED] = raw[places].view(dtype).reshape(-1)
+    return records
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,7 +331,7 @@ def append_points(folder: Path, points: NewPoints) -> None:
 
 def append_points2D(path: Path, points: NewPoints) -> IntArray:
     """Append the observations to their images; return the point2D index (T,) of each."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     owners = np.repeat(points.ids, np.diff(points.track_offsets))
     indices = np.empty(len(owners), np.int64)
     order = order_of(points.track_image_ids, int(points.track_image_ids.max(initial=0)) + 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ def offsets_of(lengths: IntArray) -> IntArray:
     offsets = np.zeros(len(lengths) + 1, np.int64)
     np.cumsum(lengths, out=offsets[1:])
     return offsets
+
+
+def joined_offsets(parts: Sequence[IntArray]) -> IntArray:
+    """CSR offsets of rows that come part by part, of the (n + 1,) offsets of each part."""
+    return offsets_of(np.concatenate([np.zeros(0, np.int64), *map(np.diff, parts)]))
 
 
 def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:

@@ -20,6 +20,10 @@ MIN_POSED_SHARE = 0.7
 LARGE_RESIDUAL_PX = 1.0
 MAX_NAMES = 3
 MIN_VIEWS = 3  # in which an edge must be seen: any two agree on some depth, and one confirms it
+MASKS_REMEDY = (
+    "look at the masks: edges are looked for where they are not black; invert them if they are "
+    "the other way round, or leave out --mask_path"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +82,8 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
         if enough and counts.get("detect", {}).get("edge_pixels", 1):
             paper = options.tracing.method == "paper"
             findings += (paper_findings if paper else chain_findings)(trace, options)
+        if trace["edges"] == 0:
+            findings += masks_findings(counts.get("detect", {}))
         if trace["edges"] == 0 and not findings:
             findings.append(no_edges(trace, options))
     findings += residual_findings(counts.get("write", {}))
@@ -101,6 +107,12 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
         yield Finding(
             text=f"{unposed} of {posed + unposed} images have no pose and are not used",
             remedy="register more of them with `colmap mapper` (more overlap, more features)",
+        )
+    if far := read.get("points3D_too_far"):
+        yield Finding(
+            text=f"{far} of {far + read.get('points3D', 0)} SfM points are at infinity and are not "
+            "used; the written model still has them",
+            remedy="delete them with `colmap point_filtering` and its --min_tri_angle",
         )
     if posed and read.get("points3D") == 0:
         yield Finding(
@@ -126,11 +138,16 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
             remedy="replace the damaged files and run again",
         )
         images -= len(damaged)
-    if images and empty == images:
+    if images and empty == images and not detect.get("images_masked"):
         yield Finding(
             text=f"no edge was detected in any of {images} images",
             remedy="look at the images (blank, blurred, dark?); detect shorter chains with "
             "--Detection.min_chain_length_px",
+        )
+    elif images and empty == images:
+        yield Finding(
+            text=f"no edge was detected in any of {images} images where masks do not hide it",
+            remedy=MASKS_REMEDY,
         )
     elif empty:
         yield Finding(
@@ -287,9 +304,20 @@ def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
     return Finding(
         text="the mesh is empty: no surface parts free space from solid; lines of sight to "
         f"{mesh.get('points', 0):,} points do not outweigh what asks for none",
-        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); give a model with more "
-        "points, none of them far away from all others",
+        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}), where a backdrop or masks "
+        "are background also try --Meshing.background_weight 0; give a model with more points, "
+        "none of them far away from all others",
     )
+
+
+def masks_findings(detect: Counts) -> Iterator[Finding]:
+    """What masks have to do with it when no edge came out and some were detected."""
+    images, masked = detect.get("images", 0), detect.get("images_masked", 0)
+    if masked and detect.get("edge_pixels"):
+        yield Finding(
+            text=f"no 3D edge came out of what masks leave of {masked} of {images} images",
+            remedy=MASKS_REMEDY,
+        )
 
 
 def residual_findings(write: Counts) -> Iterator[Finding]:

@@ -13,6 +13,10 @@ class ImageError(ColmapEdgesError):
     """An image file is damaged; a run can go on without it."""
 
 
+class NotAFileError(ColmapEdgesError, OSError):
+    """A pipe, a device or a folder is where a file should be."""
+
+
 class OptionError(ColmapEdgesError, ValueError):
     """An option's value is outside its range."""
 

@@ -12,6 +12,7 @@ from typing import Any, TypeGuard, TypeVar, get_type_hints
 import click
 
 from colmap_edges.declared_options import Options, group_prefix, range_text, shown
+from colmap_edges.input_files import read_text
 from colmap_edges.options import PipelineOptions, preset
 
 T = TypeVar("T", bound=Options)
@@ -209,7 +210,7 @@ def load_toml(path: Path) -> dict[str, Any]:
     else:
         import tomli as tomllib
     try:
-        return flatten(tomllib.loads(path.read_text(encoding="utf-8-sig")))
+        return flatten(tomllib.loads(read_text(path).removeprefix("\ufeff")))
     except (OSError, ValueError) as error:
         raise click.UsageError(f"cannot read {path}: {error}") from error
     except RecursionError as error:

@@ -11,6 +11,7 @@ import numpy as np
 
 from colmap_edges.array_types import ByteArray, FloatArray, Picture
 from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.input_files import open_file
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.model import View
 
@@ -99,7 +100,8 @@ def read_bytes(path: Path) -> ByteArray:
         ImageError: when it cannot be read.
     """
     try:
-        return np.fromfile(path, np.uint8)
+        with open_file(path) as file:
+            return np.fromfile(file, np.uint8)
     except (OSError, MemoryError) as error:
         raise unreadable(path, error) from error
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_text
 from colmap_edges.model import Model, load_model
 from colmap_edges.output import REPORT_NAME
 from colmap_edges.workspace import find_model, is_model
@@ -77,6 +78,6 @@ def count_lines(counts: dict[str, Any], indent: str) -> list[str]:
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object written by this package."""
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        return dict(json.loads(read_text(path)))
     except (OSError, ValueError) as error:
         raise ColmapEdgesError(f"cannot read {path}: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from colmap_edges.array_types import BoolArray, ByteArray
 from colmap_edges.csr import owners_of, ranges_of
 from colmap_edges.detection import Chains
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images import is_file, path_of_image, read_bytes, square
+from colmap_edges.images import path_of_image, read_bytes, square
 from colmap_edges.model import View
 
 # An edge along the border of a mask belongs to what is seen beside it, and masks are drawn roughly.
@@ -50,7 +51,8 @@ def path_of_mask(mask_path: Path, name: str) -> Path | None:
         return mask_path
     names = [name + ".png", name] if name.lower().endswith(".png") else [name + ".png"]
     found = (path_of_image(mask_path, each) for each in names)
-    return next((path for path in found if is_file(path)), None)
+    # What is no file is not left out in silence: reading it says so.
+    return next((path for path in found if os.path.lexists(path)), None)
 
 
 def check_masks(views: Iterable[View], mask_path: Path) -> None:
@@ -59,7 +61,7 @@ def check_masks(views: Iterable[View], mask_path: Path) -> None:
     Raises:
         ColmapEdgesError: when no image has one.
     """
-    if not mask_path.exists():
+    if not (mask_path.is_dir() or mask_path.is_file()):
         raise ColmapEdgesError(f"mask_path {mask_path} is neither a folder nor a file")
     names = [view.name for view in views]
     if not any(path_of_mask(mask_path, name) for name in names):

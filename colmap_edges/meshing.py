@@ -12,11 +12,11 @@ import numpy as np
 
 from colmap_edges.array_types import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.backdrop import BackgroundRays
-from colmap_edges.csr import offsets_of
+from colmap_edges.csr import joined_offsets
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import MeshingOptions
 from colmap_edges.output import write_whole
-from colmap_edges.silhouettes import Background
+from colmap_edges.silhouettes import Background, SeenPoints
 
 if TYPE_CHECKING:
     from colmap_edges.edges import Edges3D
@@ -105,28 +105,20 @@ def mesh_with_curves(
     background: Background | None = None,
 ) -> Mesh:
     """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
-    points, cameras = [model.points3D_xyz], [model.track_views]
-    tracks, lines = [np.diff(model.track_offsets)], [np.zeros(0, np.int64)]
-    for each in curves:
-        points.append(each.points)
-        cameras.append(each.track_views)
-        tracks.append(np.diff(each.track_offsets))
-        lines.append(np.diff(each.edge_offsets))
-    first, count = len(model.points3D_xyz), sum(len(part) for part in points)
+    seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
+    seen += [SeenPoints(each.points, each.track_offsets, each.track_views) for each in curves]
+    first, count = len(model.points3D_xyz), sum(len(part.points) for part in seen)
     polylines = Polylines(
         np.arange(first, count, dtype=np.int32),
-        offsets_of(np.concatenate(lines)),
+        joined_offsets([each.edge_offsets for each in curves]),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
     if background and options.background_weight:
-        more = background.silhouettes
-        points.append(more.points)
-        cameras.append(more.track_views)
-        tracks.append(np.diff(more.track_offsets))
+        seen.append(background.silhouettes)
     return mesh_points(
-        np.concatenate(points),
-        offsets_of(np.concatenate(tracks)),
-        np.concatenate(cameras),
+        np.concatenate([part.points for part in seen]),
+        joined_offsets([part.track_offsets for part in seen]),
+        np.concatenate([part.track_views for part in seen]),
         model.camera_centers,
         options,
         polylines if curves else None,

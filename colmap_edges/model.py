@@ -5,9 +5,9 @@ from __future__ import annotations
 import copy
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import zip_longest
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from colmap_edges.colmap_files import (
     ModelPoints,
     NewPoints,
     append_points,
+    check_are_files,
     check_model_files,
     check_text_files,
     is_binary,
@@ -30,6 +31,10 @@ from colmap_edges.colmap_files import (
 from colmap_edges.csr import offsets_of, order_of, owners_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.plausibility import check_camera, check_ids, check_pose, within_reach
+
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+MAX_LENS_ERROR_PX = 0.1  # of a pixel that is undistorted and distorted again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +68,16 @@ class View:
         return center
 
     def ideal_from_image(self, points2D: FloatArray) -> FloatArray:
-        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot."""
-        lifted = np.asarray(self.camera.cam_from_img(np.ascontiguousarray(points2D, np.float64)))
-        return lifted.reshape(-1, 2) * self.focal_px
+        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot.
+
+        That is where its distortion has no inverse, or looks more than 90 degrees aside.
+        """
+        points2D = np.ascontiguousarray(points2D, np.float64)
+        ideal = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
+        if self.camera.model.name not in PINHOLES:  # COLMAP gives some pixels rays of others
+            off = np.abs(self.image_from_ideal(ideal) - points2D).max(axis=1, initial=0)
+            ideal[~(off < MAX_LENS_ERROR_PX)] = np.nan
+        return ideal
 
     def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
         """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
@@ -116,6 +128,7 @@ class Model:
         track_points2D: (T, 2) float64 observed image pixels, COLMAP's origin.
         unposed_names: images of the model that have no pose.
         reconstruction: the pycolmap.Reconstruction it was made from; never written to.
+        far_point3D_ids: (F,) int64 ids of its points at infinity, which are left out here.
     """
 
     views: tuple[View, ...]
@@ -127,6 +140,7 @@ class Model:
     track_points2D: FloatArray
     unposed_names: tuple[str, ...]
     reconstruction: Any
+    far_point3D_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scale(self) -> float:
@@ -136,6 +150,19 @@ class Model:
     def at_scale(self, scale: float) -> Model:
         """The same model with every view enlarged `scale` times."""
         return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
+
+    def selected(self, points: BoolArray, observations: BoolArray) -> Model:
+        """The model of some of the (N,) points and (T,) observations; these are of such points."""
+        lengths = np.bincount(self.track_points[observations], minlength=len(points))
+        return replace(
+            self,
+            points3D_xyz=self.points3D_xyz[points],
+            point3D_ids=self.point3D_ids[points],
+            points3D_rgb=self.points3D_rgb[points],
+            track_offsets=offsets_of(lengths[points]),
+            track_views=self.track_views[observations],
+            track_points2D=self.track_points2D[observations],
+        )
 
     @cached_property
     def track_points(self) -> IntArray:
@@ -158,6 +185,7 @@ def load_model(path: Path | str) -> Model:
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # the error says it all
     try:
+        check_are_files(path)
         check_model_files(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
         points = read_points(path) if is_binary(path) else None
@@ -187,7 +215,8 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         points: its points, where they are at hand.
 
     Raises:
-        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together.
+        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together. Points
+            at infinity are left out.
     """
     try:
         images = sorted(reconstruction.images.values(), key=lambda image: image.name)
@@ -196,8 +225,12 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
             f"the name of an image of the model is not UTF-8 ({error.object!r}); rename the image"
         ) from error
     posed = [image for image in images if image.has_pose]
+    for image in posed:
+        check_camera(image.camera, image.name)
+        check_pose(image.cam_from_world(), image.name)
     views = tuple(view_from_image(image) for image in posed)
     points = points or points_of(reconstruction)
+    check_ids(points.points3D["id"])
     ids = points.points3D["id"].astype(np.int64)
     observed = [points.points2D[image.image_id] for image in posed]
     offsets, track_views, track_points2D = tracks_by_point(observed, ids)
@@ -213,7 +246,7 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         reconstruction=reconstruction,
     )
     check_values(model)
-    return model
+    return without_far_points(model)
 
 
 def points_of(reconstruction: Any) -> ModelPoints:
@@ -230,27 +263,31 @@ def points_of(reconstruction: Any) -> ModelPoints:
 
 
 def check_values(model: Model) -> None:
-    """Check that poses, cameras and points are numbers, and names of images unique.
+    """Check that points are numbers, their ids leave room for more, and names of images differ.
 
     Raises:
         ColmapEdgesError: naming the first that is not.
     """
-    for view, following in zip_longest(model.views, model.views[1:]):
-        if following and view.name == following.name:
+    for view, following in pairwise(model.views):
+        if view.name == following.name:
             raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
-        if not (np.isfinite(view.rotation).all() and np.isfinite(view.translation).all()):
-            raise ColmapEdgesError(f"the pose of image {view.name} is not finite; deregister it")
-        params = np.asarray(view.camera.params)
-        if not np.isfinite(params).all() or not (params[view.camera.focal_length_idxs()] > 0).all():
-            raise ColmapEdgesError(
-                f"the camera of image {view.name} has the parameters "
-                f"{view.camera.params_to_string()}; they must be finite and the focal length > 0"
-            )
     if not np.isfinite(model.track_points2D).all():
         raise ColmapEdgesError("a point2D of the model that observes a point3D is not finite")
     bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
     if len(bad):
         raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
+
+
+def without_far_points(model: Model) -> Model:
+    """The model without points at infinity, which tell nothing; their ids are kept.
+
+    Written models have all points that were given.
+    """
+    near = within_reach(model.points3D_xyz, model.camera_centers)
+    if near.all():
+        return model
+    rest = model.selected(near, near[model.track_points])
+    return replace(rest, far_point3D_ids=model.point3D_ids[~near])
 
 
 def view_from_image(image: Any, scale: float = 1.0) -> View:
@@ -442,10 +479,11 @@ def new_points(
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
     if residuals is None:
         residuals = observation_residuals(model, edges)
-    first_id = int(model.point3D_ids[-1]) + 1 if len(model.point3D_ids) else 1
     lengths = np.diff(edges.track_offsets)
     sums = np.bincount(edges.track_points, residuals, edges.num_points)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
+    known = (model.point3D_ids, model.far_point3D_ids)
+    first_id = 1 + int(max(ids.max(initial=0) for ids in known))
     return NewPoints(
         ids=first_id + np.arange(edges.num_points, dtype=np.int64),
         xyz=edges.points,

@@ -54,7 +54,7 @@ def find_hidden(
             view,
             np.concatenate([points[seen], around]),
             np.concatenate([sigmas[seen], np.zeros(len(around))]),
-            np.concatenate([curves[seen], -1 - np.arange(len(around))]),
+            np.concatenate([curves[seen], np.full(len(around), -1)]),
             radius_px,
             num_threads,
         )
@@ -72,7 +72,8 @@ def count_around(
 ) -> tuple[IntArray, IntArray]:
     """How many neighbours of each of (N, 3) points in an image are nearer, and as far as it is.
 
-    Points behind the camera or beside it have no neighbours and are none.
+    Points behind the camera or beside it have no neighbours and are none. Points of no curve (-1)
+    are neighbours, but their own are not counted: there may be millions.
     """
     ideal, depths = view.project_ideal(points)
     with np.errstate(invalid="ignore"):

@@ -62,6 +62,7 @@ from colmap_edges.overlay import draw_edge_graph
 from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.silhouettes import Background, find_background
 from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
+from colmap_edges.thinning import thinned
 from colmap_edges.viewer import NO_VIEWER, Viewer
 
 logger = logging.getLogger(__name__)
@@ -158,7 +159,8 @@ def run(
     Raises:
         ColmapEdgesError: on bad input or options.
     """
-    paths = Paths(**{name: path and path.resolve() for name, path in vars(paths).items()})
+    # Unlike Path.resolve, it raises nothing where links run in a circle.
+    paths = Paths(**{n: path and Path(os.path.realpath(path)) for n, path in vars(paths).items()})
     check_paths(paths, overwrite)
     if command != "mesh" or options.use_edges:
         image_folder(paths)
@@ -350,6 +352,7 @@ def model_counts(model: Model) -> dict[str, Any]:
         "images_with_poses": len(model.views),
         "images_without_poses": len(model.unposed_names),
         "points3D": len(model.point3D_ids),
+        **({"points3D_too_far": len(model.far_point3D_ids)} if len(model.far_point3D_ids) else {}),
         "observations": len(model.track_views),
     }
 
@@ -599,6 +602,7 @@ def trace(
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct 3D edges by the method that the options name."""
     threads = thread_count(options)
+    model = thinned(model, options.random_seed)
     if options.tracing.method == "paper":
         from colmap_edges.paper_tracing import trace_edges_paper
 

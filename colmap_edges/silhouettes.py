@@ -118,6 +118,12 @@ def find_background(
     rays = background_rays(model.views, backdrops, are_masks)
     if rays is None:
         return None
+    if not any(backdrop.body_pixels[0] for backdrop in backdrops):
+        logger.warning(
+            "masks_are_background is 1, but masks hide all of every image; the mesh is made "
+            "without them; invert them if they are the other way round: black hides"
+        )
+        return None
     known = edges.points if edges.num_points else model.points3D_xyz
     bodies = spread_bodies(model.views, backdrops, known)
     contradicted = contradicted_share(list(bodies.values()), known)
@@ -130,8 +136,11 @@ def find_background(
             100 * contradicted,
         )
     # Bodies as bright as the backdrop may seem cut off.
-    has_silhouettes = edges.num_points > 0 and shows_holes(backdrops)
-    return Background(rays, silhouette_points(bodies, known) if has_silhouettes else NO_POINTS)
+    if not shows_holes(backdrops):
+        return Background(rays, NO_POINTS)
+    if not edges.num_points:  # SfM points are of the background, too
+        known = known[within(list(bodies.values()), known)]
+    return Background(rays, silhouette_points(bodies, known) if len(known) else NO_POINTS)
 
 
 def spread_bodies(
@@ -161,7 +170,7 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
 
     Args:
         bodies: what is seen of them, by the indices of the views.
-        known: (N, 3) points of edges, some at least.
+        known: (N, 3) points of edges, or SfM points of bodies; some at least.
     """
     if len(bodies) < 2:
         return NO_POINTS

@@ -56,6 +56,8 @@ class DepthRange:
         low, high = self.overall
         corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
         size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
+        # A point next to the camera's plane may be anywhere: no more cells in a row than points.
+        size = max(size, float(extent.max()) / len(self.pixels))
         x, y = (np.arange(0, length, size) + size / 2 for length in extent)
         middles = np.stack(np.meshgrid(x, y), axis=-1) + corner
         _, near = cKDTree(self.pixels).query(middles, NEAR_POINTS)

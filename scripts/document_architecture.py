@@ -18,10 +18,11 @@ TARGET = ROOT / "docs" / "architecture.md"
 ROOMS = {
     "ground": (
         "errors", "array_types", "csr", "joining", "declared_options", "options", "edges", "stages", "kernels", "cache",
-        "scheduling", "executors", "memory",
+        "scheduling", "executors", "memory", "input_files", "plausibility",
     ),
     "COLMAP and pictures": (
-        "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
+        "colmap_files", "model", "thinning", "images", "workspace", "output", "info",
+        "triangulation",
     ),
     "2D edges": (
         "blur", "detection", "enlargement", "masks", "backdrop", "corners", "edge_graph",

@@ -1,6 +1,10 @@
 """Shared fixtures: a synthetic scene on disk, made once a session."""
 
 import hashlib
+import os
+import shutil
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -85,3 +89,29 @@ def hash_output(hash_folder):
         return digests
 
     return digest
+
+
+@pytest.fixture
+def public():
+    """A folder that every user may enter; those of pytest are the user's own."""
+    folder = Path(tempfile.mkdtemp(prefix="colmap-edges-test-"))
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def other_user():
+    """A context in which files are opened as a user without rights; needs root."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can act as another user")
+
+    @contextmanager
+    def acting():
+        os.seteuid(65534)
+        try:
+            yield
+        finally:
+            os.seteuid(0)
+
+    return acting

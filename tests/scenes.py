@@ -155,6 +155,16 @@ def make_camera(model, width, height):
         "SIMPLE_RADIAL": {3: -0.05},
         "OPENCV": {4: -0.06, 5: 0.02, 6: 0.001, 7: -0.001},
         "OPENCV_FISHEYE": {4: 0.02, 5: -0.01},
+        "RADIAL": {3: -0.05, 4: 0.02},
+        "SIMPLE_RADIAL_FISHEYE": {3: 0.02},
+        "RADIAL_FISHEYE": {3: 0.02, 4: -0.01},
+        "FULL_OPENCV": {4: -0.06, 5: 0.02, 6: 0.001, 9: 0.01},
+        "FOV": {4: 0.4},
+        "THIN_PRISM_FISHEYE": {4: 0.02, 6: 0.001, 10: 0.001},
+        "RAD_TAN_THIN_PRISM_FISHEYE": {4: 0.02, 10: 0.001, 12: 0.001},
+        "SIMPLE_DIVISION": {3: -0.05},
+        "DIVISION": {4: -0.05},
+        "EUCM": {4: 0.4, 5: 1.1},
     }
     params = np.array(camera.params)
     for index, value in distortion.get(model, {}).items():

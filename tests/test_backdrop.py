@@ -220,3 +220,40 @@ def test_masked_views_without_masks_show_no_background(small, tmp_path):
     store = pipeline.detect_stage(model, small[0], options, pipeline.Stages(), mask_path=masks)
     assert sum(backdrop.is_seen for backdrop in store.backdrops) == 2
     assert isinstance(store.backdrops[0], Backdrop)
+
+
+def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):
+    """Bodies as blurred as clouds before white: SfM points, and rays past the bodies."""
+    images = tmp_path / "images"
+    images.mkdir()
+    y, x = np.mgrid[:180, :240]
+    cloud = np.clip(60 - np.hypot(x - 120, y - 90), 0, 60)
+    for path in small[0].iterdir():
+        cv2.imwrite(str(images / path.name), np.rint(255 - 0.5 * cloud).astype(np.uint8))
+    paths = paths_of((images, small[1]), tmp_path, None)
+    report = run("mesh", paths, PipelineOptions(num_threads=2))
+    counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    assert counts["detect"]["edge_pixels"] == counts["trace"]["edges"] == 0
+    assert counts["mesh"]["faces"] > 500
+    assert "no edge was detected in any of 6 images" in report["findings"][0]["text"]
+    result = reconstruct(pycolmap.Reconstruction(str(small[1])), images)
+    found = mesh(small[1], result.edges, background=result.background)
+    assert len(found.faces) == counts["mesh"]["faces"]
+
+
+@pytest.mark.parametrize("are_background", [True, False])
+@pytest.mark.parametrize("left", ["nothing", "a blob"])
+def test_masks_that_leave_no_edge_are_told_of(small, tmp_path, left, are_background):
+    """Such as inverted ones, for which what there is gets meshed."""
+    mask = np.zeros((180, 240), np.uint8)
+    if left == "a blob":
+        mask[80:100, 110:130] = 255
+    masks = write_masks(tmp_path / "masks", small[0], mask)
+    options = PipelineOptions(num_threads=2, masks_are_background=are_background)
+    report = run("mesh", paths_of(small, tmp_path, masks), options)
+    counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    assert counts["trace"]["edges"] == 0
+    assert counts["mesh"]["faces"] > (500 if left == "nothing" or not are_background else 0)
+    remedies = [finding["remedy"] for finding in report["findings"]]
+    assert sum("look at the masks" in remedy for remedy in remedies) == 1
+    assert (tmp_path / "out" / "mesh.ply").is_file()

@@ -127,6 +127,41 @@ def test_folder_that_cannot_be_made(tmp_path):
         Cache(tmp_path / "file" / "cache")
 
 
+def test_a_cache_of_another_user_is_read(public, other_user, caplog):
+    """Entries that may be read but not touched are found; those that may not be read are not."""
+    cache = Cache(public / "cache")
+    for key in ("open", "closed"):
+        assert cache.save("kind", key, ARRAYS)
+    for path in [cache.folder, *cache.folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    cache.path("kind", "closed").chmod(0o600)
+    for folder in (None, cache.unfinished):
+        if folder:  # as a user keeps it who cleans up
+            folder.rmdir()
+        with other_user():
+            theirs = Cache(cache.folder)
+            found = theirs.load("kind", "open")
+            assert theirs.load("kind", "closed") is None
+            assert theirs.load("kind", "missing") is None
+            assert not theirs.save("kind", "new", ARRAYS)
+        np.testing.assert_array_equal(found["a"], ARRAYS["a"])
+    assert "cannot read cache entry" in caplog.text
+    assert "missing" not in caplog.text
+    cache.folder.chmod(0o700)
+    with other_user(), pytest.raises(ColmapEdgesError, match=r"cannot use .*ermission denied"):
+        Cache(cache.folder)
+
+
+def test_a_cache_of_another_user_saves_work(small, public, other_user, tmp_path):
+    counts = mesh(small, tmp_path / "first", public / "cache")[1]
+    images, sparse = (shutil.copytree(path, public / path.name) for path in small)
+    (public / "out").mkdir()
+    (public / "out").chmod(0o777)
+    with other_user():
+        found = mesh((images, sparse), public / "out" / "edges", public / "cache")[1]
+    assert reused(found) == (6, counts["trace"]["edges"])
+
+
 def test_edges_come_back_with_their_outlines(scene_edges):
     from dataclasses import replace
 

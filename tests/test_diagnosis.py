@@ -30,7 +30,7 @@ WRITE = {"median_residual_px": 0.2}
 PAPER_OPTIONS = PipelineOptions(tracing=TracingOptions(method="paper"))
 
 
-def stages(read=(), detect=(), trace=(), write=(), details=CHAINS, edges=40):
+def stages(read=(), detect=(), trace=(), write=(), mesh=(), details=CHAINS, edges=40):
     """Records of a run in which all went well but for what is given."""
     traced = {"edges": edges, "edge_points": 5 * edges, "details": {**details, **dict(trace)}}
     return [
@@ -38,6 +38,7 @@ def stages(read=(), detect=(), trace=(), write=(), details=CHAINS, edges=40):
         {"name": "detect", "counts": {**DETECT, **dict(detect)}},
         {"name": "trace", "counts": traced},
         {"name": "write", "counts": {**WRITE, **dict(write)}},
+        {"name": "mesh", "counts": {"faces": 900, **dict(mesh)}},
     ]
 
 
@@ -52,6 +53,18 @@ def test_nothing_to_say_when_all_went_well(options, details):
     ("lost", "text", "remedy"),
     [
         ({"read": {"images_with_poses": 2}}, "must be seen in 3", "take more images"),
+        ({"read": {"points3D_too_far": 7}}, "7 of 507 SfM points are at infinity", "tri_angle"),
+        (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
+            "no edge was detected in any of 10 images where masks do not hide it",
+            "look at the masks",
+        ),
+        (
+            {"detect": {"images_masked": 9}, "edges": 0},
+            "no 3D edge came out of what masks leave of 9 of 10 images",
+            "invert them",
+        ),
+        ({"mesh": {"faces": 0}}, "the mesh is empty", "--Meshing.background_weight 0"),
         ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (

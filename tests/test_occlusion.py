@@ -44,6 +44,19 @@ def test_points_far_from_the_image_are_counted_alike():
     assert expected[0].any() and expected[1].any()
 
 
+def test_points_of_no_curve_hide_others_and_are_not_asked_about():
+    rng = np.random.default_rng(3)
+    pixels, depths = rng.uniform(-20, 20, (300, 2)), rng.uniform(5, 6, 300)
+    curves = np.where(rng.random(300) < 0.5, -1, np.arange(300))
+    arguments = (pixels, depths, np.full(300, 0.01), curves, 8.0, 1e-3)
+    alone = (*arguments[:3], np.arange(300), *arguments[4:])
+    for found, expected in zip(
+        _kernels.count_around(*arguments, 2), brute_force(*alone), strict=True
+    ):
+        np.testing.assert_array_equal(found, np.where(curves < 0, 0, expected))
+        assert found.any()
+
+
 def test_no_points_have_no_neighbors():
     none = np.zeros(0)
     counts = _kernels.count_around(none.reshape(0, 2), none, none, none.astype(np.int64), 5, 0.1, 1)

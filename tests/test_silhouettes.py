@@ -193,15 +193,41 @@ def without_points(edges):
 
 
 def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
-    """Without edges, and where bodies are as bright as the backdrop."""
+    """Without edges and SfM points, and where bodies are as bright as the backdrop."""
     model, edges = on_ball
     backdrops = [masked_backdrop(body.mask) for body in ball]
     bright = [replace(each, body_pixels=np.array([100, 1])) for each in backdrops]
+    bare = replace(model, points3D_xyz=np.zeros((0, 3)))
     model = replace(model, points3D_xyz=edges.points)
-    for known, seen in ((without_points(edges), backdrops), (edges, bright)):
-        found = find_background(model, seen, False, known)
+    for given, known, seen in (
+        (bare, without_points(edges), backdrops),
+        (model, edges, bright),
+        (model, without_points(edges), bright),
+    ):
+        found = find_background(given, seen, False, known)
         assert len(found.rays.cameras) > 10_000
         assert len(found.silhouettes.points) == 0
+
+
+def test_sfm_points_of_bodies_do_where_there_are_no_edges(ball, on_ball):
+    """Points of what stands around do not count."""
+    model, edges = on_ball
+    backdrops = [masked_backdrop(body.mask) for body in ball]
+    around = 50.0 * fibonacci_sphere(10 * edges.num_points)
+    some = np.concatenate([edges.points[::40], around])
+    model = replace(model, points3D_xyz=some)
+    found = find_background(model, backdrops, True, without_points(edges))
+    points = found.silhouettes.points
+    assert len(points) > 500
+    assert np.percentile(np.abs(np.linalg.norm(points, axis=1) - RADIUS), 95) < 0.02
+
+
+def test_masks_of_nothing_are_not_believed(ball, on_ball, caplog):
+    """Inverted masks of a scene that fills its images hide all of them."""
+    model, edges = on_ball
+    black = [masked_backdrop(np.zeros((40, 60), bool))] * len(ball)
+    assert find_background(model, black, True, edges) is None
+    assert "masks hide all of every image" in caplog.text
 
 
 def test_frames_around_images_are_no_background(ball, on_ball, caplog):

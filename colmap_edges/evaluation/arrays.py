@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import open_file
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -18,7 +19,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         ColmapEdgesError: The file is missing, damaged or holds Python objects.
     """
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as data:
             return dict(data)
     except Exception as error:  # NumPy's reader has no list of what it raises
         reason = " ".join(str(error).split())[:200] or type(error).__name__

@@ -18,6 +18,7 @@ from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, 
 from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.scene import views_named
 from colmap_edges.evaluation.statistics import summarize
+from colmap_edges.input_files import read_text
 from colmap_edges.model import Model, load_model
 from colmap_edges.triangulation import PosedImage, triangulate
 
@@ -122,7 +123,7 @@ def _run_method(scene: Scene, method: str, folder: Path, progress: Progress) -> 
     done = folder / f"{slug}.json"
     if done.is_file():
         progress(f"  {method}: done before")
-        return dict(json.loads(done.read_text(encoding="utf-8")))
+        return dict(json.loads(read_text(done)))
     started = time.perf_counter()
     try:
         record = evaluate_method(scene, method, folder, folder / slug)

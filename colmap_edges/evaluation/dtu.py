@@ -23,6 +23,7 @@ from colmap_edges.evaluation.arrays import read_arrays
 from colmap_edges.evaluation.clouds import cloud_to_cloud
 from colmap_edges.evaluation.curves import columns
 from colmap_edges.evaluation.ply import read_ply
+from colmap_edges.input_files import open_file, read_text
 from colmap_edges.triangulation import PosedImage, posed_image
 
 PAPER_SCANS = (6, 23, 28, 37, 98, 118)
@@ -136,7 +137,7 @@ def read_matrix(path: Path) -> FloatArray:
         ColmapEdgesError: The file holds something else.
     """
     try:
-        values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        values = np.array(read_text(path).split(), dtype=np.float64)
         return values.reshape(3, 4)
     except ValueError as error:
         raise ColmapEdgesError(f"{path} holds no 3 x 4 matrix: {error}") from error
@@ -217,7 +218,8 @@ def load_reference(root: Path, scan: int) -> DtuReference:
     mask_path = find(root, f"ObsMask/ObsMask{scan}_10.mat")
     plane_path = find(root, f"ObsMask/Plane{scan}.mat")
     try:
-        mask, plane = loadmat(mask_path), loadmat(plane_path)
+        with open_file(mask_path) as mask_file, open_file(plane_path) as plane_file:
+            mask, plane = loadmat(mask_file), loadmat(plane_file)
         reference = DtuReference(
             points=points,
             mask=mask["ObsMask"].astype(bool),

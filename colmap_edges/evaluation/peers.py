@@ -17,6 +17,7 @@ from colmap_edges.csr import offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.curves import Curves, load_curves
+from colmap_edges.input_files import read_bytes, read_text
 from colmap_edges.model import Model, View
 
 # What readers of damaged files come to.
@@ -83,7 +84,7 @@ def read_lines(path: Path) -> list[Line]:
         raise ColmapEdgesError(f"{path} holds neither lines3D.bin nor track_*.txt")
     if path.suffix == ".obj":
         return read_obj(path)
-    first = path.read_text(encoding="utf-8").split("\n", 1)[0].split()
+    first = read_text(path).split("\n", 1)[0].split()
     return read_limap1(path) if len(first) == 1 else read_line3dpp(path)
 
 
@@ -108,7 +109,7 @@ def read_curves(path: Path) -> Curves:
 def read_line3dpp(path: Path) -> list[Line]:
     """Read Line3D++'s text: one 3D line a row, its 3D segments, then its 2D segments by camera."""
     lines = []
-    for row in path.read_text(encoding="utf-8").splitlines():
+    for row in read_text(path).splitlines():
         values = np.array(row.split(), dtype=np.float64)
         if not len(values):
             continue
@@ -126,7 +127,7 @@ def read_line3dpp(path: Path) -> list[Line]:
 def read_obj(path: Path) -> list[Line]:
     """Read `l` elements of an OBJ; the format holds no visibility."""
     vertices, lines = [], []
-    for row in path.read_text(encoding="utf-8").splitlines():
+    for row in read_text(path).splitlines():
         words = row.split()
         if words[:1] == ["v"]:
             vertices.append([float(word) for word in words[1:4]])
@@ -142,7 +143,7 @@ def read_obj(path: Path) -> list[Line]:
 
 def read_limap1(path: Path) -> list[Line]:
     """Read LIMAP 1.x's `alltracks.txt`: id and counts, two ends, image ids, line ids a track."""
-    rows = [row.split() for row in path.read_text(encoding="utf-8").splitlines() if row.strip()]
+    rows = [row.split() for row in read_text(path).splitlines() if row.strip()]
     count = int(rows[0][0])
     lines = []
     for track in range(count):
@@ -153,7 +154,7 @@ def read_limap1(path: Path) -> list[Line]:
 
 def read_limap1_track(path: Path) -> Line:
     """Read one `track_N.txt` of LIMAP 1.x."""
-    rows = [row.split() for row in path.read_text(encoding="utf-8").splitlines()]
+    rows = [row.split() for row in read_text(path).splitlines()]
     count = int(rows[1][0])
     images = [int(word) for word in rows[2][1:]]
     if rows[2][0] != "image_id_list" or len(images) != count:
@@ -174,7 +175,7 @@ def _line(ends: Sequence[Any], image_ids: list[int], ends2D: FloatArray | None =
 
 def read_limap2(folder: Path) -> list[Line]:
     """Read `lines3D.bin` of LIMAP 2.0, and the 2D segments of `structures2d.bin` when there."""
-    reader = _Reader((folder / "lines3D.bin").read_bytes())
+    reader = _Reader(read_bytes(folder / "lines3D.bin"))
     rows = []
     for _ in range(reader.count()):
         reader.count()  # id of the line
@@ -197,7 +198,7 @@ def read_limap2(folder: Path) -> list[Line]:
 
 def read_limap2_detections(path: Path) -> dict[int, FloatArray]:
     """2D segments (L, 2, 2) by image id, of LIMAP 2.0's `structures2d.bin`."""
-    reader = _Reader(path.read_bytes())
+    reader = _Reader(read_bytes(path))
     segment = np.dtype([("ends", "<f8", (2, 2)), ("score", "<f8"), ("line", "<u8")])
     detections = {}
     for _ in range(reader.count()):
@@ -332,7 +333,7 @@ def read_openmvg(path: Path, model: Model) -> Edges3D:
     EdgeGraph3D appends its edge points to the SfM points without telling them apart: give a file
     from which the SfM points were taken out, or mesh without the model's own points.
     """
-    data = json.loads(path.read_text(encoding="utf-8"))
+    data = json.loads(read_text(path))
     names = {Path(view.name).stem: index for index, view in enumerate(model.views)}
     views = {}
     for entry in data["views"]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_bytes
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -27,7 +28,7 @@ def read_ply(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     Raises:
         ColmapEdgesError: The file is not a PLY, is cut short or has lists where none can be read.
     """
-    content = path.read_bytes()
+    content = read_bytes(path)
     end = content.find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
         raise ColmapEdgesError(f"{path} is not a PLY file")

@@ -12,6 +12,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ def load_true_cameras(path: Path) -> TrueCameras:
         ColmapEdgesError: when it is no such file.
     """
     try:
-        return TrueCameras(**json.loads(path.read_text(encoding="utf-8")))
+        return TrueCameras(**json.loads(read_text(path)))
     except (OSError, ValueError, TypeError) as error:
         raise ColmapEdgesError(f"{path} holds no true cameras ({error})") from error
 

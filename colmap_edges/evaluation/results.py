@@ -10,6 +10,7 @@ import numpy as np
 from colmap_edges.csr import entries_of, offsets_of
 from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.input_files import read_text
 from colmap_edges.model import Model, load_model
 
 
@@ -25,7 +26,7 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
     """
     path = run_path / "edges.json"
     try:
-        records = json.loads(path.read_text(encoding="utf-8"))["edges"]
+        records = json.loads(read_text(path))["edges"]
         written = load_model(run_path / "sparse")
         ids = [np.array(record["point3D_ids"], dtype=np.int64) for record in records]
         rows = np.searchsorted(written.point3D_ids, np.concatenate([*ids, np.empty(0, np.int64)]))

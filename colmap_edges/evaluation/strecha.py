@@ -9,6 +9,7 @@ import numpy as np
 from colmap_edges.array_types import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.poses import TruePoses
+from colmap_edges.input_files import read_text
 from colmap_edges.triangulation import PosedImage, posed_image
 
 
@@ -78,8 +79,6 @@ def read_camera(
 
 def _numbers(path: Path) -> FloatArray:
     try:
-        return np.array(
-            path.read_text(encoding="utf-8").replace(",", " ").split(), dtype=np.float64
-        )
+        return np.array(read_text(path).replace(",", " ").split(), dtype=np.float64)
     except ValueError as error:
         raise ColmapEdgesError(f"{path} holds something else than numbers: {error}") from error

@@ -16,7 +16,8 @@ namespace colmap_edges {
 struct SeenPoint {
   Vec2 pixel;
   double depth, margin;
-  int64_t curve;  // points of one curve say nothing of each other
+  // Points of one curve say nothing of each other; those of none (< 0) are not asked about.
+  int64_t curve;
 };
 
 struct Crowd {
@@ -86,8 +87,8 @@ class PointRows {
 };
 
 // How many points of other curves within `radius_px` of each are nearer to the camera than one
-// surface allows, and how many are as far. On one surface depth changes by at most `slope` times
-// itself a pixel.
+// surface allows, and how many are as far; 0 for points of no curve. On one surface depth changes
+// by at most `slope` times itself a pixel.
 inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px, double slope,
                          int num_threads) {
   const PointRows rows(points, radius_px);
@@ -95,6 +96,7 @@ inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px,
   ParallelBlocks(PointRows::kNumRows, num_threads, 16, [&](int64_t row) {
     rows.ForNeighbors(row, [&](int32_t k, int32_t from, int32_t to) {
       const SeenPoint& own = rows.point(k);
+      if (own.curve < 0) return;
       int32_t nearer = 0, agreeing = 0;
       for (int32_t j = from; j < to; ++j) {
         const SeenPoint& other = rows.point(j);

@@ -6,7 +6,21 @@ import struct
 
 import numpy as np
 
-NUMBERS = (0.0, -0.0, -1.0, np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e-30, 2.0**63, 1e12)
+NUMBERS = (
+    0.0,
+    -0.0,
+    -1.0,
+    np.nan,
+    np.inf,
+    -np.inf,
+    1e308,
+    -1e308,
+    1e150,
+    5e-324,
+    1e-30,
+    2.0**63,
+    1e12,
+)
 ABSURD_BYTES = (
     *(struct.pack("<d", value) for value in NUMBERS),
     *(struct.pack("<f", value) for value in (np.nan, np.inf, -1.0, 0.0, 3e38)),
@@ -16,7 +30,19 @@ ABSURD_BYTES = (
     *(bytes([value]) for value in (0, 1, 0x0A, 0x20, 0x7F, 0x80, 0xFF)),
 )
 ABSURD_WORDS = (
-    *(b"nan", b"inf", b"-inf", b"1e999", b"1e308", b"-1e308", b"1e-400", b"0", b"-0.0", b"-1"),
+    *(
+        b"nan",
+        b"inf",
+        b"-inf",
+        b"1e999",
+        b"1e150",
+        b"1e308",
+        b"-1e308",
+        b"1e-400",
+        b"0",
+        b"-0.0",
+        b"-1",
+    ),
     *(b"2147483648", b"4294967296", b"18446744073709551615", b"9" * 40, b"1000000000000", b"0x10"),
     *(
         b"",

@@ -21,6 +21,8 @@ import numpy as np
 
 MAX_SECONDS = 10.0
 MAX_BYTES = 2 * 2**30
+NO_FILE_RATIO = 0.06  # of the inputs in which something else is in the place of a file
+NO_FILES = (os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/zero"))
 
 
 class Job(NamedTuple):
@@ -119,12 +121,17 @@ def limit_memory() -> None:
 
 
 def damaged_copy(job: Job, folder: Path) -> None:
-    """Copy a job's source with one file of it, sometimes two, damaged."""
+    """Copy a job's source with one file of it, sometimes two, damaged, or none any more."""
     from damage import damage
 
     shutil.copytree(job.source, folder)
     rng = np.random.default_rng([zlib.crc32(job.kind.encode()), job.seed])
     files = sorted(path for path in folder.rglob("*") if path.is_file())
+    if rng.random() < NO_FILE_RATIO:
+        path = files[rng.integers(len(files))]
+        path.unlink()
+        NO_FILES[rng.integers(len(NO_FILES))](path)
+        return
     for row in rng.integers(len(files), size=1 + int(rng.random() < 0.1)):
         files[row].write_bytes(damage(files[row].read_bytes(), rng))
 

@@ -1,0 +1,66 @@
+"""Files of the user, opened so that no pipe, device or folder in their place makes a run wait."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from colmap_edges.errors import NotAFileError
+
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a regular file to read its bytes.
+
+    A pipe blocks whoever opens it until somebody writes, and a device may never end.
+
+    Raises:
+        NotAFileError: when it is something else.
+        OSError: when it cannot be opened.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno == errno.ENXIO:  # what opening a socket comes to
+            raise not_a_file(path, "a socket") from error
+        raise
+    kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
+    if kind != stat.S_IFREG:
+        os.close(descriptor)
+        raise not_a_file(path, KINDS.get(kind, "something else"))
+    return os.fdopen(descriptor, "rb")
+
+
+def not_a_file(path: Path, kind: str) -> NotAFileError:
+    """Make the error for what is no regular file."""
+    return NotAFileError(f"{path} is {kind}, not a file; give a file")
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a regular file.
+
+    Raises:
+        OSError: when it cannot be read, `NotAFileError` when it is no regular file.
+    """
+    with open_file(path) as file:
+        return file.read()
+
+
+def read_text(path: Path) -> str:
+    """The text of a regular file in UTF-8.
+
+    Raises:
+        OSError: when it cannot be read, `NotAFileError` when it is no regular file.
+        ValueError: when it is not UTF-8.
+    """
+    return read_bytes(path).decode("utf-8")
