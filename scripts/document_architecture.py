@@ -21,7 +21,8 @@ ROOMS = {
         "scheduling", "executors", "memory",
     ),
     "COLMAP and pictures": (
-        "colmap_files", "model", "images", "workspace", "output", "info", "triangulation",
+        "colmap_files", "model", "images", "workspace", "ownership", "output",
+        "info", "triangulation",
     ),
     "2D edges": (
         "blur", "detection", "enlargement", "masks", "backdrop", "corners", "edge_graph",
@@ -50,7 +51,7 @@ ROOMS = {
         "evaluation.results", "evaluation.scene", "evaluation.statistics", "evaluation.strecha",
         "evaluation.tables", "evaluation.visible_curves",
     ),
-    "command line": ("flags", "cli", "__main__"),
+    "command line": ("flags", "terminal", "cli", "__main__"),
 }  # fmt: skip
 # Modules that may import a library that others must do without.
 LIBRARIES = {
@@ -70,8 +71,8 @@ LIBRARIES = {
     "networkx": ("matching",),
     "plotly": ("report.page",),
     "pymeshlab": ("meshing", "evaluation.clouds"),
-    "click": ("flags", "cli"),
-    "rich": ("cli",),
+    "click": ("flags", "terminal", "cli"),
+    "rich": ("terminal",),
     "distributed": ("executors",),
     "rerun": ("viewer",),
     "matplotlib": (),
