@@ -217,9 +217,10 @@ def settle(work: Path, output: Path, kind: Kind) -> None:
     """
     try:
         previous = work / PREVIOUS
-        if previous.is_dir() and not os.path.lexists(output):
+        moved = previous.is_dir() and not previous.is_symlink()
+        if moved and not os.path.lexists(output):
             previous.rename(output)
-        elif previous.is_dir():
+        elif moved:
             discard(previous, output, kind)
         shutil.rmtree(work / NEW, ignore_errors=True)
         if [path.name for path in work.iterdir()] == [LOCK]:  # which goes last
