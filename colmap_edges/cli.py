@@ -257,6 +257,8 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise click.exceptions.Exit(1) from error
     except (ColmapEdgesError, OSError, MemoryError) as error:
+        if STOPPED:
+            raise
         if verbose:
             say(*traceback.format_exc().rstrip().split("\n"), err=True)
         say(f"Error: {str(error).strip() or 'out of memory'}", err=True)
@@ -302,7 +304,7 @@ def info(path: Path, verbose: bool) -> None:
 def evaluate(verbose: bool, **values: Any) -> None:
     """Judge an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
-        from colmap_edges import evaluation  # heavy imports, after parsing
+        from colmap_edges import evaluation, model  # noqa: F401 - heavy imports, after parsing
 
         heed(HEEDED)
         evaluation.run(**values)

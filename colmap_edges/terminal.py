@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 
 import click
@@ -29,7 +29,8 @@ def show_usage_error(error: click.ClickException) -> None:
 
 def say(*lines: str, err: bool = False) -> None:
     """Write lines to standard output or error; no name in them can steer the terminal."""
-    click.echo("\n".join(map(printable, lines)), err=err)
+    with suppress(OSError) if err else nullcontext():  # there is nobody else to tell
+        click.echo("\n".join(map(printable, lines)), err=err)
 
 
 def open_streams() -> None:

@@ -179,3 +179,17 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     assert first.wait(timeout=120) == 0
     assert hash_output(tmp_path / "out") == hash_output(undisturbed[0])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_evaluation_leaves_nothing(undisturbed, small, tmp_path, number):
+    pytest.importorskip("embreex", reason="the extra for evaluation is not installed")
+    shutil.copytree(undisturbed[0], tmp_path / "out")
+    run = [sys.executable, "-m", "colmap_edges", "evaluate", "--input_path", small[1]]
+    run += ["--run_path", tmp_path / "out", "--image_path", small[0], "--held_out_views", "2"]
+    process = subprocess.Popen(list(map(str, run)), stderr=subprocess.PIPE)
+    wait_for(tmp_path / "out" / "evaluation", process)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (128 + number, b"")
+    assert not any("evaluation" in path.name for path in (tmp_path / "out").iterdir())
