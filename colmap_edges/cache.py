@@ -7,10 +7,13 @@ entries that no longer fit are not found, and the folder can be deleted at any t
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
 import os
+import re
+import stat
 import time
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
@@ -33,6 +36,7 @@ logger = logging.getLogger(__name__)
 
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap", "networkx")
 DIGEST_BYTES = hashlib.sha256().digest_size
+UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # age from which no living run writes to an unfinished file
 
 
@@ -49,10 +53,10 @@ class Cache:
         self.has_warned = False
         self.unfinished = folder / "unfinished"
         try:
-            self.unfinished.mkdir(parents=True, exist_ok=True)
+            make_own_folder(self.unfinished)
             remove_forgotten(self.unfinished)
         except OSError as error:
-            if not can_be_entered(folder):
+            if error.errno == errno.ELOOP or not can_be_entered(folder):
                 raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
 
     def path(self, kind: str, key: str) -> Path:
@@ -91,7 +95,8 @@ class Cache:
         path = self.path(kind, key)
         unfinished = self.unfinished / uuid4().hex
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_own_folder(path.parent.parent)
+            make_own_folder(path.parent)
             with unfinished.open("xb") as file:
                 file.write(seal(kind, key, packed.getbuffer()))
                 file.write(packed.getbuffer())
@@ -126,11 +131,24 @@ def seal(kind: str, key: str, packed: memoryview) -> bytes:
     return found.digest()
 
 
+def make_own_folder(folder: Path) -> None:
+    """Make a folder of the cache; a link at its place may lead to what is not the cache's.
+
+    Raises:
+        OSError: when that cannot be done.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if folder.is_symlink():
+        raise OSError(errno.ELOOP, f"{folder} is a link")
+
+
 def remove_forgotten(folder: Path) -> None:
-    """Remove what killed runs left unfinished."""
+    """Remove what killed runs left unfinished; nothing of another name than theirs."""
     for path in folder.iterdir():
         try:
-            if time.time() - path.stat().st_mtime > FORGOTTEN_S:
+            status = path.lstat()
+            ours = stat.S_ISREG(status.st_mode) and UNFINISHED.fullmatch(path.name)
+            if ours and time.time() - status.st_mtime > FORGOTTEN_S:
                 path.unlink()
         except OSError:
             continue  # another run was faster

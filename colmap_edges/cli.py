@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import signal
 import sys
 import time
 import traceback
@@ -29,7 +27,16 @@ from colmap_edges.flags import (
 )
 from colmap_edges.memory import reuse_freed_memory
 from colmap_edges.options import PRESETS, PipelineOptions
-from colmap_edges.stages import Progress, no_progress
+from colmap_edges.terminal import (
+    STOPPED,
+    heed,
+    heeded_signals,
+    open_streams,
+    progress_bars,
+    say,
+    show_usage_error,
+    start_logging,
+)
 from colmap_edges.workspace import find_images, find_model
 
 # Options of each command.
@@ -53,7 +60,7 @@ VIEWERS = {
     "report.json": "options, versions, counts, times and memory of every stage",
 }
 FULL = f"{__name__}.full_help"
-STOPPED: list[int] = []  # signals that asked the run to stop
+HEEDED: list[int] = []  # signals that end a run
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -196,14 +203,16 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     from colmap_edges.pipeline import Paths, run  # heavy imports, after parsing
     from colmap_edges.viewer import open_viewer
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)  # after pycolmap, which sets its own handler
+    heed(HEEDED)
     started = time.perf_counter()
     optional = {name: values[name] for name in ("mask_path", "cache_path")}
     needs_images = name != "mesh" or options.use_edges
     paths = Paths(**paths_from_flags(values, needs_images), **optional)
     target, overwrite = values["rerun"], values["overwrite"]
-    with open_viewer(target, paths.output_path, overwrite) as viewer, progress_bars() as progress:
+    with (
+        open_viewer(target, paths.output_path, overwrite, paths.inputs) as viewer,
+        progress_bars() as progress,
+    ):
         report = run(
             name,
             paths,
@@ -213,9 +222,9 @@ def run_command(name: str, values: dict[str, Any]) -> None:
             scheduler=values["scheduler"],
             viewer=viewer,
         )
-    click.echo(summary(report, paths.output_path, time.perf_counter() - started))
+    say(*summary(report, paths.output_path, time.perf_counter() - started))
     if target not in ("0", "1"):
-        click.echo(f"The recording in {target} opens in rerun's viewer: rerun {target}")
+        say(f"The recording in {target} opens in rerun's viewer: rerun {target}")
 
 
 def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, Any]:
@@ -235,7 +244,7 @@ def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, An
     return {"image_path": values["image_path"], **{n: values[n] for n in finders}, **found}
 
 
-def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
+def summary(report: dict[str, Any], output: Path, seconds: float) -> list[str]:
     """Say what came out, where the files are and what opens them."""
     lines = []
     for stage in report["stages"]:
@@ -247,7 +256,7 @@ def summary(report: dict[str, Any], output: Path, seconds: float) -> str:
     for name, what in VIEWERS.items():
         if (output / name).exists():
             lines.append(f"  {name:12} {what}")
-    return "\n".join(lines)
+    return lines
 
 
 def scalars(counts: dict[str, Any]) -> Iterator[tuple[str, float]]:
@@ -258,34 +267,9 @@ def scalars(counts: dict[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 @contextmanager
-def progress_bars() -> Iterator[Progress]:
-    """Yield a function that shows one bar a stage on standard error, if that is a terminal."""
-    if not sys.stderr.isatty():
-        yield no_progress
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
-
-    columns = (TextColumn("{task.description:>8}"), BarColumn(), MofNCompleteColumn(), Elapsed())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
-
-        def show(name: str, done: int, total: int) -> None:
-            if name not in tasks:
-                tasks[name] = bars.add_task(name, total=total)
-            bars.update(tasks[name], completed=done, total=total)
-
-        yield show
-
-
-@contextmanager
 def one_line_errors(verbose: bool) -> Iterator[None]:
     """Turn known errors into one line and exit 1; usage errors exit 2."""
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.WARNING,
-        format="%(levelname)s %(name)s: %(message)s",
-    )
+    start_logging(verbose)
     try:
         yield
     except OptionError as error:
@@ -295,10 +279,11 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise click.exceptions.Exit(1) from error
     except (ColmapEdgesError, OSError, MemoryError) as error:
+        if STOPPED:
+            raise
         if verbose:
-            traceback.print_exc()
-        message = " ".join(str(error).split()) or "out of memory"
-        click.echo(f"Error: {message}", err=True)
+            say(*traceback.format_exc().rstrip().split("\n"), err=True)
+        say(f"Error: {str(error).strip() or 'out of memory'}", err=True)
         raise click.exceptions.Exit(1) from error
 
 
@@ -310,7 +295,7 @@ def info(path: Path, verbose: bool) -> None:
     with one_line_errors(verbose):
         from colmap_edges.info import describe
 
-        click.echo(describe(path))
+        say(*describe(path).split("\n"))
 
 
 @click.command(cls=Command, name="evaluate")
@@ -341,12 +326,13 @@ def info(path: Path, verbose: bool) -> None:
 def evaluate(verbose: bool, **values: Any) -> None:
     """Judge an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
-        from colmap_edges import evaluation  # heavy imports, after parsing
+        from colmap_edges import evaluation, model  # noqa: F401 - heavy imports, after parsing
 
+        heed(HEEDED)
         evaluation.run(**values)
         output = values["run_path"] / "evaluation"
-        click.echo((output / "evaluation.md").read_text(encoding="utf-8"))
-        click.echo(f"Figures and pictures are in {output}")
+        say(*(output / "evaluation.md").read_text(encoding="utf-8").split("\n"))
+        say(f"Figures and pictures are in {output}")
 
 
 def version_text() -> str:
@@ -412,31 +398,27 @@ cli.add_command(info)
 cli.add_command(evaluate)
 
 
-def on_signal(number: int, _frame: Any) -> NoReturn:
-    """Leave as on an error, so that what was begun is cleaned up."""
-    STOPPED.append(number)
-    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
-
-
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
     # Each image or view has a thread of its own; those of BLAS would wait for them at full speed,
     # and round by how many they are. It looks when numpy is loaded, by the command that needs it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    open_streams()
+    HEEDED[:] = heeded_signals()
     reuse_freed_memory()
     run: Callable[..., Any] = cli.main
     try:
         code = run(argv, prog_name="colmap-edges", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        show_usage_error(error)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("Interrupted; nothing was written.", err=True)
+        say("Interrupted; nothing was written.", err=True)
         sys.exit(130)
     except Exception:
         if not STOPPED:
             raise
         # Some libraries take the signal, raised inside them, for an error of their own.
-        click.echo("Interrupted; nothing was written.", err=True)
+        say("Interrupted; nothing was written.", err=True)
         sys.exit(128 + STOPPED[0])
     sys.exit(code if isinstance(code, int) else 0)

@@ -21,6 +21,14 @@ class OptionError(ColmapEdgesError, ValueError):
     """An option's value is outside its range."""
 
 
+def printable(text: str) -> str:
+    """`text` with control characters, line breaks too, and what else is no sign, as escapes.
+
+    Names of files may hold them, and steer the terminal that shows them.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 @contextmanager
 def exit_on_error(*others: type[Exception]) -> Iterator[None]:
     """End a script whose input is bad, or that meets one of `others`, with one line and exit 1."""
@@ -28,4 +36,4 @@ def exit_on_error(*others: type[Exception]) -> Iterator[None]:
     try:
         yield
     except known as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {printable(str(error))}")

@@ -6,6 +6,7 @@ with its neighbours, so that stages do not know where they run.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -73,8 +74,11 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
             f"a scheduler needs dask ({error}); pip install 'colmap-edges[cluster]'"
         ) from error
     try:
+        # Before there is a client: one that cannot be made waits and complains when it goes.
+        with ThreadPoolExecutor(1) as apart:
+            apart.submit(asyncio.run, try_connection(scheduler)).result()
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
         raise ColmapEdgesError(f"cannot reach the scheduler {scheduler}: {error}") from error
     with client:
         client.wait_for_workers(1)
@@ -90,6 +94,14 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
             remote=True,
             cache=cache,
         )
+
+
+async def try_connection(address: str) -> None:
+    """Connect to a scheduler and hang up; raises what distributed raises for a bad address."""
+    from distributed.comm import connect
+
+    comm = await connect(address, timeout=CONNECT_S)
+    await comm.close()
 
 
 def run_all(

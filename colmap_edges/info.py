@@ -11,7 +11,7 @@ import numpy as np
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.input_files import read_text
 from colmap_edges.model import Model, load_model
-from colmap_edges.output import REPORT_NAME
+from colmap_edges.ownership import REPORT_NAME
 from colmap_edges.workspace import find_model, is_model
 
 

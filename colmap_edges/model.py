@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -437,6 +438,21 @@ def write_model(
     except ColmapEdgesError as error:  # pycolmap is silent on a full disk
         raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
     return points.ids
+
+
+def check_text_names(model: Model) -> None:
+    """Check that the names of all images can stand in a text model, where a space ends them.
+
+    Raises:
+        ColmapEdgesError: naming the first that cannot.
+    """
+    names = (view.name for view in model.views)
+    bad = next((name for name in names if re.search(r"[ \t\n\v\f\r]", name)), None)
+    if bad is not None:
+        raise ColmapEdgesError(
+            f"image name {bad!r} has a space or line break, which no text model can hold; "
+            "rename the image or write a binary model (--output_type BIN)"
+        )
 
 
 def write_text(reconstruction: Any, path: Path) -> None:

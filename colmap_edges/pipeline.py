@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,7 @@ from colmap_edges.meshing import Mesh, finished, mesh_with_curves, with_outlines
 from colmap_edges.model import (
     Model,
     View,
+    check_text_names,
     extend_reconstruction,
     load_model,
     model_from_reconstruction,
@@ -57,8 +58,9 @@ from colmap_edges.model import (
     write_model,
 )
 from colmap_edges.options import PipelineOptions
-from colmap_edges.output import REPORT_NAME, check_output_path, new_folder
+from colmap_edges.output import check_output_path, new_folder
 from colmap_edges.overlay import draw_edge_graph
+from colmap_edges.ownership import OUTPUT, REPORT_NAME, file_sizes
 from colmap_edges.report import Contents, PictureTaker, write_report
 from colmap_edges.silhouettes import Background, find_background
 from colmap_edges.stages import Progress, Stage, Stages, no_progress, plain_counts
@@ -103,6 +105,12 @@ class Paths:
     output_path: Path
     mask_path: Path | None = None
     cache_path: Path | None = None
+
+    @property
+    def inputs(self) -> list[Path]:
+        """The paths that no output may be in."""
+        given = (self.image_path, self.input_path, self.mask_path, self.cache_path)
+        return [path for path in given if path is not None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,8 +167,7 @@ def run(
     Raises:
         ColmapEdgesError: on bad input or options.
     """
-    # Unlike Path.resolve, it raises nothing where links run in a circle.
-    paths = Paths(**{n: path and Path(os.path.realpath(path)) for n, path in vars(paths).items()})
+    paths = absolute(paths)
     check_paths(paths, overwrite)
     if command != "mesh" or options.use_edges:
         image_folder(paths)
@@ -169,8 +176,8 @@ def run(
     if command == "mesh":
         check_mesher()
     with (
+        new_folder(paths.output_path, OUTPUT, overwrite) as folder,
         open_workers(options, paths.cache_path, scheduler) as workers,
-        new_folder(paths.output_path) as folder,
     ):
         stages = Stages(progress)
         model = read_stage(paths.input_path, stages)
@@ -181,11 +188,14 @@ def run(
             contents = Contents(model=model, mesh=mesh)
         else:
             check_pictures(model, image_folder(paths), paths.mask_path, options)
+            if command != "detect" and options.output_type == "TXT":
+                check_text_names(model)
             contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
         report = make_report(command, paths, options, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
             report["stages"] = stages.records()
+        report["files"] = file_sizes(folder)
         text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
         (folder / REPORT_NAME).write_text(text, encoding="utf-8")
     return report
@@ -218,6 +228,7 @@ def run_edges(
     images, masks = image_folder(paths), paths.mask_path
     model = enlarged(model, images, options.detection)
     if command == "detect":
+        check_file_names(model.views)
         detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
@@ -289,15 +300,22 @@ def reconstruct(
     )
 
 
+def absolute(paths: Paths) -> Paths:
+    """The same paths from the root on; a link at the output, which is not followed, stays."""
+    resolved = {name: path and Path(os.path.realpath(path)) for name, path in vars(paths).items()}
+    output = paths.output_path
+    if os.path.islink(output):  # noqa: PTH114 - False where one may not look
+        resolved["output_path"] = Path(os.path.realpath(output.parent), output.name)
+    return Paths(**resolved)
+
+
 def check_paths(paths: Paths, overwrite: bool) -> None:
     """Check that the inputs are folders and the output can be made."""
     for name in ("image_path", "input_path"):
         path = getattr(paths, name)
         if path and not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is no folder")
-    given = (paths.image_path, paths.input_path, paths.mask_path, paths.cache_path)
-    sources = [path for path in given if path is not None]
-    check_output_path(paths.output_path, sources, overwrite)
+    check_output_path(paths.output_path, paths.inputs, overwrite)
 
 
 def image_folder(paths: Paths) -> Path:
@@ -499,6 +517,30 @@ class GraphWriter:
 
     def collect(self, index: int, kept: None) -> None:
         """Nothing is kept."""
+
+
+def check_file_names(views: Sequence[View]) -> None:
+    """Check that the files of no two images would be one, or one the folder of the other.
+
+    Raises:
+        ColmapEdgesError: naming the two images.
+    """
+    names: dict[PurePosixPath, str] = {}
+    for view in views:
+        path = PurePosixPath(view.name + ".npz")  # without "./" and "//"
+        if path in names:
+            raise ColmapEdgesError(
+                f"the images {names[path]} and {view.name} of the model are one file, and so would "
+                "be what is written of them; delete one from the model"
+            )
+        names[path] = view.name
+    for path, name in names.items():
+        inside = next((names[parent] for parent in path.parents if parent in names), None)
+        if inside:
+            raise ColmapEdgesError(
+                f"the folder of image {name} has the name of the file that is written of image "
+                f"{inside}; rename one"
+            )
 
 
 def edge_stages(

@@ -7,7 +7,7 @@ import os
 import shutil
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from colmap_edges.edges import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.meshing import Mesh
 from colmap_edges.model import Model, View
-from colmap_edges.output import write_whole
+from colmap_edges.output import check_apart, write_whole
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.scene3d import bounds, pyramid_depth, up_direction
 from colmap_edges.report.tracks import views_per_edge
@@ -136,7 +136,9 @@ class RerunViewer(Viewer):
 
 
 @contextmanager
-def open_viewer(target: str, output: Path, overwrite: bool) -> Iterator[Viewer]:
+def open_viewer(
+    target: str, output: Path, overwrite: bool, inputs: Sequence[Path] = ()
+) -> Iterator[Viewer]:
     """Yield the viewer that `target` names.
 
     Args:
@@ -144,6 +146,7 @@ def open_viewer(target: str, output: Path, overwrite: bool) -> Iterator[Viewer]:
             appears whole when the block succeeds or not at all.
         output: folder that the run makes; no recording is put there.
         overwrite: whether an earlier recording is replaced.
+        inputs: what the run reads; no recording is put there either.
 
     Raises:
         ColmapEdgesError: when rerun is not installed, there is no display for its viewer, or the
@@ -153,7 +156,7 @@ def open_viewer(target: str, output: Path, overwrite: bool) -> Iterator[Viewer]:
         yield NO_VIEWER
         return
     if target != "1":
-        check_recording_path(Path(target), output, overwrite)
+        check_recording_path(Path(target), output, overwrite, inputs)
     rerun = load_rerun()
     stream = rerun.RecordingStream(APPLICATION)
     if target == "1":
@@ -214,18 +217,21 @@ def is_listening(port: int) -> bool:
         return connection.connect_ex(("127.0.0.1", port)) == 0
 
 
-def check_recording_path(path: Path, output: Path, overwrite: bool) -> None:
+def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequence[Path]) -> None:
     """Check that a recording can be made.
 
     Raises:
         ColmapEdgesError: otherwise.
     """
-    if not path.resolve().parent.is_dir():
+    place = Path(os.path.realpath(path))
+    if not place.parent.is_dir():
         raise ColmapEdgesError(f"cannot write {path}: {path.parent} is no folder; create it")
-    if output.resolve() in path.resolve().parents:
+    check_apart("--rerun", place, [Path(os.path.realpath(source)) for source in inputs])
+    if Path(os.path.realpath(output)) in place.parents:
         raise ColmapEdgesError(f"{path} is inside output_path {output}; choose a place apart")
-    if path.is_dir():
-        raise ColmapEdgesError(f"cannot write {path}: a folder of that name is there")
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        what = "folder" if path.is_dir() else "link or device"
+        raise ColmapEdgesError(f"cannot write {path}: a {what} of that name is there")
     if path.exists() and not overwrite:
         raise ColmapEdgesError(f"{path} is there already; choose another or add --overwrite")
 

@@ -17,12 +17,13 @@ TARGET = ROOT / "docs" / "architecture.md"
 # In the order in which they may import each other.
 ROOMS = {
     "ground": (
-        "errors", "array_types", "csr", "joining", "declared_options", "options", "edges", "stages", "kernels", "cache",
+        "errors", "array_types", "csr", "joining", "declared_options", "options", "edges", "stages",
+        "kernels", "cache",
         "scheduling", "executors", "memory", "input_files", "plausibility",
     ),
     "COLMAP and pictures": (
-        "colmap_files", "model", "thinning", "images", "workspace", "output", "info",
-        "triangulation",
+        "colmap_files", "model", "thinning", "images", "workspace", "ownership", "output",
+        "info", "triangulation",
     ),
     "2D edges": (
         "blur", "detection", "enlargement", "masks", "backdrop", "corners", "edge_graph",
@@ -51,7 +52,7 @@ ROOMS = {
         "evaluation.results", "evaluation.scene", "evaluation.statistics", "evaluation.strecha",
         "evaluation.tables", "evaluation.visible_curves",
     ),
-    "command line": ("flags", "cli", "__main__"),
+    "command line": ("flags", "terminal", "cli", "__main__"),
 }  # fmt: skip
 # Modules that may import a library that others must do without.
 LIBRARIES = {
@@ -71,8 +72,8 @@ LIBRARIES = {
     "networkx": ("matching",),
     "plotly": ("report.page",),
     "pymeshlab": ("meshing", "evaluation.clouds"),
-    "click": ("flags", "cli"),
-    "rich": ("cli",),
+    "click": ("flags", "terminal", "cli"),
+    "rich": ("terminal",),
     "distributed": ("executors",),
     "rerun": ("viewer",),
     "matplotlib": (),

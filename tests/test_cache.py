@@ -113,12 +113,13 @@ def test_keys_tell_all_parts_apart(monkeypatch):
 
 def test_only_forgotten_files_are_removed(tmp_path):
     unfinished = Cache(tmp_path).unfinished
-    old, new = unfinished / "old", unfinished / "new"
-    for path in (old, new):
+    old, new, others = unfinished / ("0" * 32), unfinished / ("1" * 32), unfinished / "draft.txt"
+    for path in (old, new, others):
         path.write_bytes(b"half")
-    os.utime(old, (time.time() - 2 * cache_module.FORGOTTEN_S,) * 2)
+    for path in (old, others):
+        os.utime(path, (time.time() - 2 * cache_module.FORGOTTEN_S,) * 2)
     Cache(tmp_path)
-    assert [path.name for path in unfinished.iterdir()] == ["new"]
+    assert sorted(unfinished.iterdir()) == [new, others]
 
 
 def test_folder_that_cannot_be_made(tmp_path):

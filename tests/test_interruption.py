@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-RUNS, SOAK_RUNS = 3, 50
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+RUNS, SOAK_RUNS = 4, 50
 needs_mounts = pytest.mark.skipif(
     not shutil.which("unshare")
     or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode != 0,
@@ -37,15 +37,16 @@ def undisturbed(mesh_command, tmp_path_factory):
     folder = tmp_path_factory.mktemp("undisturbed")
     subprocess.run(mesh_command(folder / "plain", "--use_edges", 0), check=True, timeout=120)
     process = subprocess.Popen(mesh_command(folder / "edges"), stdout=subprocess.DEVNULL)
-    wait_for(folder / ".edges.colmap-edges-partial", process)
+    wait_for(folder / "edges", process)
     started = time.monotonic()
     assert process.wait(timeout=120) == 0
     return folder / "edges", folder / "plain", time.monotonic() - started
 
 
-def wait_for(path, process):
-    """Wait until a path is there or the process is gone."""
-    while not path.exists() and process.poll() is None:
+def wait_for(output, process):
+    """Wait until the work on an output has begun or the process is gone."""
+    pattern = f".{output.name}.colmap-edges-*/new"
+    while not any(output.parent.glob(pattern)) and process.poll() is None:
         time.sleep(0.002)
 
 
@@ -63,7 +64,7 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_out
         output = folder / "out"
         if seed % 2:
             shutil.copytree(plain, output)
-        number = SIGNALS[seed % 3]
+        number = SIGNALS[seed // 2 % 4]
         code = interrupt(mesh_command(output, "--overwrite"), output, number, rng, seconds)
         found = hash_output(output) if output.exists() else None
         # The whole new output, or what was there before; a kill may leave that moved aside.
@@ -85,7 +86,7 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_out
 def interrupt(command, output, number, rng, seconds):
     """Send a signal at a random moment of the run; give the exit code."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    wait_for(output.with_name(".out.colmap-edges-partial"), process)
+    wait_for(output, process)
     time.sleep(rng.uniform(0, seconds))
     process.send_signal(number)
     _, errors = process.communicate(timeout=120)
@@ -166,7 +167,7 @@ def test_read_only_disk(mesh_command, tmp_path):
 def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     """The second is refused while the first goes on undisturbed."""
     first = subprocess.Popen(mesh_command(tmp_path / "out"), stdout=subprocess.DEVNULL)
-    wait_for(tmp_path / ".out.colmap-edges-partial", first)
+    wait_for(tmp_path / "out", first)
     first.send_signal(signal.SIGSTOP)
     try:
         command = mesh_command(tmp_path / "out")
@@ -178,3 +179,17 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     assert first.wait(timeout=120) == 0
     assert hash_output(tmp_path / "out") == hash_output(undisturbed[0])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_evaluation_leaves_nothing(undisturbed, small, tmp_path, number):
+    pytest.importorskip("embreex", reason="the extra for evaluation is not installed")
+    shutil.copytree(undisturbed[0], tmp_path / "out")
+    run = [sys.executable, "-m", "colmap_edges", "evaluate", "--input_path", small[1]]
+    run += ["--run_path", tmp_path / "out", "--image_path", small[0], "--held_out_views", "2"]
+    process = subprocess.Popen(list(map(str, run)), stderr=subprocess.PIPE)
+    wait_for(tmp_path / "out" / "evaluation", process)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (128 + number, b"")
+    assert not any("evaluation" in path.name for path in (tmp_path / "out").iterdir())

@@ -17,6 +17,7 @@ from colmap_edges.model import load_model
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.output import check_output_path, new_folder
 from colmap_edges.overlay import draw_edges
+from colmap_edges.ownership import file_sizes
 from colmap_edges.pipeline import Paths, run, thread_count, write_stage
 from colmap_edges.stages import Stages
 
@@ -163,17 +164,24 @@ def test_foreign_folder_is_never_overwritten(tmp_path):
     check_output_path(tmp_path / "empty", [], overwrite=False)
 
 
+def write_output(folder, name, text):
+    """Write an output of one file, and its report."""
+    (folder / name).write_text(text)
+    report = {"versions": {"colmap-edges": "0.1.0"}, "files": file_sizes(folder)}
+    (folder / "report.json").write_text(json.dumps(report))
+
+
 def test_earlier_output_stays_until_the_new_one_is_complete(tmp_path):
     output = tmp_path / "out"
     with new_folder(output) as folder:
-        (folder / "a").write_text("first")
-    with pytest.raises(RuntimeError), new_folder(output) as folder:
+        write_output(folder, "a", "first")
+    with pytest.raises(RuntimeError), new_folder(output, overwrite=True) as folder:
         (folder / "a").write_text("second")
         raise RuntimeError
     assert (output / "a").read_text() == "first"
-    with new_folder(output) as folder:
-        (folder / "b").write_text("third")
-    assert [p.name for p in output.iterdir()] == ["b"]
+    with new_folder(output, overwrite=True) as folder:
+        write_output(folder, "b", "third")
+    assert sorted(p.name for p in output.iterdir()) == ["b", "report.json"]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
@@ -209,12 +217,27 @@ def test_leftovers_of_a_killed_run_are_cleaned(tmp_path):
 
 
 def test_output_moved_aside_by_a_killed_run_comes_back(tmp_path):
-    previous = tmp_path / ".out.colmap-edges-previous"
-    previous.mkdir()
-    (previous / "a").write_text("old")
-    with pytest.raises(RuntimeError), new_folder(tmp_path / "out"):
-        raise RuntimeError
-    assert (tmp_path / "out" / "a").read_text() == "old"
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        write_output(folder, "a", "old")
+    script = (
+        "import os, sys; from pathlib import Path\n"
+        "from colmap_edges.output import new_folder\n"
+        "rename = Path.rename\n"
+        "def rename_once(path, target):\n"
+        "    rename(path, target); os._exit(9)\n"
+        "Path.rename = rename_once\n"
+        "with new_folder(Path(sys.argv[1]), overwrite=True) as folder:\n"
+        "    (folder / 'a').write_text('new')\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(output)], timeout=60)
+    assert killed.returncode == 9
+    assert not output.exists()
+    # It is back before the next run asks whether it may be replaced.
+    with pytest.raises(ColmapEdgesError, match="--overwrite"), new_folder(output):
+        pass
+    assert (output / "a").read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 def test_edges_are_drawn_where_they_are_seen(scene, scene_model):

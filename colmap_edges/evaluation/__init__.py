@@ -7,9 +7,11 @@ paper's tables; `scene` judges single files.
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
+import colmap_edges
 from colmap_edges.errors import ColmapEdgesError
 
 __all__ = ["run"]
@@ -47,14 +49,15 @@ def run(
 
     from colmap_edges.evaluation import held_out, tables
     from colmap_edges.output import new_folder
+    from colmap_edges.ownership import EVALUATION, PROGRAM, file_sizes
 
     output = run_path / "evaluation"
     find_mesh(run_path)
-    if output.exists() and not overwrite:
+    if os.path.lexists(output) and not overwrite:
         raise ColmapEdgesError(f"{output} is there already; add --overwrite to replace it")
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
-    with new_folder(output) as folder:
+    with new_folder(output, EVALUATION, overwrite) as folder:
         record = judge(run_path, input_path, reference_path, curves_path, folder)
         if image_path and reference_path and reference_path.is_dir():
             draw_edge_points(run_path, input_path, reference_path, image_path, folder)
@@ -63,8 +66,10 @@ def run(
                 input_path, image_path, held_out_views, pictures_path=folder
             )
             record["held_out_views"] = [asdict(error) for error in errors]
-        (folder / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
-        (folder / "evaluation.md").write_text(tables.run_tables(record) + "\n")
+        (folder / "evaluation.md").write_text(tables.run_tables(record) + "\n", encoding="utf-8")
+        record["versions"] = {PROGRAM: colmap_edges.__version__}
+        record["files"] = file_sizes(folder)
+        (folder / EVALUATION.record).write_text(json.dumps(record, indent=2) + "\n")
     return record
 
 

@@ -48,7 +48,8 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         plotly=get_plotlyjs(),
         script=resource("page.js"),
     )
-    path.write_text(page, encoding="utf-8")
+    # Names of folders may be bytes that are no text.
+    path.write_text(page, encoding="utf-8", errors="backslashreplace")
     return {"pictures": len(pictures), "bytes": path.stat().st_size}
 
 

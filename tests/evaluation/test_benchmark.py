@@ -325,6 +325,11 @@ def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, t
     (tmp_path / "depths" / "a.npz").unlink()
     truth[truth > 0] *= 1.02  # now all edges are 2 % off: the colours' far end, red
     np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
+    notes = tmp_path / "run" / "evaluation" / "notes.txt"
+    notes.write_text("mine")
+    with pytest.raises(ColmapEdgesError, match=r"notes\.txt is not as colmap-edges wrote it"):
+        evaluation.run(tmp_path / "run", sparse, tmp_path / "depths", overwrite=True)
+    notes.unlink()
     evaluation.run(tmp_path / "run", sparse, tmp_path / "depths", image_path=images, overwrite=True)
     wrong = cv2.imread(str(tmp_path / "run" / "evaluation" / "edges_rect_005_max.png"))
     blue, _, red = wrong[coloured].reshape(-1, 3).mean(axis=0)
