@@ -305,8 +305,8 @@ def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
         text="the mesh is empty: no surface parts free space from solid; lines of sight to "
         f"{mesh.get('points', 0):,} points do not outweigh what asks for none",
         remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); where a backdrop or "
-        "masks are background also try --Meshing.background_weight 0; give a model with more points, "
-        "none of them far away from all others",
+        "masks are background also try --Meshing.background_weight 0; give a model with more "
+        "points, none of them far away from all others",
     )
 
 
