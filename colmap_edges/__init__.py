@@ -14,11 +14,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from colmap_edges.edges import Edges3D
+    from colmap_edges.core.edges3d import Edges3D
     from colmap_edges.errors import ColmapEdgesError
-    from colmap_edges.meshing import Mesh, mesh, write_mesh
+    from colmap_edges.export.meshes import write_mesh
     from colmap_edges.options import PipelineOptions, preset
-    from colmap_edges.pipeline import EdgeReconstruction, reconstruct
+    from colmap_edges.pipeline.reconstruct import EdgeReconstruction, reconstruct
+    from colmap_edges.surfaces.mesh import Mesh
+    from colmap_edges.surfaces.mesher import mesh
 
 __version__ = "0.1.0"
 __all__ = [
@@ -35,14 +37,14 @@ __all__ = [
 ]
 _MODULES = {
     "ColmapEdgesError": "errors",
-    "EdgeReconstruction": "pipeline",
-    "Edges3D": "edges",
-    "Mesh": "meshing",
+    "EdgeReconstruction": "pipeline.reconstruct",
+    "Edges3D": "core.edges3d",
+    "Mesh": "surfaces.mesh",
     "PipelineOptions": "options",
-    "mesh": "meshing",
+    "mesh": "surfaces.mesher",
     "preset": "options",
-    "reconstruct": "pipeline",
-    "write_mesh": "meshing",
+    "reconstruct": "pipeline.reconstruct",
+    "write_mesh": "export.meshes",
 }
 
 

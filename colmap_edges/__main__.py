@@ -1,5 +1,7 @@
 """`python -m colmap_edges`: the same as the command `colmap-edges`."""
 
-from colmap_edges.cli import main
+from __future__ import annotations
+
+from colmap_edges.cli.main import main
 
 main()

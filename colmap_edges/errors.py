@@ -1,5 +1,7 @@
 """Errors that a user can act on: each names what, where and the remedy in one line."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -32,9 +32,9 @@ from typing import Any
 import click
 
 import colmap_edges
+from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.errors import ColmapEdgesError, exit_on_error
 from colmap_edges.evaluation.tables import markdown
-from colmap_edges.workspace import find_images, find_model
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURES = ("wall_s", "cpu_s", "peak_mb")

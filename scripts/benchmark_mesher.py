@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 
-from colmap_edges.meshing import mesh_points
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.mesher import mesh_points
 
 
 def main() -> None:

@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from colmap_edges.evaluation.raycasting import load_mesh
-from colmap_edges.evaluation.results import load_edges
-from colmap_edges.evaluation.scene import evaluate_mesh
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.view import View
+from colmap_edges.evaluation.metrics.raycasting import load_mesh
+from colmap_edges.evaluation.protocols.scene import evaluate_mesh
+from colmap_edges.evaluation.readers.results import load_edges
 from colmap_edges.evaluation.tables import markdown
-from colmap_edges.images import read_image
-from colmap_edges.model import Model, View, load_model
-from colmap_edges.overlay import draw_edges
+from colmap_edges.images.files import read_image
+from colmap_edges.report.overlay import draw_edges
 
 MESHES = ("without_edges", "with_edges")
 COLUMNS = ("mae", "rmse", "median", "p90", "coverage")

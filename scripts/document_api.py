@@ -20,18 +20,24 @@ remedy.
 """
 # What is documented: module, the names in it, the module from which they are to be imported.
 PUBLIC = (
-    ("pipeline", ("reconstruct", "EdgeReconstruction"), "colmap_edges"),
-    ("edges", ("Edges3D",), "colmap_edges"),
-    ("meshing", ("mesh", "Mesh", "write_mesh"), "colmap_edges"),
+    ("pipeline.reconstruct", ("reconstruct", "EdgeReconstruction"), "colmap_edges"),
+    ("core.edges3d", ("Edges3D",), "colmap_edges"),
+    ("surfaces.mesher", ("mesh",), "colmap_edges"),
+    ("surfaces.mesh", ("Mesh",), "colmap_edges"),
+    ("export.meshes", ("write_mesh",), "colmap_edges"),
     ("options", ("PipelineOptions", "preset"), "colmap_edges"),
     ("errors", ("ColmapEdgesError",), "colmap_edges"),
     (
-        "edge_io",
+        "export.edges",
         ("write_ply", "write_obj", "write_glb", "write_dxf", "write_json"),
-        "colmap_edges.edge_io",
+        "colmap_edges.export.edges",
     ),
-    ("triangulation", ("PosedImage", "posed_image", "triangulate"), "colmap_edges.triangulation"),
-    ("evaluation/__init__", ("run",), "colmap_edges.evaluation"),
+    (
+        "colmap.triangulation",
+        ("PosedImage", "posed_image", "triangulate"),
+        "colmap_edges.colmap.triangulation",
+    ),
+    ("evaluation.run", ("run",), "colmap_edges.evaluation.run"),
 )
 SECTION = re.compile(r"^(Args|Attributes|Returns|Raises):$")
 
@@ -40,7 +46,8 @@ Definition = ast.ClassDef | ast.FunctionDef
 
 def definitions(module: str) -> dict[str, Definition]:
     """The classes and functions of a module by name."""
-    text = (ROOT / "colmap_edges" / f"{module}.py").read_text(encoding="utf-8")
+    path = ROOT / "colmap_edges" / f"{module.replace('.', '/')}.py"
+    text = path.read_text(encoding="utf-8")
     found = (node for node in ast.parse(text).body if isinstance(node, Definition))
     return {node.name: node for node in found}
 

@@ -4,7 +4,7 @@
 from dataclasses import fields
 from pathlib import Path
 
-from colmap_edges.flags import Flag, make_flags
+from colmap_edges.cli.flags import Flag, make_flags
 from colmap_edges.options import PRESETS, PipelineOptions
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "options.md"

@@ -9,9 +9,10 @@ from typing import Any
 import click
 import pycolmap
 
-from colmap_edges.enlargement import enlarged
+from colmap_edges.colmap.model import model_from_reconstruction
+from colmap_edges.edges2d.upsampling import enlarged
 from colmap_edges.errors import exit_on_error
-from colmap_edges.evaluation.poses import (
+from colmap_edges.evaluation.metrics.poses import (
     TruePoses,
     adjust_by_colmap,
     at_true_cameras,
@@ -19,12 +20,12 @@ from colmap_edges.evaluation.poses import (
     pose_errors,
     with_pose_noise,
 )
-from colmap_edges.evaluation.strecha import load_true_poses
+from colmap_edges.evaluation.protocols.strecha import load_true_poses
 from colmap_edges.evaluation.tables import markdown
-from colmap_edges.model import model_from_reconstruction
 from colmap_edges.options import PipelineOptions
-from colmap_edges.pipeline import detect_stage, edge_stages
-from colmap_edges.stages import Stages
+from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.runtime.stages import Stages
 
 DEMO = Path(__file__).resolve().parents[1] / "tests" / "data" / "demo"
 HEADER = (

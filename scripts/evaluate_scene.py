@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from colmap_edges.errors import exit_on_error
-from colmap_edges.evaluation import scene, tables
+from colmap_edges.evaluation import tables
+from colmap_edges.evaluation.protocols import scene
 
 
 @click.command(help=__doc__)

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from colmap_edges.errors import exit_on_error
-from colmap_edges.evaluation import benchmark, strecha
+from colmap_edges.evaluation import benchmark
+from colmap_edges.evaluation.protocols import strecha
 
 
 @click.command(help=__doc__)

@@ -12,8 +12,9 @@ from pathlib import Path
 import click
 import numpy as np
 
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError, exit_on_error
-from colmap_edges.model import Model, View, load_model
 
 
 @click.command(help=__doc__)

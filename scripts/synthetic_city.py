@@ -25,21 +25,24 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from colmap_edges.cli import RECONSTRUCT_FLAGS
-from colmap_edges.colmap_files import NewPoints, append_points
-from colmap_edges.csr import offsets_of
-from colmap_edges.detection import Chains
-from colmap_edges.edge_graph import build_edge_graph
-from colmap_edges.edge_io import write_json, write_ply
-from colmap_edges.edges import Edges3D
-from colmap_edges.executors import run_all
-from colmap_edges.flags import make_flags, normalize, options_from_flags
-from colmap_edges.graph_store import GraphStore
-from colmap_edges.memory import reuse_freed_memory
-from colmap_edges.model import Model, View, load_model, observation_residuals, write_model
+from colmap_edges.cli.flags import make_flags, normalize, options_from_flags
+from colmap_edges.cli.run_commands import RECONSTRUCT_FLAGS
+from colmap_edges.colmap.binary_files import NewPoints, append_points
+from colmap_edges.colmap.model import Model, load_model, observation_residuals
+from colmap_edges.colmap.writing import write_model
+from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.detection import Chains
+from colmap_edges.edges2d.edge_graph import build_edge_graph
+from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.export.edges import write_json, write_ply
 from colmap_edges.options import PipelineOptions
-from colmap_edges.pipeline import model_counts, open_workers, trace_stage
-from colmap_edges.stages import Stages
+from colmap_edges.pipeline.read import model_counts
+from colmap_edges.pipeline.trace import trace_stage
+from colmap_edges.runtime.executors import open_workers, run_all
+from colmap_edges.runtime.memory import reuse_freed_memory
+from colmap_edges.runtime.stages import Stages
 
 FloatArray = NDArray[np.float64]  # not the package's: benchmark.py runs this with older packages
 

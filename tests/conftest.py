@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import scenes
 
-from colmap_edges.model import load_model
+from colmap_edges.colmap.model import load_model
 
 
 def pytest_addoption(parser):

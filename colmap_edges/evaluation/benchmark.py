@@ -12,17 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.array_types import FloatArray
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.colmap.triangulation import PosedImage, triangulate
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import clouds, depth, dtu, edges, peers, pictures, tables
-from colmap_edges.evaluation.raycasting import RayCaster, load_geometry, load_mesh
-from colmap_edges.evaluation.scene import views_named
-from colmap_edges.evaluation.statistics import summarize
-from colmap_edges.input_files import read_text
-from colmap_edges.model import Model, load_model
-from colmap_edges.triangulation import PosedImage, triangulate
+from colmap_edges.evaluation import pictures, tables
+from colmap_edges.evaluation.metrics import clouds, depth, edges
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
+from colmap_edges.evaluation.metrics.statistics import summarize
+from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.evaluation.protocols.scene import views_named
+from colmap_edges.evaluation.readers import peers
+from colmap_edges.runtime.input_files import read_text
 
 logger = logging.getLogger(__name__)
+
 Record = dict[str, Any]
 Progress = Callable[[str], None]
 
@@ -174,8 +178,8 @@ def mesh_own(
 ) -> Model:
     """Run the pipeline into `run_path`; returns the points that count: the edges' or all."""
     from colmap_edges.options import PipelineOptions
-    from colmap_edges.pipeline import Paths
-    from colmap_edges.pipeline import run as run_pipeline
+    from colmap_edges.pipeline.paths import Paths
+    from colmap_edges.pipeline.run import run as run_pipeline
 
     options = PipelineOptions(use_edges=method.use_edges)
     options = replace(options, meshing=replace(options.meshing, **method.meshing))
@@ -188,7 +192,8 @@ def mesh_own(
 
 def mesh_peer(path: Path, model: Model, run_path: Path) -> Model:
     """Mesh a peer's lines with the model's points into `run_path`; returns the lines' points."""
-    from colmap_edges.meshing import mesh, write_mesh
+    from colmap_edges.export.meshes import write_mesh
+    from colmap_edges.surfaces.mesher import mesh
 
     found = peers.load(path, model)
     run_path.mkdir(parents=True, exist_ok=True)

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.array_types import FloatArray
+from colmap_edges.colmap.model import Model, load_model, model_from_reconstruction
+from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import depth, pictures
-from colmap_edges.evaluation.observations import select_points
-from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import Model, View, load_model, model_from_reconstruction
+from colmap_edges.evaluation import pictures
+from colmap_edges.evaluation.metrics import depth
+from colmap_edges.evaluation.metrics.observations import select_points
+from colmap_edges.evaluation.metrics.raycasting import RayCaster
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +59,7 @@ def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dic
     Raises:
         ColmapEdgesError: The model holds fewer than 20 points.
     """
-    from colmap_edges.meshing import mesh
+    from colmap_edges.surfaces.mesher import mesh
 
     model = load_model(input_path)
     if len(model.points3D_xyz) < 20:
@@ -126,11 +128,11 @@ def left_out_view_errors(
     Raises:
         ColmapEdgesError: Too few images are left, or an image cannot be read.
     """
-    from colmap_edges.detection import detect_chains
-    from colmap_edges.images import gray_of, read_image
-    from colmap_edges.meshing import mesh
+    from colmap_edges.edges2d.detection import detect_chains
+    from colmap_edges.images.files import gray_of, read_image
     from colmap_edges.options import PipelineOptions
-    from colmap_edges.pipeline import reconstruct
+    from colmap_edges.pipeline.reconstruct import reconstruct
+    from colmap_edges.surfaces.mesher import mesh
 
     model = load_model(input_path)
     unused = left_out_views(model.views, every)

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.array_types import FloatArray, Picture
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, Picture
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.depth import DepthErrors, ReferenceDepth
-from colmap_edges.evaluation.edges import view_window_errors
-from colmap_edges.images import encoded, gray_of, read_image
-from colmap_edges.model import Model
+from colmap_edges.evaluation.metrics.depth import DepthErrors, ReferenceDepth
+from colmap_edges.evaluation.metrics.edges import view_window_errors
+from colmap_edges.images.files import encoded, gray_of, read_image
 
 _UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
 

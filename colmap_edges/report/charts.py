@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.array_types import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.report.contents import Trace
 
 

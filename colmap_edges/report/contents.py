@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.array_types import ByteArray, FloatArray, IntArray
-from colmap_edges.edges import Edges3D
-from colmap_edges.meshing import Mesh
-from colmap_edges.model import Model
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.surfaces.mesh import Mesh
 
 # What a figure is to plotly.js: traces and layout as JSON.
 Trace = dict[str, Any]

@@ -10,8 +10,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from colmap_edges.edge_io import edge_lengths
-from colmap_edges.model import Model, observation_residuals
+from colmap_edges.colmap.model import Model, observation_residuals
+from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.charts import edge_charts, stage_chart
 from colmap_edges.report.contents import Contents, ImagePicture, Trace, typed
 from colmap_edges.report.pictures import data_uri, reprojected_layer

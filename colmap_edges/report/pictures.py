@@ -9,15 +9,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from colmap_edges.array_types import FloatArray, Picture
-from colmap_edges.csr import ranks_of
-from colmap_edges.edge_graph import EdgeGraph
-from colmap_edges.edges import Edges3D
-from colmap_edges.image_graphs import DetectedEdges
-from colmap_edges.images import encoded
-from colmap_edges.model import Model, View
-from colmap_edges.overlay import SHIFT, fixed_point
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, Picture, ranks_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.image_graphs import DetectedEdges
+from colmap_edges.images.files import encoded
 from colmap_edges.report.contents import ImagePicture, evenly_spread
+from colmap_edges.report.overlay import SHIFT, fixed_point
 
 MAX_BYTES = 7_000_000  # of all pictures, before base 64
 MAX_PICTURES = 120

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.array_types import ByteArray, FloatArray, Int32Array, IntArray
-from colmap_edges.edges import Edges3D
-from colmap_edges.meshing import Mesh
-from colmap_edges.model import Model, View
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
 from colmap_edges.report.contents import Contents, Trace, evenly_spread, hex_colors, typed, xyz
+from colmap_edges.surfaces.mesh import Mesh
 
 # What is drawn at most, so that the file stays small and a browser turns it smoothly.
 MAX_SFM_POINTS = 40_000
 MAX_EDGE_POINTS = 120_000
 MAX_FACES = 150_000
-
 HIDDEN_AXIS = {"visible": False, "showspikes": False}
 
 

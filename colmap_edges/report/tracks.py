@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.array_types import FloatArray, IntArray
-from colmap_edges.csr import offsets_of
-from colmap_edges.edge_io import edge_lengths
-from colmap_edges.edges import Edges3D
-from colmap_edges.model import Model
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.contents import Trace, typed
 
 MAX_REPROJECTIONS = 300_000

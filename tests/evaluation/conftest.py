@@ -2,15 +2,16 @@ import os
 from pathlib import Path
 
 import pytest
+from project import ROOT
 
-from colmap_edges.evaluation import dtu
-from colmap_edges.triangulation import triangulate
+from colmap_edges.colmap.triangulation import triangulate
+from colmap_edges.evaluation.protocols import dtu
 
 
 @pytest.fixture(scope="session")
 def data_path():
     """Folder of the real scenes; tests that need it are skipped without it."""
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+    default = ROOT.parent / "shared" / "data"
     path = Path(os.environ.get("COLMAP_EDGES_DATA", default))
     if not path.is_dir():
         pytest.skip(f"the real scenes are not in {path} (set COLMAP_EDGES_DATA)")
@@ -21,7 +22,7 @@ def data_path():
 def mesher():
     """Tests that mesh are skipped where the CGAL mesher is not built."""
     try:
-        from colmap_edges import _mesher, pipeline  # noqa: F401
+        from colmap_edges import _mesher  # noqa: F401
     except ImportError:
         pytest.skip("the CGAL mesher is not built")
 

@@ -7,22 +7,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from colmap_edges import evaluation
+from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import (
-    benchmark,
-    clouds,
-    curves,
-    depth,
-    held_out,
-    results,
-    scene,
-    tables,
-)
-from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import load_model
+from colmap_edges.evaluation import benchmark, held_out, tables
+from colmap_edges.evaluation import run as evaluation
+from colmap_edges.evaluation.metrics import clouds, depth
+from colmap_edges.evaluation.metrics.raycasting import RayCaster
+from colmap_edges.evaluation.protocols import scene
+from colmap_edges.evaluation.readers import results
+from colmap_edges.evaluation.readers.curves import load_curves
 from colmap_edges.options import DetectionOptions, PipelineOptions
-from colmap_edges.pipeline import reconstruct
+from colmap_edges.pipeline.reconstruct import reconstruct
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +201,8 @@ def test_half_of_the_points_judges_the_mesh_of_the_other(sparse):
 def run_path(root, sparse, tmp_path_factory):
     """Output of `colmap-edges mesh` on the miniature."""
     from colmap_edges.options import PipelineOptions
-    from colmap_edges.pipeline import Paths, run
+    from colmap_edges.pipeline.paths import Paths
+    from colmap_edges.pipeline.run import run
 
     out = tmp_path_factory.mktemp("run") / "out"
     images = root / "Rectified" / "scan6"
@@ -255,7 +253,7 @@ def test_enlarged_images_show_more_of_what_is_there(root, sparse):
 def test_edges_are_read_back(sparse, run_path):
     model = load_model(sparse)
     found = results.load_edges(run_path, model)
-    written = curves.load_curves(run_path / "edges.ply")
+    written = load_curves(run_path / "edges.ply")
     np.testing.assert_allclose(found.points, written.points)
     errors = [
         np.linalg.norm(model.views[v].project(found.points[p][None])[0] - found.track_points2D[t])
@@ -288,7 +286,7 @@ def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
 @pytest.mark.usefixtures("mesher")
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])
 def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path, suffix):
-    from colmap_edges.evaluation.raycasting import load_mesh
+    from colmap_edges.evaluation.metrics.raycasting import load_mesh
 
     (tmp_path / "run").mkdir()
     load_mesh(run_path / "mesh.ply").export(tmp_path / "run" / f"mesh{suffix}")

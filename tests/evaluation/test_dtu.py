@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from colmap_edges.colmap.model import model_from_reconstruction
+from colmap_edges.colmap.triangulation import neighbor_pairs, triangulate
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import dtu
-from colmap_edges.model import model_from_reconstruction
-from colmap_edges.triangulation import neighbor_pairs, triangulate
+from colmap_edges.evaluation.protocols import dtu
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from colmap_edges.colmap.model import model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import peers, strecha
-from colmap_edges.model import model_from_reconstruction
+from colmap_edges.evaluation.protocols import strecha
+from colmap_edges.evaluation.readers import peers
 
 LIMAP = Path(__file__).parent / "data" / "limap"
 
@@ -123,7 +124,7 @@ def test_a_real_result_of_limap_2_reads_as_limap_itself_writes_it():
 
 
 def test_a_real_result_of_limap_2_reprojects_onto_its_2d_segments(data_path):
-    from colmap_edges.model import load_model
+    from colmap_edges.colmap.model import load_model
 
     nut = load_model(data_path / "abc-00000006" / "sparse")
     views = {view.image_id: view for view in nut.views}

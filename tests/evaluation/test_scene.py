@@ -2,19 +2,21 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 import trimesh
+from project import ROOT
 
-from colmap_edges.evaluation import curves, depth, edges, scene, visible_curves
-from colmap_edges.evaluation.observations import select_points
-from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import load_model
+from colmap_edges.colmap.model import load_model
+from colmap_edges.evaluation.metrics import curves, depth, edges, visible_curves
+from colmap_edges.evaluation.metrics.observations import select_points
+from colmap_edges.evaluation.metrics.raycasting import RayCaster
+from colmap_edges.evaluation.protocols import scene
+from colmap_edges.evaluation.readers.curves import Curves, load_curves
 
-ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 
 @pytest.fixture(scope="module")
@@ -119,25 +121,25 @@ def test_reprojection_errors_of_moved_points(model_path):
 
 
 def test_shifted_line_scores_zero_or_one():
-    line = curves.Curves(points=np.array([(0, 0, 0), (1, 0, 0.0)]), segments=np.array([(0, 1)]))
-    moved = curves.Curves(points=np.add(line.points, (0, 0.015, 0)), segments=line.segments)
+    line = Curves(points=np.array([(0, 0, 0), (1, 0, 0.0)]), segments=np.array([(0, 1)]))
+    moved = Curves(points=np.add(line.points, (0, 0.015, 0)), segments=line.segments)
     errors = curves.compare_curves(moved, line, (0.01, 0.02))
     assert [row.f_score for row in errors.scores] == [0, 1]
     assert errors.accuracy == pytest.approx(0.015)
 
 
 def test_half_a_line_has_half_the_recall():
-    line = curves.Curves(points=np.array([(0, 0, 0), (1, 0, 0.0)]), segments=np.array([(0, 1)]))
-    half = curves.Curves(points=line.points * 0.5, segments=line.segments)
+    line = Curves(points=np.array([(0, 0, 0), (1, 0, 0.0)]), segments=np.array([(0, 1)]))
+    half = Curves(points=line.points * 0.5, segments=line.segments)
     (row,) = curves.compare_curves(half, line, (0.002,)).scores
     assert row.precision == 1
     assert row.recall == pytest.approx(0.5, abs=0.003)
 
 
 def test_unit_size_and_crop():
-    line = curves.Curves(points=np.array([(0, 0, 0), (200, 0, 0.0)]), segments=np.array([(0, 1)]))
+    line = Curves(points=np.array([(0, 0, 0), (200, 0, 0.0)]), segments=np.array([(0, 1)]))
     far = np.array([(0, 0.5, 0), (200, 0.5, 0), (0, 90, 0), (200, 90, 0.0)])
-    result = curves.Curves(points=far, segments=np.array([(0, 1), (2, 3)]))
+    result = Curves(points=far, segments=np.array([(0, 1), (2, 3)]))
     (row,) = curves.compare_curves(result, line, (0.005,), unit_size=True).scores
     assert row.precision == 0.5
     (row,) = curves.compare_curves(result, line, (0.005,), unit_size=True, crop=True).scores
@@ -147,7 +149,7 @@ def test_unit_size_and_crop():
 
 def test_samples_stand_for_equal_lengths():
     points = np.array([(0, 0, 0), (1, 0, 0), (1, 3, 0), (1, 3, 0.0)])
-    result = curves.Curves(points=points, segments=np.array([(0, 1), (1, 2), (2, 3)]))
+    result = Curves(points=points, segments=np.array([(0, 1), (1, 2), (2, 3)]))
     samples = curves.sample(result, 0.5)
     assert len(samples) == 2 + 6
     np.testing.assert_allclose(samples[:2, 0], (0.25, 0.75))
@@ -156,8 +158,8 @@ def test_samples_stand_for_equal_lengths():
 def test_hidden_curves_are_not_asked_for(model_path):
     views = load_model(model_path).views
     shown, hidden = np.array([(-10, 0, 0), (10, 0, 0.0)]), np.array([(-10, 5, 9), (10, 5, 9.0)])
-    truth = curves.Curves(points=np.vstack([shown, hidden]), segments=np.array([(0, 1), (2, 3)]))
-    found = curves.Curves(points=np.add(shown, (0, 0.8, 0)), segments=np.array([(0, 1)]))
+    truth = Curves(points=np.vstack([shown, hidden]), segments=np.array([(0, 1), (2, 3)]))
+    found = Curves(points=np.add(shown, (0, 0.8, 0)), segments=np.array([(0, 1)]))
     surface = plane(0.0)
     errors = visible_curves.compare_visible_curves(
         found, truth, views, surface, thresholds_px=(0.5, 1)
@@ -177,10 +179,10 @@ def test_hidden_curves_are_not_asked_for(model_path):
 
 def test_marks_on_the_surface_are_told_from_points_off_it(model_path):
     views = load_model(model_path).views
-    truth = curves.Curves(points=np.array([(-10, 0, 0), (10, 0, 0.0)]), segments=np.array([(0, 1)]))
+    truth = Curves(points=np.array([(-10, 0, 0), (10, 0, 0.0)]), segments=np.array([(0, 1)]))
     # Of 60 units of length 20 are on the curve, 20 a mark, 20 at 1.5 pixels above the surface.
     ends = [(x, y, z) for y, z in ((0, 0), (5, 0), (10, -1.5)) for x in (-10.0, 10)]
-    found = curves.Curves(points=np.array(ends), segments=np.array([(0, 1), (2, 3), (4, 5)]))
+    found = Curves(points=np.array(ends), segments=np.array([(0, 1), (2, 3), (4, 5)]))
     errors = visible_curves.compare_visible_curves(
         found, truth, views, plane(0.0), thresholds_px=(1, 2)
     )
@@ -201,7 +203,7 @@ def test_recall_by_views_doubles_its_ranges():
 
 def test_gross_segments_are_counted():
     points = np.column_stack([np.r_[np.arange(30.0), 1000], np.zeros(31), np.zeros(31)])
-    chain = curves.Curves(points=points, segments=np.array([(i, i + 1) for i in range(30)]))
+    chain = Curves(points=points, segments=np.array([(i, i + 1) for i in range(30)]))
     lengths = edges.segment_lengths(chain)
     assert (lengths.gross, lengths.median, lengths.gross_total) == (1, 1.0, 971.0)
     assert lengths.total == 1000
@@ -221,7 +223,7 @@ def write_edges(path, points, segments):
 
 def test_edges_are_read_from_ply(tmp_path):
     write_edges(tmp_path / "edges.ply", [(0, 0, 0), (1, 2, 3), (4, 5, 6)], [(0, 1), (1, 2)])
-    found = curves.load_curves(tmp_path / "edges.ply")
+    found = load_curves(tmp_path / "edges.ply")
     assert found.segments.tolist() == [[0, 1], [1, 2]]
     assert found.points[2].tolist() == [4, 5, 6]
 

@@ -3,18 +3,17 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import miniature
 import numpy as np
 import pytest
 import trimesh
+from project import ROOT
 
-from colmap_edges.evaluation import depth
-from colmap_edges.evaluation.raycasting import RayCaster
-from colmap_edges.model import load_model
+from colmap_edges.colmap.model import load_model
+from colmap_edges.evaluation.metrics import depth
+from colmap_edges.evaluation.metrics.raycasting import RayCaster
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.usefixtures("mesher")
 
 

@@ -6,6 +6,8 @@ import pytest
 import valid
 from isolation import Job
 
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
 RUNS = 16
 SOAK_RUNS = 600
 

@@ -1,0 +1,1 @@
+"""The command line: parse, call the pipeline, say what came out, exit."""

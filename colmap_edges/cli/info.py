@@ -1,0 +1,83 @@
+"""What a folder holds, in a few lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.colmap.workspace import find_model, is_model
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.input_files import read_text
+from colmap_edges.runtime.ownership import REPORT_NAME
+
+
+def describe(path: Path) -> str:
+    """Describe a COLMAP model, an output folder, or the model of a workspace.
+
+    Raises:
+        ColmapEdgesError: when `path` is none of them.
+    """
+    if (path / REPORT_NAME).is_file():
+        return describe_output(path)
+    if is_model(path) or not (path / "sparse").is_dir():
+        return describe_model(load_model(path))
+    found = find_model(path)
+    return f"{found}:\n{describe_model(load_model(found))}"
+
+
+def describe_model(model: Model) -> str:
+    """Counts of a model, its cameras, and the spread of its track lengths."""
+    cameras = model.reconstruction.cameras
+    kinds = sorted({f"{c.model.name} {c.width}x{c.height}" for c in cameras.values()})
+    lines = [
+        f"cameras: {len(cameras)} ({', '.join(kinds)})",
+        f"images: {len(model.views)} with poses, {len(model.unposed_names)} without",
+        f"points3D: {len(model.point3D_ids):,}, {len(model.track_views):,} observations",
+    ]
+    lengths = np.diff(model.track_offsets)
+    if len(lengths):
+        lines.append(f"track length: median {np.median(lengths):g}, longest {lengths.max()}")
+    return "\n".join(lines)
+
+
+def describe_output(path: Path) -> str:
+    """What a run made: its command, stages, edges and model."""
+    try:
+        lines = report_lines(read_json(path / REPORT_NAME))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ColmapEdgesError(f"{path / REPORT_NAME} is damaged: no {error}; run again") from error
+    if (path / "sparse").is_dir():
+        model = describe_model(load_model(path / "sparse"))
+        lines += ["sparse:", *(f"  {line}" for line in model.split("\n"))]
+    return "\n".join(lines)
+
+
+def report_lines(report: dict[str, Any]) -> list[str]:
+    """The command of a run and what its stages did."""
+    lines = [f"output of colmap-edges {report['command']}"]
+    for stage in report["stages"]:
+        lines.append(f"{stage['name']}: {stage['wall_s']} s, {stage['peak_mb']} MB")
+        lines += count_lines(stage["counts"], "  ")
+    return lines
+
+
+def count_lines(counts: dict[str, Any], indent: str) -> list[str]:
+    """Counts one a line, nested ones further in."""
+    lines = []
+    for key, value in counts.items():
+        nested = isinstance(value, dict)
+        lines.append(f"{indent}{key.replace('_', ' ')}:{'' if nested else f' {value}'}")
+        lines += count_lines(value, indent + "  ") if nested else []
+    return lines
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object written by this package."""
+    try:
+        return dict(json.loads(read_text(path)))
+    except (OSError, ValueError) as error:
+        raise ColmapEdgesError(f"cannot read {path}: {error}") from error

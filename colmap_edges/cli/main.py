@@ -1,0 +1,144 @@
+"""The command line: parse, call the pipeline, say what came out, exit."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+
+from colmap_edges.cli.errors import one_line_errors
+from colmap_edges.cli.flags import normalize
+from colmap_edges.cli.help import Command, full_help_flag
+from colmap_edges.cli.run_commands import (
+    DETECT_FLAGS,
+    MESH_FLAGS,
+    RECONSTRUCT_FLAGS,
+    make_run_command,
+)
+from colmap_edges.cli.terminal import (
+    HEEDED,
+    STOPPED,
+    heed,
+    heeded_signals,
+    open_streams,
+    say,
+    show_usage_error,
+)
+from colmap_edges.cli.version import show_version
+from colmap_edges.runtime.memory import reuse_freed_memory
+
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+
+
+@click.command(cls=Command, name="info")
+@click.argument("path", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--verbose", is_flag=True, help="Show where errors arise")
+def info(path: Path, verbose: bool) -> None:
+    """Say what PATH holds: a COLMAP model, or an output folder."""
+    with one_line_errors(verbose):
+        from colmap_edges.cli.info import describe
+
+        say(*describe(path).split("\n"))
+
+
+@click.command(cls=Command, name="evaluate")
+@click.option("--run_path", type=FOLDER, required=True, help="Output folder of mesh")
+@click.option("--input_path", type=FOLDER, required=True, help="COLMAP model it started from")
+@click.option(
+    "--reference_path",
+    type=click.Path(path_type=Path, exists=True),
+    help="Depth maps, mesh or point cloud; without it half of the model's points are held out",
+)
+@click.option(
+    "--curves_path",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="True 3D curves (.npz or .ply)",
+)
+@click.option(
+    "--image_path", type=FOLDER, help="Images, for --held_out_views and pictures of edges"
+)
+@click.option(
+    "--held_out_views",
+    type=click.IntRange(0, 1_000_000),
+    default=0,
+    show_default=True,
+    help="Judge edges in every n-th image, left out of their reconstruction; 0 does not",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an earlier evaluation")
+@click.option("--verbose", is_flag=True, help="Log each step; show where errors arise")
+def evaluate(verbose: bool, **values: Any) -> None:
+    """Judge an output folder: errors of its mesh and edges, with pictures."""
+    with one_line_errors(verbose):
+        from colmap_edges.colmap import model  # noqa: F401 - heavy imports, after parsing
+        from colmap_edges.evaluation import run as evaluation
+
+        heed(HEEDED)
+        evaluation.run(**values)
+        output = values["run_path"] / "evaluation"
+        say(*(output / "evaluation.md").read_text(encoding="utf-8").split("\n"))
+        say(f"Figures and pictures are in {output}")
+
+
+@click.group(context_settings={"token_normalize_func": normalize, "max_content_width": 100})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=show_version,
+    help="Show the versions of this program and of what it computes with, and exit",
+)
+def cli() -> None:
+    """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
+
+
+cli.params.append(full_help_flag("Show this; after a command, all of its options, and exit"))
+cli.add_command(
+    make_run_command(
+        "detect", "Detect 2D edge graphs: one .npz and one overlay an image.", DETECT_FLAGS
+    )
+)
+cli.add_command(
+    make_run_command(
+        "reconstruct",
+        "Reconstruct 3D edges and write them into the COLMAP model.",
+        RECONSTRUCT_FLAGS,
+    )
+)
+cli.add_command(
+    make_run_command(
+        "mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS
+    )
+)
+cli.add_command(info)
+cli.add_command(evaluate)
+
+
+def main(argv: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
+    # Each image or view has a thread of its own; those of BLAS would wait for them at full speed,
+    # and round by how many they are. It looks when numpy is loaded, by the command that needs it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    open_streams()
+    HEEDED[:] = heeded_signals()
+    reuse_freed_memory()
+    run: Callable[..., Any] = cli.main
+    try:
+        code = run(argv, prog_name="colmap-edges", standalone_mode=False)
+    except click.ClickException as error:
+        show_usage_error(error)
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        say("Interrupted; nothing was written.", err=True)
+        sys.exit(130)
+    except Exception:
+        if not STOPPED:
+            raise
+        # Some libraries take the signal, raised inside them, for an error of their own.
+        say("Interrupted; nothing was written.", err=True)
+        sys.exit(128 + STOPPED[0])
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,156 @@
+"""The commands that run the pipeline: their flags, config files and paths."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import click
+
+from colmap_edges.cli.errors import one_line_errors
+from colmap_edges.cli.flags import Word, make_flags, options_from_flags, read_config
+from colmap_edges.cli.help import Command
+from colmap_edges.cli.summary import summary
+from colmap_edges.cli.terminal import HEEDED, heed, progress_bars, say
+from colmap_edges.colmap.workspace import find_images, find_model
+from colmap_edges.options import PRESETS, PipelineOptions
+
+# Options of each command.
+MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
+RECONSTRUCT_FLAGS = MESH_FLAGS - {"meshing", "use_edges", "masks_are_background"}
+DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "random_seed", "detection", "edge_graph"}
+
+
+def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
+    """Take what the TOML file says as defaults; flags of the command line go before."""
+    if value:
+        ctx.default_map = read_config(ctx, value)
+
+
+def path_flag(name: str, help: str) -> click.Option:
+    """Make a flag that takes a path."""
+    return click.Option([f"--{name}"], type=click.Path(path_type=Path), help=help)
+
+
+def quality_flag() -> click.Option:
+    """Make the flag that chooses a preset."""
+    return click.Option(
+        ["--quality"],
+        type=Word(PRESETS),
+        metavar="|".join(PRESETS),
+        help="Preset: low is faster, high compares more views; other flags go before [medium]",
+    )
+
+
+def recording_target(value: str) -> str:
+    """Take what --rerun says: 0, 1 or the name of a recording."""
+    if value in ("0", "1") or value.lower().endswith(".rrd"):
+        return value
+    raise click.BadParameter(f"{value!r} is neither 0, 1 nor a FILE.rrd")
+
+
+def run_flags(names: set[str]) -> list[click.Parameter]:
+    """Make the flags of a command that runs stages."""
+    return [
+        path_flag(
+            "workspace_path", "COLMAP workspace: has images and sparse/0; gives the paths below"
+        ),
+        path_flag("image_path", "Folder of the images [WORKSPACE/images]"),
+        path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
+        path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
+        path_flag(
+            "mask_path",
+            "Folder of masks named as COLMAP's, IMAGE.png, or one mask of all images: no edges are "
+            "looked for where they are black",
+        ),
+        path_flag(
+            "cache_path",
+            "Folder of results that later runs find again: made when missing, can be deleted",
+        ),
+        click.Option(
+            ["--scheduler"],
+            default="",
+            metavar="ADDRESS",
+            help="Let a dask.distributed cluster work, such as tcp://host:8786; needs --cache_path",
+        ),
+        *([quality_flag()] if "tracing" in names else []),
+        click.Option(
+            ["--config"],
+            type=click.Path(path_type=Path, exists=True, dir_okay=False),
+            is_eager=True,
+            expose_value=False,
+            callback=load_config,
+            help="TOML file with flags as keys, groups as tables; flags given here go before",
+        ),
+        click.Option(
+            ["--rerun"],
+            type=recording_target,
+            metavar="0|1|FILE.rrd",
+            default="0",
+            help="Show the run in rerun's viewer as it goes, or record it for the viewer [0]",
+        ),
+        click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
+        click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
+        *make_flags(names),
+    ]
+
+
+def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
+    """Make the command that runs the pipeline up to the stage `name`."""
+
+    def callback(**values: Any) -> None:
+        with one_line_errors(values["verbose"]):
+            run_command(name, values)
+
+    return Command(name, params=run_flags(names), callback=callback, help=help)
+
+
+def run_command(name: str, values: dict[str, Any]) -> None:
+    """Run one command with the values of its flags and print the summary."""
+    options = options_from_flags(values)
+    from colmap_edges.pipeline.paths import Paths
+    from colmap_edges.pipeline.run import run  # heavy imports, after parsing
+    from colmap_edges.report.rerun_viewer import open_viewer
+
+    heed(HEEDED)
+    started = time.perf_counter()
+    optional = {name: values[name] for name in ("mask_path", "cache_path")}
+    needs_images = name != "mesh" or options.use_edges
+    paths = Paths(**paths_from_flags(values, needs_images), **optional)
+    target, overwrite = values["rerun"], values["overwrite"]
+    with (
+        open_viewer(target, paths.output_path, overwrite, paths.inputs) as viewer,
+        progress_bars() as progress,
+    ):
+        report = run(
+            name,
+            paths,
+            options,
+            overwrite=overwrite,
+            progress=progress,
+            scheduler=values["scheduler"],
+            viewer=viewer,
+        )
+    say(*summary(report, paths.output_path, time.perf_counter() - started))
+    if target not in ("0", "1"):
+        say(f"The recording in {target} opens in rerun's viewer: rerun {target}")
+
+
+def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, Any]:
+    """The paths of a run; those that are needed and not given come from the workspace."""
+    workspace = values["workspace_path"]
+    finders: dict[str, Callable[[Path], Path]] = {
+        "input_path": find_model,
+        "output_path": lambda folder: folder / "edges",
+    }
+    if needs_images:
+        finders = {"image_path": find_images, **finders}
+    missing = [name for name in finders if values[name] is None]
+    if missing and workspace is None:
+        flags = ", ".join(f"--{name}" for name in missing)
+        raise click.UsageError(f"Missing {flags}; or give --workspace_path")
+    found = {name: find(workspace) for name, find in finders.items() if name in missing}
+    return {"image_path": values["image_path"], **{n: values[n] for n in finders}, **found}

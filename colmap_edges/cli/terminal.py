@@ -1,0 +1,112 @@
+"""The terminal: text with control characters escaped, logs, progress bars, signals."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from typing import Any
+
+import click
+
+from colmap_edges.errors import printable
+from colmap_edges.runtime.stages import Progress, no_progress
+
+HEEDED: list[int] = []  # signals that end a run
+ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
+STOPPED: list[int] = []  # signals that asked the run to stop
+
+
+def show_usage_error(error: click.ClickException) -> None:
+    """Write what click says of a mistake in the command line."""
+    text = io.StringIO()
+    error.show(file=text)
+    say(*text.getvalue().rstrip("\n").split("\n"), err=True)
+
+
+def say(*lines: str, err: bool = False) -> None:
+    """Write lines to standard output or error; no name in them can steer the terminal."""
+    with suppress(OSError) if err else nullcontext():  # there is nobody else to tell
+        click.echo("\n".join(map(printable, lines)), err=err)
+
+
+def open_streams() -> None:
+    """Open the standard streams that were closed, to nowhere, and let all write what they can.
+
+    Otherwise the next files opened would be taken for them, and libraries would write into those.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+            os.set_inheritable(number, True)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # letters that the locale does not have
+
+
+class LogFormatter(logging.Formatter):
+    """Formats records so that no name in them can steer the terminal."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """The record's line."""
+        return printable(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:
+        """The lines of a traceback."""
+        return "\n".join(map(printable, super().formatException(ei).split("\n")))
+
+
+def start_logging(verbose: bool) -> None:
+    """Log warnings, or everything, to standard error."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(LogFormatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.DEBUG if verbose else logging.WARNING, handlers=[handler])
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """Yield a function that shows one bar a stage on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield no_progress
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeElapsedColumn as Elapsed
+
+    columns = (TextColumn("{task.description:>8}"), BarColumn(), MofNCompleteColumn(), Elapsed())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def show(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bars.add_task(name, total=total)
+            bars.update(tasks[name], completed=done, total=total)
+
+        yield show
+
+
+def heeded_signals() -> list[int]:
+    """The signals that end a run: not those that its parent had ignored, as nohup does."""
+    return [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
+
+
+def heed(signals: list[int]) -> None:
+    """Let signals end the run; to be called after pycolmap is loaded, which sets its own."""
+    for number in signals:
+        signal.signal(number, on_signal)
+
+
+def on_signal(number: int, _frame: Any) -> None:
+    """Leave as on an error, so that what was begun is cleaned up."""
+    if STOPPED and number not in (signal.SIGINT, signal.SIGTERM):
+        return  # shell and kernel both tell that a terminal closed
+    STOPPED.append(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)

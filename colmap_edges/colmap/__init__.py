@@ -1,0 +1,1 @@
+"""COLMAP models: reading, checking, writing, workspaces, triangulation."""

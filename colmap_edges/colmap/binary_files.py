@@ -1,0 +1,372 @@
+"""COLMAP's binary model files as bytes: check them before use, read points, append edge points.
+
+pycolmap hangs or kills the process on some damaged files, and takes seconds for what numpy
+reads or appends in milliseconds; the formats are simple and fixed.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, order_of, ranks_of
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.input_files import open_file, read_bytes
+
+POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
+POINT3D = np.dtype(
+    [
+        ("id", "<u8"),
+        ("xyz", "<f8", 3),
+        ("rgb", "u1", 3),
+        ("error", "<f8"),
+        ("track_length", "<u8"),
+    ]
+)
+TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
+IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
+NO_POINT3D = np.iinfo(np.uint64).max  # of a point2D that observes none
+CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
+COUNT = struct.Struct("<Q")
+GATHERED = 100_000  # records at once: their bytes' places take many times their memory
+MODEL_NAMES = ("cameras", "images", "points3D", "rigs", "frames")
+
+
+@dataclass(frozen=True)
+class ImageSpan:
+    """Where one image lies in images.bin; its points2D are at points_start:end."""
+
+    image_id: int
+    start: int
+    points_start: int
+    end: int
+    num_points2D: int
+
+
+@dataclass(frozen=True)
+class ModelPoints:
+    """The points of a model as they are in its files.
+
+    Attributes:
+        points2D: by image id, (n,) `POINT2D` records of its points2D.
+        points3D: (N,) `POINT3D` records, ids ascending.
+    """
+
+    points2D: dict[int, NDArray[np.void]]
+    points3D: NDArray[np.void]
+
+
+def check_are_files(folder: Path) -> None:
+    """Check that what is named as a model's files can be opened as one: pycolmap waits for pipes.
+
+    Raises:
+        OSError: when one cannot.
+    """
+    for name, suffix in product(MODEL_NAMES, (".bin", ".txt")):
+        if os.path.lexists(folder / (name + suffix)):
+            open_file(folder / (name + suffix)).close()
+
+
+def is_binary(folder: Path) -> bool:
+    """Whether a folder holds a binary model, which is what pycolmap reads if it does."""
+    return all((folder / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D"))
+
+
+def read_points(folder: Path) -> ModelPoints:
+    """Read the points of the binary model in a folder.
+
+    Raises:
+        ColmapEdgesError: when a file is truncated or has bytes too many.
+    """
+    images, points3D = folder / "images.bin", folder / "points3D.bin"
+    data = read_bytes(images)
+    points2D = {
+        image.image_id: np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
+        for image in image_records(data, images)
+    }
+    data = read_bytes(points3D)
+    heads = gather(data, point3D_records(data, points3D)[0], POINT3D)
+    return ModelPoints(points2D, heads[np.argsort(heads["id"])])
+
+
+def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None:
+    """Check sizes, counts and references of a binary model; text models are not looked at.
+
+    Args:
+        folder: where cameras.bin, images.bin and points3D.bin are.
+        parameters_of_model: number of parameters by COLMAP's camera model id.
+
+    Raises:
+        ColmapEdgesError: when a file is truncated, has bytes too many or points nowhere.
+    """
+    if not is_binary(folder):
+        return
+    files = {name: folder / f"{name}.bin" for name in ("cameras", "images", "points3D")}
+    check_cameras(files["cameras"], parameters_of_model)
+    data = read_bytes(files["images"])
+    images = image_records(data, files["images"])
+    check_image_points(data, images, files["images"])
+    if not (folder / "frames.bin").is_file():
+        for image in images:
+            check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], files["images"])
+    check_points3D(files["points3D"], images)
+    for name, check in (("rigs", check_rigs), ("frames", check_frames)):
+        if (folder / f"{name}.bin").is_file():
+            check(folder / f"{name}.bin")
+
+
+def check_text_files(folder: Path, num_records: dict[str, int]) -> None:
+    """Check that text files of a model hold as many records as they should, the last one whole.
+
+    Args:
+        folder: where the .txt files are.
+        num_records: records by file name without suffix; an image is two lines, else it is one.
+
+    Raises:
+        ColmapEdgesError: when a file is cut short.
+    """
+    for name, count in num_records.items():
+        path = folder / f"{name}.txt"
+        with path.open("rb") as file:
+            lines = [line[-1:] for line in file if not line.startswith(b"#")]
+        if len(lines) != count * (2 if name == "images" else 1) or b"".join(lines).strip(b"\n"):
+            raise damaged(path, "it is cut short")
+
+
+def damaged(path: Path, why: str) -> ColmapEdgesError:
+    """Make the error for a damaged file."""
+    return ColmapEdgesError(f"{path} is damaged: {why}; copy or write the model again")
+
+
+class Reader:
+    """Reads little-endian fields one after another and knows when the file ends too early."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the whole file."""
+        self.path = path
+        self.data = read_bytes(path)
+        self.at = 0
+
+    def take(self, layout: struct.Struct) -> tuple[int, ...]:
+        """Unpack the next fields."""
+        self.skip(layout.size)
+        return layout.unpack_from(self.data, self.at - layout.size)
+
+    def skip(self, size: int) -> None:
+        """Move on by `size` bytes."""
+        self.at += size
+        if self.at > len(self.data):
+            raise damaged(self.path, f"it ends after {len(self.data)} bytes, within a record")
+
+    def end(self) -> None:
+        """Check that nothing follows."""
+        if self.at != len(self.data):
+            raise damaged(self.path, f"{len(self.data) - self.at} bytes follow its last record")
+
+
+def check_cameras(path: Path, parameters_of_model: dict[int, int]) -> None:
+    """Check that cameras.bin holds as many cameras, of known models, as it says."""
+    reader = Reader(path)
+    for _ in range(reader.take(COUNT)[0]):
+        camera_id, model, _width, _height = reader.take(CAMERA_HEAD)
+        if model not in parameters_of_model:
+            raise damaged(path, f"camera {camera_id} has the unknown model {model}")
+        reader.skip(8 * parameters_of_model[model])
+    reader.end()
+
+
+def check_rigs(path: Path) -> None:
+    """Check that rigs.bin holds as many rigs and sensors as it says."""
+    reader = Reader(path)
+    for _ in range(reader.take(COUNT)[0]):
+        num_sensors = reader.take(struct.Struct("<II"))[1]
+        reader.skip(8 if num_sensors else 0)  # the reference sensor
+        for _ in range(num_sensors - 1):
+            has_pose = reader.take(struct.Struct("<iIB"))[2]
+            reader.skip(56 if has_pose else 0)
+    reader.end()
+
+
+def check_frames(path: Path) -> None:
+    """Check that frames.bin holds as many frames and data ids as it says."""
+    reader = Reader(path)
+    for _ in range(reader.take(COUNT)[0]):
+        frame = reader.take(struct.Struct("<II7dI"))
+        check_rotation(frame[2:6], path)
+        reader.skip(16 * frame[-1])
+    reader.end()
+
+
+def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
+    """Check that a quaternion is not zero, which COLMAP silently takes for no rotation."""
+    if not any(quaternion):
+        raise damaged(path, "a pose has a rotation of zeros")
+
+
+def image_records(data: bytes, path: Path) -> list[ImageSpan]:
+    """Find every image in the bytes of images.bin; `path` is for messages.
+
+    Raises:
+        ColmapEdgesError: when the bytes end too early or too late.
+    """
+    records = []
+    at = COUNT.size
+    try:
+        for _ in range(COUNT.unpack_from(data)[0]):
+            start = at
+            image_id = IMAGE_HEAD.unpack_from(data, at)[0]
+            at = data.index(b"\0", at + IMAGE_HEAD.size) + 1
+            num_points2D = COUNT.unpack_from(data, at)[0]
+            points_start = at + COUNT.size
+            at = points_start + num_points2D * POINT2D.itemsize
+            records.append(ImageSpan(image_id, start, points_start, at, num_points2D))
+            if at > len(data):
+                raise ValueError
+    except (struct.error, ValueError):
+        raise damaged(path, f"it ends after {len(data)} bytes, within a record") from None
+    if at != len(data):
+        raise damaged(path, f"{len(data) - at} bytes follow its last record")
+    return records
+
+
+def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None:
+    """Check that image ids are unique and that every point2D is a finite pixel."""
+    if len({image.image_id for image in images}) != len(images):
+        raise damaged(path, "two images have the same id")
+    for image in images:
+        points = np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
+        if not np.isfinite(points["xy"]).all():
+            raise damaged(path, f"image {image.image_id} has a point2D that is not finite")
+
+
+def check_points3D(path: Path, images: list[ImageSpan]) -> None:
+    """Check the records of points3D.bin and that each track points at an existing point2D."""
+    data = read_bytes(path)
+    starts, lengths = point3D_records(data, path)
+    heads = gather(data, starts, POINT3D)
+    if len(np.unique(heads["id"])) != len(heads):
+        raise damaged(path, "two points have the same id")
+    if not np.isfinite(heads["xyz"]).all():
+        raise damaged(path, "a point is not finite")
+    within = ranks_of(lengths)
+    tracks = gather(
+        data,
+        np.repeat(starts + POINT3D.itemsize, lengths) + within * TRACK_ELEMENT.itemsize,
+        TRACK_ELEMENT,
+    )
+    ids = np.array(sorted((image.image_id, image.num_points2D) for image in images), np.int64)
+    ids = ids.reshape(-1, 2)
+    rows = np.minimum(np.searchsorted(ids[:, 0], tracks["image_id"]), max(len(ids) - 1, 0))
+    if len(tracks) and (not len(ids) or (ids[rows, 0] != tracks["image_id"]).any()):
+        raise damaged(path, "a track names an image that is not in images.bin")
+    if len(tracks) and (ids[rows, 1] <= tracks["point2D_idx"]).any():
+        raise damaged(path, "a track names a point2D that its image does not have")
+
+
+def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
+    """Offsets (N,) of the points in the bytes of points3D.bin and their track lengths (N,)."""
+    starts, lengths = [], []
+    at = COUNT.size
+    length_at = POINT3D.itemsize - COUNT.size
+    try:
+        for _ in range(COUNT.unpack_from(data)[0]):
+            length = COUNT.unpack_from(data, at + length_at)[0]
+            starts.append(at)
+            lengths.append(length)
+            at += POINT3D.itemsize + length * TRACK_ELEMENT.itemsize
+    except (struct.error, OverflowError):
+        at = len(data) + 1
+    if at > len(data):
+        raise damaged(path, f"it ends after {len(data)} bytes, within a record")
+    if at != len(data):
+        raise damaged(path, f"{len(data) - at} bytes follow its last record")
+    return np.array(starts, np.int64), np.array(lengths, np.int64)
+
+
+def gather(data: bytes, offsets: IntArray, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Records of `dtype` at byte `offsets` (N,) of `data`."""
+    raw, within = np.frombuffer(data, np.uint8), np.arange(dtype.itemsize)
+    records = np.empty(len(offsets), dtype)
+    for start in range(0, len(offsets), GATHERED):
+        places = offsets[start : start + GATHERED, None] + within
+        records[start : start + GATHERED] = raw[places].view(dtype).reshape(-1)
+    return records
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewPoints:
+    """Points to append to a binary model.
+
+    Attributes:
+        ids: (N,) point3D ids, none of them in the model yet.
+        xyz: (N, 3) float64, world units.
+        rgb: (N, 3) uint8.
+        errors: (N,) float64 mean reprojection errors, pixels.
+        track_offsets: (N + 1,) int64 CSR of the observations.
+        track_image_ids: (T,) int64.
+        track_points2D: (T, 2) float64, image pixels.
+    """
+
+    ids: IntArray
+    xyz: FloatArray
+    rgb: ByteArray
+    errors: FloatArray
+    track_offsets: IntArray
+    track_image_ids: IntArray
+    track_points2D: FloatArray
+
+
+def append_points(folder: Path, points: NewPoints) -> None:
+    """Append points, their tracks and their points2D to the binary model in `folder`."""
+    indices = append_points2D(folder / "images.bin", points)
+    append_points3D(folder / "points3D.bin", points, indices)
+
+
+def append_points2D(path: Path, points: NewPoints) -> IntArray:
+    """Append the observations to their images; return the point2D index (T,) of each."""
+    data = read_bytes(path)
+    owners = np.repeat(points.ids, np.diff(points.track_offsets))
+    indices = np.empty(len(owners), np.int64)
+    order = order_of(points.track_image_ids, int(points.track_image_ids.max(initial=0)) + 1)
+    sorted_ids = points.track_image_ids[order]
+    with path.open("wb") as file:
+        file.write(data[: COUNT.size])
+        for image in image_records(data, path):
+            first, last = np.searchsorted(sorted_ids, [image.image_id, image.image_id + 1])
+            rows = order[first:last]
+            indices[rows] = image.num_points2D + np.arange(len(rows))
+            added = np.empty(len(rows), POINT2D)
+            added["xy"] = points.track_points2D[rows]
+            added["point3D_id"] = owners[rows]
+            file.write(data[image.start : image.points_start - COUNT.size])
+            file.write(COUNT.pack(image.num_points2D + len(rows)))
+            file.write(data[image.points_start : image.end])
+            file.write(added.tobytes())
+    return indices
+
+
+def append_points3D(path: Path, points: NewPoints, point2D_indices: IntArray) -> None:
+    """Append the points with their tracks to points3D.bin."""
+    heads = np.empty(len(points.ids), POINT3D)
+    heads["id"], heads["xyz"], heads["rgb"] = points.ids, points.xyz, points.rgb
+    heads["error"], heads["track_length"] = points.errors, np.diff(points.track_offsets)
+    elements = np.empty(len(point2D_indices), TRACK_ELEMENT)
+    elements["image_id"], elements["point2D_idx"] = points.track_image_ids, point2D_indices
+    # A head, its track, the next head: parts of so many bytes in turn.
+    parts = np.full((len(heads), 2), POINT3D.itemsize)
+    parts[:, 1] = np.diff(points.track_offsets) * TRACK_ELEMENT.itemsize
+    of_head = np.repeat(np.tile([True, False], len(heads)), parts.ravel())
+    raw = np.empty(len(of_head), np.uint8)
+    raw[of_head], raw[~of_head] = heads.view(np.uint8), elements.view(np.uint8)
+    with path.open("r+b") as file:
+        count = COUNT.unpack(file.read(COUNT.size))[0]
+        file.seek(0)
+        file.write(COUNT.pack(count + len(heads)))
+        file.seek(0, 2)
+        file.write(raw.tobytes())

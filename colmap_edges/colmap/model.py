@@ -1,0 +1,273 @@
+"""COLMAP models as arrays: reading them, and what is checked when they are read."""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from colmap_edges.colmap.binary_files import (
+    NO_POINT3D,
+    POINT2D,
+    ModelPoints,
+    check_are_files,
+    check_model_files,
+    is_binary,
+    read_points,
+)
+from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    owners_of,
+)
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View, track_residuals
+from colmap_edges.errors import ColmapEdgesError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A sparse model as arrays: posed views sorted by name, points, and tracks as CSR.
+
+    Attributes:
+        views: posed views, sorted by name.
+        points3D_xyz: (N, 3) float64, world units.
+        point3D_ids: (N,) int64, COLMAP's ids, ascending.
+        points3D_rgb: (N, 3) uint8.
+        track_offsets: (N + 1,) int64; observations of point i are track_offsets[i]:[i + 1].
+        track_views: (T,) int32 indices into `views`.
+        track_points2D: (T, 2) float64 observed image pixels, COLMAP's origin.
+        unposed_names: images of the model that have no pose.
+        reconstruction: the pycolmap.Reconstruction it was made from; never written to.
+        far_point3D_ids: (F,) int64 ids of its points at infinity, which are left out here.
+    """
+
+    views: tuple[View, ...]
+    points3D_xyz: FloatArray
+    point3D_ids: IntArray
+    points3D_rgb: ByteArray
+    track_offsets: IntArray
+    track_views: Int32Array
+    track_points2D: FloatArray
+    unposed_names: tuple[str, ...]
+    reconstruction: Any
+    far_point3D_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @property
+    def scale(self) -> float:
+        """How many times its images are enlarged before their edges are detected; the most."""
+        return max(view.scale for view in self.views)
+
+    def at_scale(self, scale: float) -> Model:
+        """The same model with every view enlarged `scale` times."""
+        return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
+
+    def selected(self, points: BoolArray, observations: BoolArray) -> Model:
+        """The model of some of the (N,) points and (T,) observations; these are of such points."""
+        lengths = np.bincount(self.track_points[observations], minlength=len(points))
+        return replace(
+            self,
+            points3D_xyz=self.points3D_xyz[points],
+            point3D_ids=self.point3D_ids[points],
+            points3D_rgb=self.points3D_rgb[points],
+            track_offsets=offsets_of(lengths[points]),
+            track_views=self.track_views[observations],
+            track_points2D=self.track_points2D[observations],
+        )
+
+    @cached_property
+    def track_points(self) -> IntArray:
+        """(T,) point of each observation."""
+        return owners_of(self.track_offsets)
+
+    @cached_property
+    def camera_centers(self) -> FloatArray:
+        """(V, 3) projection centres of the views."""
+        return np.array([view.center for view in self.views]).reshape(-1, 3)
+
+
+def load_model(path: Path | str) -> Model:
+    """Read a COLMAP model folder (bin or txt, any version pycolmap reads).
+
+    Raises:
+        ColmapEdgesError: when the folder holds no readable model.
+    """
+    path = Path(path)
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # the error says it all
+    try:
+        check_are_files(path)
+        check_model_files(path, camera_parameter_counts())
+        reconstruction = pycolmap.Reconstruction(str(path))
+        points = read_points(path) if is_binary(path) else None
+    except (ValueError, IndexError, RuntimeError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise ColmapEdgesError(
+            f"no readable COLMAP model in {path} ({reason}); "
+            "give the folder that holds cameras, images and points3D (.bin or .txt)"
+        ) from error
+    finally:
+        pycolmap.logging.minloglevel = level
+    return model_from_reconstruction(reconstruction, points)
+
+
+def camera_parameter_counts() -> dict[int, int]:
+    """Number of parameters of every camera model, by COLMAP's id of the model."""
+    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
+    cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
+    return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
+
+
+def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
+    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed.
+
+    Args:
+        reconstruction: the model.
+        points: its points, where they are at hand.
+
+    Raises:
+        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together. Points
+            at infinity are left out.
+    """
+    try:
+        images = sorted(reconstruction.images.values(), key=lambda image: image.name)
+    except UnicodeDecodeError as error:
+        raise ColmapEdgesError(
+            f"the name of an image of the model is not UTF-8 ({error.object!r}); rename the image"
+        ) from error
+    posed = [image for image in images if image.has_pose]
+    for image in posed:
+        check_camera(image.camera, image.name)
+        check_pose(image.cam_from_world(), image.name)
+    views = tuple(view_from_image(image) for image in posed)
+    points = points or points_of(reconstruction)
+    check_ids(points.points3D["id"])
+    ids = points.points3D["id"].astype(np.int64)
+    observed = [points.points2D[image.image_id] for image in posed]
+    offsets, track_views, track_points2D = tracks_by_point(observed, ids)
+    model = Model(
+        views=views,
+        points3D_xyz=points.points3D["xyz"].astype(np.float64),
+        point3D_ids=ids,
+        points3D_rgb=points.points3D["rgb"].astype(np.uint8),
+        track_offsets=offsets,
+        track_views=track_views,
+        track_points2D=track_points2D,
+        unposed_names=tuple(image.name for image in images if not image.has_pose),
+        reconstruction=reconstruction,
+    )
+    check_values(model)
+    return without_far_points(model)
+
+
+def points_of(reconstruction: Any) -> ModelPoints:
+    """The points of a reconstruction; by way of files, which is the fastest."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write_binary(folder)
+        try:
+            return read_points(Path(folder))
+        except (ColmapEdgesError, OSError) as error:  # pycolmap is silent on a full disk
+            raise ColmapEdgesError(
+                f"cannot write the model's points to {Path(folder).parent}: the disk is full "
+                f"({error}); free space there or set TMPDIR to another folder"
+            ) from error
+
+
+def check_values(model: Model) -> None:
+    """Check that points are numbers, their ids leave room for more, and names of images differ.
+
+    Raises:
+        ColmapEdgesError: naming the first that is not.
+    """
+    for view, following in pairwise(model.views):
+        if view.name == following.name:
+            raise ColmapEdgesError(f"two images of the model are named {view.name}; rename one")
+    if not np.isfinite(model.track_points2D).all():
+        raise ColmapEdgesError("a point2D of the model that observes a point3D is not finite")
+    bad = model.point3D_ids[~np.isfinite(model.points3D_xyz).all(axis=1)]
+    if len(bad):
+        raise ColmapEdgesError(f"point3D {bad[0]} of the model is not finite; delete it")
+
+
+def without_far_points(model: Model) -> Model:
+    """The model without points at infinity, which tell nothing; their ids are kept.
+
+    Written models have all points that were given.
+    """
+    near = within_reach(model.points3D_xyz, model.camera_centers)
+    if near.all():
+        return model
+    rest = model.selected(near, near[model.track_points])
+    return replace(rest, far_point3D_ids=model.point3D_ids[~near])
+
+
+def view_from_image(image: Any, scale: float = 1.0) -> View:
+    """Make a `View` of a posed pycolmap image, enlarged `scale` times."""
+    matrix = image.cam_from_world().matrix()
+    return View(
+        image_id=image.image_id,
+        name=image.name,
+        width=image.camera.width,
+        height=image.camera.height,
+        camera=copy.copy(image.camera),  # the original dies with the reconstruction
+        rotation=np.array(matrix[:, :3]),
+        translation=np.array(matrix[:, 3]),
+        scale=scale,
+    )
+
+
+def tracks_by_point(
+    points2D: Sequence[NDArray[np.void]], point3D_ids: IntArray
+) -> tuple[IntArray, Int32Array, FloatArray]:
+    """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2).
+
+    Args:
+        points2D: `POINT2D` records of each view.
+        point3D_ids: (N,) ascending.
+
+    Raises:
+        ColmapEdgesError: when a view observes a point that is not among them.
+    """
+    observed = [of_view[of_view["point3D_id"] != NO_POINT3D] for of_view in points2D]
+    every = np.concatenate([np.zeros(0, POINT2D), *observed])
+    ids = every["point3D_id"].astype(np.int64)
+    points = np.searchsorted(point3D_ids, ids)
+    known = np.append(point3D_ids, -1)[points] == ids
+    if not known.all():
+        raise ColmapEdgesError(
+            f"the images of the model observe point3D {ids[~known][0]}, which it does "
+            "not have; its images and points3D files do not belong together"
+        )
+    order = np.argsort(points, kind="stable")
+    offsets = offsets_of(np.bincount(points, minlength=len(point3D_ids)))
+    views = np.repeat(np.arange(len(observed), dtype=np.int32), [len(rows) for rows in observed])
+    return offsets, views[order], every["xy"][order]
+
+
+def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
+    """Distances (T,) in pixels of each observation from the projection of its edge point.
+
+    NaN where the point lies behind the camera.
+    """
+    points = edges.points[edges.track_points]
+    return track_residuals(model.views, points, edges.track_views, edges.track_points2D)
+
+
+def frames_of_views(model: Model) -> IntArray:
+    """(V,) COLMAP's id of the frame that each view's image belongs to."""
+    images = model.reconstruction.images
+    return np.array([images[view.image_id].frame_id for view in model.views], np.int64)

@@ -1,0 +1,200 @@
+"""Images at known poses -> sparse COLMAP model: SIFT, matching and triangulation by pycolmap."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from colmap_edges.core.arrays import FloatArray
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.files import read_picture
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedImage:
+    """An undistorted image with its calibration and pose.
+
+    Attributes:
+        name: Path of the image below the image folder.
+        width: In pixels.
+        height: In pixels.
+        calibration: (3, 3) matrix K; its skew is ignored.
+        rotation: (3, 3) of cam_from_world.
+        translation: (3,) of cam_from_world.
+    """
+
+    name: str
+    width: int
+    height: int
+    calibration: FloatArray
+    rotation: FloatArray
+    translation: FloatArray
+
+    @property
+    def center(self) -> FloatArray:
+        """(3,) projection centre in world coordinates."""
+        center: FloatArray = -self.rotation.T @ self.translation
+        return center
+
+
+def posed_image(
+    path: Path, calibration: FloatArray, rotation: FloatArray, translation: FloatArray
+) -> PosedImage:
+    """The image file `path` at a known pose.
+
+    Raises:
+        ColmapEdgesError: the file holds no picture.
+    """
+    height, width = read_picture(path).shape[:2]
+    return PosedImage(
+        name=path.name,
+        width=width,
+        height=height,
+        calibration=calibration,
+        rotation=rotation,
+        translation=translation,
+    )
+
+
+def triangulate(
+    images: Sequence[PosedImage],
+    image_path: Path,
+    output_path: Path,
+    *,
+    num_neighbors: int = 12,
+    num_threads: int = -1,
+    random_seed: int = 0,
+) -> Any:
+    """Triangulate SIFT points at known poses and write the model to `output_path`.
+
+    Each image is matched with the `num_neighbors` images whose centres are nearest. Poses and
+    calibrations stay as given.
+
+    Returns:
+        The pycolmap.Reconstruction written.
+
+    Raises:
+        ColmapEdgesError: fewer than two images, or one cannot be found.
+    """
+    if len(images) < 2:
+        raise ColmapEdgesError(f"{image_path}: {len(images)} posed images; two are needed")
+    missing = [image.name for image in images if not (image_path / image.name).is_file()]
+    if missing:
+        raise ColmapEdgesError(f"{image_path} holds no {missing[0]}, which has a pose")
+    pycolmap.set_random_seed(random_seed)
+    output_path.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch, quiet_colmap():
+        database_path = Path(scratch) / "database.db"
+        extract(images, image_path, database_path, num_threads)
+        match(images, database_path, Path(scratch) / "pairs.txt", num_neighbors, num_threads)
+        options = pycolmap.IncrementalPipelineOptions()
+        options.num_threads = num_threads
+        options.random_seed = random_seed
+        posed = posed_reconstruction(images, database_path)
+        return pycolmap.triangulate_points(
+            posed, database_path, image_path, output_path, options=options
+        )
+
+
+@contextmanager
+def quiet_colmap() -> Iterator[None]:
+    """Keep COLMAP's information lines off the terminal; warnings stay."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.WARNING.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before
+
+
+def extract(
+    images: Sequence[PosedImage], image_path: Path, database_path: Path, num_threads: int = -1
+) -> None:
+    """Write SIFT features to a new database whose cameras are those of `images`."""
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.num_threads = num_threads
+    extraction.use_gpu = False
+    pycolmap.extract_features(
+        database_path,
+        image_path,
+        image_names=[image.name for image in images],
+        camera_mode=pycolmap.CameraMode.PER_IMAGE,
+        extraction_options=extraction,
+        device=pycolmap.Device.cpu,
+    )
+    with pycolmap.Database.open(database_path) as database:
+        for image in images:
+            stored = database.read_image_with_name(image.name)
+            database.update_camera(pinhole(image, stored.camera_id))
+
+
+def match(
+    images: Sequence[PosedImage],
+    database_path: Path,
+    pairs_path: Path,
+    num_neighbors: int,
+    num_threads: int = -1,
+) -> None:
+    """Match each image with its nearest neighbours."""
+    rows = [f"{images[a].name} {images[b].name}" for a, b in neighbor_pairs(images, num_neighbors)]
+    pairs_path.write_text("\n".join(rows) + "\n")
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = num_threads
+    matching.use_gpu = False
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = str(pairs_path)
+    pycolmap.match_image_pairs(
+        database_path,
+        matching_options=matching,
+        pairing_options=pairing,
+        device=pycolmap.Device.cpu,
+    )
+
+
+def neighbor_pairs(images: Sequence[PosedImage], num_neighbors: int) -> list[tuple[int, int]]:
+    """Pairs (a, b), a < b, of images one of which is among the nearest of the other."""
+    centers = np.array([image.center for image in images])
+    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    nearest = np.argsort(distances, axis=1, kind="stable")[:, :num_neighbors]
+    pairs = {
+        (min(a, int(b)), max(a, int(b)))
+        for a, row in enumerate(nearest)
+        for b in row
+        if np.isfinite(distances[a, b])
+    }
+    return sorted(pairs)
+
+
+def pinhole(image: PosedImage, camera_id: int) -> Any:
+    """The PINHOLE camera of an image."""
+    k = image.calibration
+    return pycolmap.Camera(
+        camera_id=camera_id,
+        model="PINHOLE",
+        width=image.width,
+        height=image.height,
+        params=[k[0, 0], k[1, 1], k[0, 2], k[1, 2]],
+    )
+
+
+def posed_reconstruction(images: Sequence[PosedImage], database_path: Path) -> Any:
+    """A reconstruction without points, with the ids of the database."""
+    reconstruction = pycolmap.Reconstruction()
+    with pycolmap.Database.open(database_path) as database:
+        stored = {image.name: database.read_image_with_name(image.name) for image in images}
+    for image in sorted(images, key=lambda image: stored[image.name].image_id):
+        ids = stored[image.name]
+        reconstruction.add_camera_with_trivial_rig(pinhole(image, ids.camera_id))
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(image.rotation), image.translation)
+        reconstruction.add_image_with_trivial_frame(
+            pycolmap.Image(name=image.name, camera_id=ids.camera_id, image_id=ids.image_id), pose
+        )
+    return reconstruction

@@ -1,0 +1,175 @@
+"""COLMAP models with edge points or refined poses: as files, and as pycolmap.Reconstruction."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from colmap_edges.colmap.binary_files import (
+    NewPoints,
+    append_points,
+    check_model_files,
+    check_text_files,
+)
+from colmap_edges.colmap.model import (
+    Model,
+    camera_parameter_counts,
+    frames_of_views,
+    observation_residuals,
+    view_from_image,
+)
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.errors import ColmapEdgesError
+
+
+def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> Model:
+    """A model with other poses and points, on a copy of the reconstruction.
+
+    Args:
+        model: the model to start from; it is not changed.
+        motions: (F, 3, 4) motion of the world before each frame's pose, frames by ascending id.
+        points3D_xyz: (N, 3) the points, as they lie after the motions.
+    """
+    moved = pycolmap.Reconstruction(model.reconstruction)
+    for frame_id, motion in zip(np.unique(frames_of_views(model)), motions, strict=True):
+        frame = moved.frames[frame_id]
+        frame.rig_from_world = frame.rig_from_world * pycolmap.Rigid3d(motion)
+    for point3D_id, xyz in zip(model.point3D_ids, points3D_xyz, strict=True):
+        moved.points3D[point3D_id].xyz = xyz
+    moved.update_point_3d_errors()
+    images = [moved.images[view.image_id] for view in model.views]
+    return replace(
+        model,
+        views=tuple(view_from_image(i, v.scale) for i, v in zip(images, model.views, strict=True)),
+        points3D_xyz=points3D_xyz,
+        reconstruction=moved,
+    )
+
+
+def write_model(
+    model: Model,
+    edges: Edges3D,
+    path: Path | str,
+    output_type: str = "BIN",
+    residuals: FloatArray | None = None,
+) -> IntArray:
+    """Write the model plus the edge points as points3D with tracks.
+
+    Cameras, poses and SfM points are written as they are; each observation of an edge point is
+    appended to its image's points2D, so that old indices stay.
+
+    Args:
+        model: the input model; it is not changed.
+        edges: the edge points and their tracks.
+        path: folder to write to; made when missing.
+        output_type: BIN or TXT.
+        residuals: (T,) those of `observation_residuals`, where they are known already.
+
+    Returns:
+        (N,) ids of the edge points in the written model.
+    """
+    path = Path(path)
+    path.mkdir(exist_ok=True)
+    points = new_points(model, edges, residuals)
+    try:
+        if output_type == "BIN":
+            model.reconstruction.write_binary(str(path))
+            check_model_files(path, camera_parameter_counts())
+            append_points(path, points)
+        else:
+            write_text(with_points(model.reconstruction, points), path)
+    except ColmapEdgesError as error:  # pycolmap is silent on a full disk
+        raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
+    return points.ids
+
+
+def check_text_names(model: Model) -> None:
+    """Check that the names of all images can stand in a text model, where a space ends them.
+
+    Raises:
+        ColmapEdgesError: naming the first that cannot.
+    """
+    names = (view.name for view in model.views)
+    bad = next((name for name in names if re.search(r"[ \t\n\v\f\r]", name)), None)
+    if bad is not None:
+        raise ColmapEdgesError(
+            f"image name {bad!r} has a space or line break, which no text model can hold; "
+            "rename the image or write a binary model (--output_type BIN)"
+        )
+
+
+def write_text(reconstruction: Any, path: Path) -> None:
+    """Write a text model and check that all of it was written."""
+    reconstruction.write_text(str(path))
+    names = {"cameras": "cameras", "images": "reg_images", "points3D": "points3D"}
+    names |= {name: name for name in ("rigs", "frames") if (path / f"{name}.txt").is_file()}
+    counts = {name: getattr(reconstruction, f"num_{known}")() for name, known in names.items()}
+    check_text_files(path, counts)
+
+
+def extend_reconstruction(
+    model: Model,
+    edges: Edges3D,
+    residuals: FloatArray | None = None,
+) -> tuple[Any, IntArray]:
+    """Make a new pycolmap.Reconstruction of the model plus edge points, as `write_model` does.
+
+    Returns:
+        The reconstruction and the (N,) ids of the edge points in it.
+    """
+    points = new_points(model, edges, residuals)
+    return with_points(model.reconstruction, points), points.ids
+
+
+def with_points(reconstruction: Any, points: NewPoints) -> Any:
+    """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
+    with tempfile.TemporaryDirectory() as folder:
+        reconstruction.write_binary(folder)
+        check_model_files(Path(folder), camera_parameter_counts())
+        append_points(Path(folder), points)
+        return pycolmap.Reconstruction(folder)
+
+
+def new_points(
+    model: Model,
+    edges: Edges3D,
+    residuals: FloatArray | None,
+) -> NewPoints:
+    """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
+    if residuals is None:
+        residuals = observation_residuals(model, edges)
+    lengths = np.diff(edges.track_offsets)
+    sums = np.bincount(edges.track_points, residuals, edges.num_points)
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    known = (model.point3D_ids, model.far_point3D_ids)
+    first_id = 1 + int(max(ids.max(initial=0) for ids in known))
+    return NewPoints(
+        ids=first_id + np.arange(edges.num_points, dtype=np.int64),
+        xyz=edges.points,
+        rgb=edges.colors,
+        errors=sums / np.maximum(lengths, 1),
+        track_offsets=edges.track_offsets,
+        track_image_ids=image_ids[edges.track_views],
+        track_points2D=edges.track_points2D,
+    )
+
+
+def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
+    """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
+    offsets = model.track_offsets[-1] + edges.track_offsets[1:]
+    return replace(
+        model,
+        points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
+        point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
+        points3D_rgb=np.concatenate([model.points3D_rgb, edges.colors]),
+        track_offsets=np.concatenate([model.track_offsets, offsets]),
+        track_views=np.concatenate([model.track_views, edges.track_views]),
+        track_points2D=np.concatenate([model.track_points2D, edges.track_points2D]),
+    )

@@ -1,0 +1,1 @@
+"""What every stage works on: arrays, polylines, views and 3D edges."""

@@ -1,0 +1,88 @@
+"""Pieces of curves joined end to end: which end is which, who goes on whom, in which order.
+
+Piece i has two ends, 2i at its first point and 2i + 1 at its last. Chains in an image and edges in
+space are joined alike; which ends may join, and at what cost, those know who ask.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranks_of
+
+
+def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
+    """(2P,) index of the point at each end of P pieces, and of the one `reach` points inward.
+
+    On shorter pieces the latter is the other end.
+    """
+    first, last = offsets[:-1], offsets[1:] - 1
+    tips = np.column_stack([first, last]).ravel()
+    inner = np.column_stack([np.minimum(first + reach, last), np.maximum(last - reach, first)])
+    return tips, inner.ravel()
+
+
+def match_best_first(
+    num_ends: int, a: IntArray, b: IntArray, allowed: BoolArray, costs: FloatArray
+) -> IntArray:
+    """(num_ends,) the end that goes on each end, cheapest pairs first; -1 where none does.
+
+    Args:
+        num_ends: twice the number of pieces.
+        a: (n,) ends that may join.
+        b: (n,) the ends they may join.
+        allowed: (n,) whether they may.
+        costs: (n,) what it costs; among equals the first pair wins.
+    """
+    partner = np.full(num_ends, -1, np.int64)
+    for row in np.flatnonzero(allowed)[np.argsort(costs[allowed], kind="stable")]:
+        if partner[a[row]] < 0 and partner[b[row]] < 0:
+            partner[a[row]], partner[b[row]] = b[row], a[row]
+    return partner
+
+
+def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
+    """Paths of joined pieces: lists of the end at which each piece is entered, and closedness."""
+    count = len(partner) // 2
+    seen = [False] * count
+    ends = partner.tolist()
+    paths = []
+    free = [end for end in range(2 * count) if ends[end] < 0]
+    for start in free + list(range(0, 2 * count, 2)):
+        if seen[start // 2]:
+            continue
+        path, end = [], start
+        while end >= 0 and not seen[end // 2]:
+            seen[end // 2] = True
+            path.append(end)
+            end = ends[end ^ 1]
+        paths.append((path, end == start))
+    return paths
+
+
+def points_along(
+    paths: list[tuple[list[int], bool]], begins: IntArray, stops: IntArray
+) -> tuple[IntArray, IntArray]:
+    """The points along paths of pieces, of which piece p has the points begins[p]:stops[p].
+
+    Returns:
+        The points of all paths one after the other, and (len(paths),) how many each has.
+    """
+    ends = np.array([end for path, _ in paths for end in path], np.int64)
+    path_ids = np.repeat(np.arange(len(paths)), [len(path) for path, _ in paths])
+    begins, stops, backward = begins[ends // 2], stops[ends // 2], ends % 2 == 1
+    lengths = stops - begins
+    ranks = ranks_of(lengths) * np.repeat(np.where(backward, -1, 1), lengths)
+    order: IntArray = np.repeat(np.where(backward, stops - 1, begins), lengths) + ranks
+    return order, np.bincount(path_ids, lengths, len(paths)).astype(np.int64)
+
+
+def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
+    """(N, 3) directions along curves of (N, 3) points by central differences."""
+    first = np.repeat(offsets[:-1], np.diff(offsets))
+    last = np.repeat(offsets[1:], np.diff(offsets)) - 1
+    index = np.arange(len(points))
+    tangents: FloatArray = (
+        points[np.minimum(index + 1, last)] - points[np.maximum(index - 1, first)]
+    )
+    return tangents

@@ -1,0 +1,131 @@
+"""Image -> sub-pixel edge chains (paper: 2D Edge-Graphs).
+
+Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
+moved along its normal to where light changes most, where the accuracy of all that follows starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from colmap_edges.core.arrays import (
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Picture,
+    offsets_of,
+)
+from colmap_edges.edges2d.blur import blur_of_edges
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import DetectionOptions
+
+_Picture = TypeVar("_Picture", Picture, Float32Array)
+MAX_BLUR_PX = 2.0  # of an image that edges nearby are told from each other by
+SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
+LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chains:
+    """Edge chains of one image: 8-connected pixel sequences at sub-pixel positions.
+
+    Attributes:
+        points: (N, 2) float64 image pixels, COLMAP's origin; one chain's are contiguous.
+        normals: (N, 2) float64 unit gradient directions, dark to bright.
+        sides: (N, 2) uint8 gray on the dark and on the bright side of the edge.
+        offsets: (C + 1,) int64; chain c is points[offsets[c]:offsets[c + 1]].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    sides: ByteArray
+    offsets: IntArray
+
+    def select(self, rows: IntArray, lengths: IntArray) -> Chains:
+        """The points of these rows, cut into chains of these lengths."""
+        return Chains(
+            points=self.points.take(rows, axis=0),
+            normals=self.normals.take(rows, axis=0),
+            sides=self.sides.take(rows, axis=0),
+            offsets=offsets_of(lengths),
+        )
+
+
+def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0) -> Chains:
+    """Detect the edge chains of a grayscale image.
+
+    Args:
+        image: (H, W) uint8 grayscale.
+        options: shortest chain, tone curve and blur.
+        scale: how many times the image is enlarged.
+
+    Returns:
+        Chains at sub-pixel positions of the enlarged image, in the detector's order.
+    """
+    light = resized(light_of(image, options.gamma), scale)
+    image = resized(image, scale)
+    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
+    cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
+    points, normals = _kernels.refine_subpixel(light, pixels)
+    blur_px = min(blur_of_edges(image, points + 0.5, normals), MAX_BLUR_PX)
+    blur_px = float(np.hypot(options.sigma_px, blur_px))
+    points = _kernels.undo_displacement(light, points, normals, blur_px)
+    table = gray_table(options.gamma)
+    sides = _kernels.sample_sides(light, points, normals, SIDE_DISTANCE_PX, table)
+    return Chains(
+        points=points + 0.5,
+        normals=normals,
+        sides=sides,
+        offsets=offsets,
+    )
+
+
+def resized(picture: _Picture, scale: float) -> _Picture:
+    """The picture (H, W) enlarged `scale` times: pixel (x, y), COLMAP's origin, to scale (x, y)."""
+    if scale == 1:
+        return picture
+    larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(larger, picture.dtype)
+
+
+def light_of(image: Picture, gamma: float) -> Float32Array:
+    """(H, W) light, 0 to 1, of (H, W) uint8 gray.
+
+    A pixel adds up light, and the sum is encoded: of a pixel half bright and half dark the gray is
+    far above the middle, so that in grays an edge lies up to 0.2 px on the dark side.
+    """
+    return np.asarray(cv2.LUT(image, light_table(gamma)), np.float32)
+
+
+@cache
+def light_table(gamma: float) -> Float32Array:
+    """(256,) light of each gray."""
+    return ((np.arange(256) / 255) ** gamma).astype(np.float32)
+
+
+@cache
+def gray_table(gamma: float) -> ByteArray:
+    """(LIGHT_STEPS + 1,) uint8 gray of light from 0 to 1, the reverse of `light_table`."""
+    steps = np.arange(LIGHT_STEPS + 1) / LIGHT_STEPS
+    return np.asarray(np.round(255 * steps ** (1 / gamma)), np.uint8)
+
+
+def detect_pixel_chains(image: Picture, min_length_px: int) -> tuple[FloatArray, IntArray]:
+    """(N, 2) pixels (OpenCV's origin) of EdgeDrawing's chains and their (C + 1,) offsets."""
+    detector = cv2.ximgproc.createEdgeDrawing()
+    parameters = cv2.ximgproc.EdgeDrawing.Params()
+    parameters.PFmode = True
+    parameters.MinPathLength = min_length_px
+    detector.setParams(parameters)
+    detector.detectEdges(image)
+    segments = [np.asarray(s).reshape(-1, 2) for s in detector.getSegments()]
+    chains = [s for s in segments if len(s) >= min_length_px]
+    offsets = offsets_of(np.array([len(c) for c in chains], np.int64))
+    pixels = np.concatenate(chains) if chains else np.zeros((0, 2))
+    return pixels.astype(np.float64), offsets

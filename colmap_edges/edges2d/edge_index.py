@@ -1,0 +1,83 @@
+"""One view's edge graph as the kernels search it: positions on its chains, what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array
+from colmap_edges.core.view import View, rows_by_view
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+
+def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
+    """The kernels' form of a view's edge graph."""
+    return _kernels.EdgeView(
+        graph.ideal,
+        graph.normals,
+        graph.sides,
+        graph.polyline_offsets,
+        graph.closed,
+        view.rotation,
+        view.translation,
+        view.focal_px,
+    )
+
+
+def look_up(
+    graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Image pixels (T, 2) and colours (T, 3) at (T,) positions on the chains of (T,) views."""
+    pixels, colors = np.zeros((len(positions), 2)), np.zeros((len(positions), 3))
+    for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
+        if len(rows):
+            graph = graphs[view]
+            pixels[rows], colors[rows] = at_positions(
+                graph, positions[rows], graph.points, graph.colors
+            )
+    return pixels, colors
+
+
+def at_positions(
+    graph: EdgeGraph, positions: FloatArray, *values: FloatArray | ByteArray
+) -> list[FloatArray]:
+    """What (N, k) values of a graph's points are at (M,) fractional positions: (M, k) of each."""
+    low = positions.astype(np.int64)
+    polyline = graph.polyline_ids[low]
+    last = graph.polyline_offsets[polyline + 1] - 1
+    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
+    high = np.where(low < last, low + 1, wrapped)
+    weight = (positions - low)[:, None]
+    return [(1 - weight) * of.take(low, axis=0) + weight * of.take(high, axis=0) for of in values]
+
+
+def positions_near(
+    edge_view: _kernels.EdgeView,
+    radius_px: float,
+    num_threads: int,
+    points: FloatArray,
+    directions: FloatArray,
+    min_cosine: float,
+) -> FloatArray:
+    """(n, k) positions on one view's chains that observe (n, k, 3) world points; -1 where none.
+
+    Args:
+        edge_view: the chains.
+        radius_px: how near a chain must be to the point's projection.
+        num_threads: threads to use; the result does not depend on it.
+        points: the points.
+        directions: (n, k, 3) directions of the edge there.
+        min_cosine: of the angle between edge and chain in the image.
+    """
+    positions: FloatArray = _kernels.associate(
+        [edge_view],
+        points.reshape(-1, 3),
+        directions.reshape(-1, 3),
+        np.zeros(points.size // 3, np.int8),
+        max_distance_px=radius_px,
+        min_cosine=min_cosine,
+        num_threads=num_threads,
+    )
+    return positions.reshape(points.shape[:2])

@@ -1,0 +1,29 @@
+"""What masks leave of detected chains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, owners_of, ranges_of
+from colmap_edges.edges2d.detection import Chains
+
+
+def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: int) -> Chains:
+    """What a mask leaves of chains, which it may cut into pieces.
+
+    Args:
+        chains: chains of the image enlarged `scale` times.
+        mask: (H, W) the pixels of the image that may show edges.
+        scale: how many times the image is enlarged.
+        min_length_px: shortest piece kept, in points.
+    """
+    height, width = mask.shape
+    columns, rows = np.floor(chains.points / scale).astype(np.int64).T
+    seen = mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+    # A number for each stretch of a chain that is seen or not seen throughout.
+    labels = 2 * owners_of(chains.offsets) + seen
+    bounds = np.flatnonzero(np.diff(labels, prepend=-1, append=-1))
+    starts, ends = bounds[:-1], bounds[1:]
+    kept = seen[starts] & (ends - starts >= min_length_px)
+    starts, ends = starts[kept], ends[kept]
+    return chains.select(ranges_of(starts, ends), ends - starts)

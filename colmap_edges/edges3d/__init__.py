@@ -1,0 +1,1 @@
+"""2D edge graphs -> 3D edges, by depths along chains or by the paper's correspondences."""

@@ -1,0 +1,71 @@
+"""Which curves more views observe than chance would make (a contrario).
+
+Where edges are dense, any 3D curve projects near some chain of many views. How often is measured
+where the curve is not: the same curve moved in depth tells how likely a view observes it by chance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import bdtrc
+
+from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.view import View, lift
+from colmap_edges.edges3d.chains.curves import Curves, replace_depths
+from colmap_edges.edges3d.chains.observing import associate, drop_lone
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import RefinementOptions
+
+DISPLACEMENT_PX = 12.0  # beyond the edge itself, within its surroundings
+CLOSE_PX = 0.75  # of a projection to the chain that observes it, to count as evidence
+PRIOR_TRIALS = 20  # with one hit: what is known of chance before it is measured
+MIN_LOG = -12.0  # one point alone is not trusted further
+
+
+def chance_of_observations(
+    driver: View,
+    curves: Curves,
+    residuals: FloatArray,
+    displacements: FloatArray,
+    views: list[View],
+    edge_views: list[_kernels.EdgeView],
+    options: RefinementOptions,
+    num_threads: int,
+) -> FloatArray:
+    """(N,) log10 of the chance that as many views observe a point of a curve.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points.
+        residuals: (N, K) distances to the chains that observe them, in pixels; NaN where none.
+        displacements: (N,) change of inverse depth that moves the point one pixel in the views.
+        views: the K views.
+        edge_views: their chains.
+        options: how near and how parallel an observation is.
+        num_threads: threads to use.
+    """
+    ids, count = curves.curve_ids, len(curves.offsets) - 1
+    visible = count_in_image(lift(driver, curves.ideal, curves.inverse_depths), views)
+    observed = np.sum(np.abs(residuals) <= CLOSE_PX, axis=1)
+    signs = np.where(ids % 2 == 0, 1, -1)
+    moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
+    positions = associate(
+        driver, moved, edge_views, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+    )
+    seen = np.isfinite(drop_lone(positions, curves.offsets)).sum(axis=1)
+    hits = np.bincount(ids, weights=seen, minlength=count)
+    trials = np.bincount(ids, weights=visible, minlength=count)
+    rates = np.minimum((hits + 1) / (trials + PRIOR_TRIALS), 0.9)
+    trials_each = np.maximum(visible, observed).astype(np.int64)
+    with np.errstate(divide="ignore"):
+        logs = np.log10(bdtrc(observed - 1, trials_each, rates[ids]))
+    result: FloatArray = np.maximum(logs, MIN_LOG)
+    return result
+
+
+def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
+    """(N,) number of views whose image (N, 3) world points fall into."""
+    counts = np.zeros(len(points))
+    for view in views:
+        counts += view.holds(*view.project(points))
+    return counts

@@ -1,0 +1,59 @@
+"""Curves on the chains of one reference view: points with inverse depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_of, owners_of
+from colmap_edges.core.polylines import curve_tangents
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curves:
+    """Curves on chains of one driver view.
+
+    Attributes:
+        ideal: (N, 2) float64 points on the driver's chains, ideal pixels.
+        inverse_depths: (N,) float64 in the driver.
+        indices: (N,) int64 the same in the driver's graph.
+        offsets: (E + 1,) int64 CSR of the points by curve.
+        sides: (N,) int8 +1 or -1, the side of the tangent on which the edge is bright.
+    """
+
+    ideal: FloatArray
+    inverse_depths: FloatArray
+    indices: IntArray
+    offsets: IntArray
+    sides: NDArray[np.int8]
+
+    @property
+    def normals(self) -> FloatArray:
+        """(N, 2) unit normals of the curves in the driver's image."""
+        tangents = curve_tangents(self.ideal, self.offsets)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
+        return np.column_stack([-tangents[:, 1], tangents[:, 0]])
+
+    @property
+    def curve_ids(self) -> IntArray:
+        """(N,) curve of each point."""
+        return owners_of(self.offsets)
+
+    def select(self, curves: IntArray) -> tuple[IntArray, Curves]:
+        """The points of some curves, ascending, and those curves alone."""
+        rows = entries_of(self.offsets, curves)
+        return rows, Curves(
+            ideal=self.ideal[rows],
+            inverse_depths=self.inverse_depths[rows],
+            indices=self.indices[rows],
+            offsets=offsets_of(np.diff(self.offsets)[curves]),
+            sides=self.sides[rows],
+        )
+
+
+def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
+    """The curves at new depths; a depth that left the front of the driver stays as it was."""
+    depths = np.where(inverse_depths > 0, inverse_depths, curves.inverse_depths)
+    return replace(curves, inverse_depths=depths)

@@ -1,0 +1,202 @@
+"""Depths along the chains of each view, from the agreement of many views.
+
+Every crossing of a sample's epipolar line with a chain of any neighbour is a hypothesis of its
+depth (a PEPC of the paper, with all views and without a limit near an SfM point); hypotheses that
+agree form clusters, and dynamic programming along the chain chooses among them (in place of the
+paper's three-view selection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    owners_of,
+    ranks_of,
+)
+from colmap_edges.declared_options import derived
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods, estimate
+from colmap_edges.edges3d.chains.view_selection import DepthRange
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import ChainDepthOptions
+
+SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
+SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few views see an edge
+MIN_SURE = 200  # supports of such depths that are enough to learn from
+CHANCE_PAIRS = 4  # pairs by chance for each of those
+END_PX = 6  # of polylines, where blur and what they meet there may have moved them
+MIN_INNER_PX = 8  # between two samples on a short polyline, for which shorter ends must do
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainDepths:
+    """Samples along the chains of one view with their depths and the views that agree.
+
+    Attributes:
+        samples: (S,) int64 indices into the graph's points.
+        sample_offsets: (P + 1,) int64 CSR of the samples by polyline.
+        inverse_depths: (S,) float64 1 / depth; 0 where no depth was found.
+        sigmas: (S,) float64 change of inverse depth for 1 px.
+        scores: (S,) float64 log likelihood ratio against chance.
+        support_offsets: (S + 1,) int64 CSR of the agreeing crossings by sample.
+        support_views: (T,) int32 views of the crossings, indices into the model's views.
+        support_positions: (T,) float64 fractional indices into those views' graph points.
+    """
+
+    samples: IntArray
+    sample_offsets: IntArray
+    inverse_depths: FloatArray
+    sigmas: FloatArray
+    scores: FloatArray
+    support_offsets: IntArray
+    support_views: Int32Array
+    support_positions: FloatArray
+
+    @property
+    def found(self) -> BoolArray:
+        """(S,) whether a sample has a depth."""
+        return np.diff(self.support_offsets) > 0
+
+
+def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
+    """Samples evenly along each polyline, at most `step` points apart.
+
+    The first and the last are `END_PX` from its ends, but less where they would be nearer than
+    `MIN_INNER_PX` to each other: a run needs two. Where there is no room for that there is one.
+
+    Returns:
+        (S,) indices of points, (P + 1,) offsets of the polylines' samples.
+    """
+    lengths = np.diff(graph.polyline_offsets)
+    ends = np.minimum((lengths - 1 - MIN_INNER_PX) // 2, END_PX)
+    ends = np.where(ends >= 0, ends, lengths // 2)
+    inner = np.maximum(lengths - 1 - 2 * ends, 0)
+    intervals = -(-inner // step)
+    ids = np.repeat(np.arange(len(lengths)), intervals + 1)
+    ranks = ranks_of(intervals + 1)
+    along = np.round(ranks * inner[ids] / np.maximum(intervals[ids], 1)).astype(np.int64)
+    return graph.polyline_offsets[ids] + ends[ids] + along, offsets_of(intervals + 1)
+
+
+def compute_chain_depths(
+    source: int,
+    neighbors: IntArray,
+    edge_views: Sequence[_kernels.EdgeView],
+    graph: EdgeGraph,
+    depth_range: DepthRange,
+    sides: SideLikelihoods,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> ChainDepths:
+    """Find the depths along the chains of view `source` by its neighbours.
+
+    Args:
+        source: index of the view.
+        neighbors: (K,) indices of the views compared with it.
+        edge_views: all views in the kernels' form.
+        graph: the source's edge graph.
+        depth_range: the inverse depths that the source sees.
+        sides: what the gray beside an edge says of a match.
+        options: sampling, agreement and continuity.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The S samples on the source's chains with the depths found and the crossings that agree.
+    """
+    samples, offsets = sample_chains(graph, options.sample_step_px)
+    found = _kernels.chain_depths(
+        edge_views[source],
+        [edge_views[n] for n in neighbors],
+        samples,
+        offsets,
+        depth_range.at(graph.ideal[samples]),
+        steps=float(options.sample_step_px),
+        max_disagreement_px=options.max_disagreement_px,
+        side_likelihoods=sides.table,
+        min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        visibility_rate=options.visibility_rate,
+        detection_rate=options.detection_rate,
+        none_score=options.none_score,
+        break_penalty=options.break_penalty,
+        max_clusters=options.max_clusters,
+        num_threads=num_threads,
+    )
+    depths, sigmas, scores, support_offsets, support_neighbors, positions = found
+    return ChainDepths(
+        samples=samples,
+        sample_offsets=offsets,
+        inverse_depths=depths,
+        sigmas=sigmas,
+        scores=scores,
+        support_offsets=support_offsets,
+        support_views=np.asarray(neighbors, np.int32)[support_neighbors],
+        support_positions=positions,
+    )
+
+
+def learn_side_likelihoods(
+    neighbors: tuple[IntArray, ...],
+    edge_views: Sequence[_kernels.EdgeView],
+    graphs: Sequence[EdgeGraph],
+    ranges: tuple[DepthRange, ...],
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> SideLikelihoods:
+    """How the sides of one edge differ between views, and how those of different edges do.
+
+    Depths that geometry alone makes sure tell it, for a few samples of a few views.
+
+    Args:
+        neighbors: V arrays (K,) of the views each view is compared with.
+        edge_views: the V views in the kernels' form.
+        graphs: their edge graphs.
+        ranges: the inverse depths that each sees.
+        options: as for `compute_chain_depths`.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        What sides say of a match: nothing where too few depths are sure.
+    """
+    few = derived(options, sample_step_px=4 * options.sample_step_px)
+    random = np.random.default_rng(0)
+    same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
+    for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
+        depths = compute_chain_depths(
+            view,
+            neighbors[view],
+            edge_views,
+            graphs[view],
+            ranges[view],
+            NOTHING_LEARNED,
+            few,
+            num_threads,
+        )
+        owners = owners_of(depths.support_offsets)
+        sure = depths.scores[owners] >= sure_score(depths)
+        own = graphs[view].sides[depths.samples[owners]].astype(int)
+        for other in np.unique(depths.support_views):
+            rows, theirs = sure & (depths.support_views == other), graphs[other].sides
+            same.append(np.abs(own[rows] - theirs[depths.support_positions[rows].astype(int)]))
+            elsewhere = random.integers(0, len(theirs), (CHANCE_PAIRS, int(rows.sum())))
+            chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))
+    examples = np.concatenate(same)
+    if len(examples) < MIN_SURE:
+        return NOTHING_LEARNED
+    return estimate(examples, np.concatenate(chance))
+
+
+def sure_score(depths: ChainDepths) -> float:
+    """The score from which depths are sure enough to learn from."""
+    scores = depths.scores[depths.found]
+    if len(scores) == 0:
+        return SURE_SCORE
+    return min(SURE_SCORE, float(np.quantile(scores, 1 - SURE_SHARE)))

@@ -1,0 +1,147 @@
+"""Which chains of other views observe curves, and the sums of their residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from colmap_edges.core.arrays import FloatArray, IntArray, owners_of
+from colmap_edges.core.polylines import curve_tangents
+from colmap_edges.core.view import View, lift
+from colmap_edges.edges3d.chains.curves import Curves
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import RefinementOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sums:
+    """Sums over the observations of N points, weighted by how well they fit, (N,) each.
+
+    An observation has a residual, its signed distance across the chain in pixels, a slope, by
+    which that changes with inverse depth, and one across, by which it changes with a shift of the
+    driver's pixel along a given direction.
+
+    Attributes:
+        slope_slope: squared slopes.
+        slope_residual: slopes times residuals.
+        slope_across: slopes times those across.
+        across_across: squared slopes across.
+        across_residual: slopes across times residuals.
+        speed2: squared change of the projection with inverse depth, px^2, without weights.
+        count: observations.
+    """
+
+    slope_slope: FloatArray
+    slope_residual: FloatArray
+    slope_across: FloatArray
+    across_across: FloatArray
+    across_residual: FloatArray
+    speed2: FloatArray
+    count: FloatArray
+
+
+def associate(
+    driver: View,
+    curves: Curves,
+    edge_views: list[_kernels.EdgeView],
+    max_distance_px: float,
+    max_angle_deg: float,
+    num_threads: int,
+) -> FloatArray:
+    """(N, K) positions on the chains of K views that observe the points; NaN where none."""
+    points = lift(driver, curves.ideal, curves.inverse_depths)
+    tangents = curve_tangents(points, curves.offsets)
+    cosine = float(np.cos(np.radians(max_angle_deg)))
+    positions: FloatArray = _kernels.associate(
+        edge_views, points, tangents, curves.sides, max_distance_px, cosine, num_threads
+    )
+    positions[positions < 0] = np.nan
+    return positions
+
+
+def sum_observations(
+    driver: View,
+    curves: Curves,
+    edge_views: list[_kernels.EdgeView],
+    positions: FloatArray,
+    directions: FloatArray,
+    robust_scale_px: float,
+    num_threads: int,
+) -> Sums:
+    """Sums over the observations of every point at the present depths.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        curves: the curves, N points.
+        edge_views: the chains of K views.
+        positions: (N, K) positions on the chains that observe the points; NaN where none.
+        directions: (N, 2) unit directions in the driver's image in which points may move.
+        robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
+        num_threads: threads to use; the result does not depend on it.
+    """
+    sums = _kernels.sum_observations(
+        *placed(driver, curves), directions, positions, edge_views, robust_scale_px, num_threads
+    )
+    return Sums(**{entry.name: row for entry, row in zip(fields(Sums), sums, strict=True)})
+
+
+def placed(
+    driver: View, curves: Curves
+) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
+    """The driver's pose and focal length, and the curves' pixels and inverse depths."""
+    rotation, translation = driver.rotation, driver.translation
+    return rotation, translation, driver.focal_px, curves.ideal, curves.inverse_depths
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observers:
+    """The views that curves are refined on.
+
+    Attributes:
+        driver: the view on whose chains the curves are.
+        own: its chains, in the kernels' form.
+        others: the chains of the K views that may observe the curves.
+        options: how near and how parallel an observation is, noise and smoothness.
+        num_threads: threads to use; no result depends on it.
+    """
+
+    driver: View
+    own: _kernels.EdgeView
+    others: list[_kernels.EdgeView]
+    options: RefinementOptions
+    num_threads: int
+
+    def find(self, curves: Curves, radius_px: float) -> FloatArray:
+        """(N, K) positions at which the curves are observed within a radius; NaN where not."""
+        angle = self.options.max_tangent_angle_deg
+        found = associate(self.driver, curves, self.others, radius_px, angle, self.num_threads)
+        return drop_lone(found, curves.offsets)
+
+    def sums(
+        self, curves: Curves, positions: FloatArray, directions: FloatArray | None = None
+    ) -> Sums:
+        """Sums over these observations; of shifts in (N, 2) directions, too, where given."""
+        directions = np.zeros_like(curves.ideal) if directions is None else directions
+        scale = self.options.robust_scale_px
+        return sum_observations(
+            self.driver, curves, self.others, positions, directions, scale, self.num_threads
+        )
+
+
+def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
+    """Keep observations only where a neighbour along the curve is seen on the same chain.
+
+    Both directions of a chain must go with the curve: neighbouring points are observed at
+    neighbouring positions, in one order.
+    """
+    same = owners_of(offsets)
+    step = np.full(positions.shape, np.nan)
+    if len(positions) > 1:
+        step[1:] = np.diff(positions, axis=0)
+        step[1:][same[1:] != same[:-1]] = np.nan
+    limit = 4 * np.nanmedian(np.abs(step)) if np.isfinite(step).any() else 0.0
+    linked = np.abs(step) <= limit
+    keep = linked.copy()
+    keep[:-1] |= linked[1:]
+    return np.where(keep, positions, np.nan)

@@ -1,0 +1,93 @@
+"""Observations that cannot be: of points behind what their view sees around them.
+
+Where edges are dense, the projection of a hidden point lies near some chain, too, and is taken for
+an observation of it. The edges and SfM points that the view does see there tell: they are nearer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.view import View, rows_by_view
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+MAX_SLOPE = 3.0  # tangent of the angle between surface and image plane that neighbours may span
+MIN_GAP = 0.002  # share of the depth by which nothing is told to be nearer
+MARGIN_SIGMAS = 3.0  # what a point's depth may be wrong by
+MIN_RADIUS_PX = 0.01  # nothing is told apart that is nearer to each other
+FARTHEST_PX = 1e6  # from the principal point; no image shows what is there
+NEARER_SHARE = 0.5  # nearer neighbours for each at the same depth from which a point is hidden
+
+
+def find_hidden(
+    model: Model,
+    points: FloatArray,
+    sigmas: FloatArray,
+    curves: IntArray,
+    track_points: IntArray,
+    track_views: IntArray,
+    radius_px: float,
+    num_threads: int,
+) -> BoolArray:
+    """(T,) which observations are of points that nearer ones hide.
+
+    Args:
+        model: the views, and SfM points, which hide edge points as these hide each other.
+        points: (N, 3) world points on edges.
+        sigmas: (N,) standard deviations of their depths, world units.
+        curves: (N,) curve of each point; one curve does not hide itself.
+        track_points: (T,) point of each observation.
+        track_views: (T,) view of each.
+        radius_px: how far around a point others count, in pixels.
+        num_threads: threads to use; the result does not depend on it.
+    """
+    hidden = np.zeros(len(track_points), bool)
+    own_rows = rows_by_view(track_views, len(model.views))
+    sfm_rows = rows_by_view(model.track_views, len(model.views))
+    for view, own, sfm in zip(model.views, own_rows, sfm_rows, strict=True):
+        if len(own) == 0:
+            continue
+        seen = track_points[own]
+        around = model.points3D_xyz[model.track_points[sfm]]
+        nearer, agreeing = count_around(
+            view,
+            np.concatenate([points[seen], around]),
+            np.concatenate([sigmas[seen], np.zeros(len(around))]),
+            np.concatenate([curves[seen], np.full(len(around), -1)]),
+            radius_px,
+            num_threads,
+        )
+        hidden[own] = (nearer > NEARER_SHARE * agreeing)[: len(own)]
+    return hidden
+
+
+def count_around(
+    view: View,
+    points: FloatArray,
+    sigmas: FloatArray,
+    curves: IntArray,
+    radius_px: float,
+    num_threads: int,
+) -> tuple[IntArray, IntArray]:
+    """How many neighbours of each of (N, 3) points in an image are nearer, and as far as it is.
+
+    Points behind the camera or beside it have no neighbours and are none. Points of no curve (-1)
+    are neighbours, but their own are not counted: there may be millions.
+    """
+    ideal, depths = view.project_ideal(points)
+    with np.errstate(invalid="ignore"):
+        ahead = np.flatnonzero((depths > 0) & (np.abs(ideal) < FARTHEST_PX).all(axis=1))
+    counts = _kernels.count_around(
+        ideal[ahead],
+        depths[ahead],
+        MIN_GAP / 2 * depths[ahead] + MARGIN_SIGMAS * sigmas[ahead],
+        curves[ahead],
+        max(radius_px, MIN_RADIUS_PX),
+        MAX_SLOPE / view.focal_px,
+        num_threads,
+    )
+    nearer, agreeing = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    nearer[ahead], agreeing[ahead] = counts
+    return nearer, agreeing

@@ -1,0 +1,224 @@
+"""Least squares on the depths of curves: normal residuals in all views, smooth along the curve.
+
+A curve is a run of points on a chain of one view, its driver; the unknown of each point is its
+inverse depth there, and in the end how far it lies off that chain. An observation on a chain of
+another view says only how far the point lies across that chain, since an edge point may slide
+along its edge. On a straight edge inverse depth is affine along the image line, so the smoothness
+term, a second difference, costs nothing there; where an edge runs along the epipolar lines of all
+views it carries depth in from the ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from colmap_edges.core.arrays import FloatArray, IntArray, owners_of
+from colmap_edges.core.view import View
+from colmap_edges.edges3d.chains.curves import Curves, replace_depths
+from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import RefinementOptions
+
+GRAY_REACHES = (4, 2, 1, 0)  # points of chains over which gray is smoothed: coarse, then fine
+WELL_ACROSS = 0.25  # mean squared sine of the angles to epipolar lines that is enough for depth
+GRAY_WINDOW = 8  # points of a curve to both sides within which differences of gray are compared
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """Refined curves and what observes them.
+
+    Attributes:
+        curves: the curves at their new depths.
+        positions: (N, K) positions on the chains of K views; NaN where not observed.
+        residuals: (N, K) signed distances across those chains in pixels.
+        sigmas: (N,) standard deviations of inverse depth; infinite where nothing observes.
+    """
+
+    curves: Curves
+    positions: FloatArray
+    residuals: FloatArray
+    sigmas: FloatArray
+
+
+def depth_step(curves: Curves, sums: Sums, options: RefinementOptions) -> FloatArray:
+    """(N,) changes of inverse depth of one Gauss-Newton step, points staying on their chains."""
+    speed = typical_speed(sums)
+    return solve_smooth(curves, sums.slope_slope, -sums.slope_residual, speed, options)
+
+
+def joint_step(
+    curves: Curves, sums: Sums, options: RefinementOptions
+) -> tuple[FloatArray, FloatArray]:
+    """One Gauss-Newton step in which the driver's chain is one observation of many.
+
+    A point may leave it, across. How far is a point's own affair, so that it is eliminated (Schur
+    complement) before the depths are solved for.
+
+    Returns:
+        (N,) changes of inverse depth and (N,) shifts across the driver's chain in pixels.
+    """
+    shared, pull = sums.slope_across, -sums.across_residual
+    stiffness = sums.across_across + 1  # the driver's own residual is zero
+    information = np.maximum(sums.slope_slope - shared**2 / stiffness, 0)
+    gradient = -sums.slope_residual - shared * pull / stiffness
+    changes = solve_smooth(curves, information, gradient, typical_speed(sums), options)
+    shifts: FloatArray = (pull - shared * changes) / stiffness
+    return changes, shifts
+
+
+def solve_smooth(
+    curves: Curves,
+    information: FloatArray,
+    gradient: FloatArray,
+    speed: FloatArray,
+    options: RefinementOptions,
+) -> FloatArray:
+    """(N,) changes of inverse depth by (N,) information and gradient, smooth along the curves.
+
+    `speed` (N,) is by how many pixels a change of inverse depth moves a point's projections.
+    """
+    smooth, inner = second_differences(curves.offsets)
+    unit = speed[inner] / options.max_bend_px
+    second = curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0])
+    weight = unit**2 / (1 + (unit * second) ** 2)
+    count = len(curves.ideal)
+    bands = np.zeros((3, count))  # upper form: bands[2] diagonal, [1] next, [0] next but one
+    bands[2] = information + 1e-4 * speed**2 + 1e-30
+    for offset, factor in ((0, 1.0), (1, 4.0), (2, 1.0)):
+        np.add.at(bands[2], smooth[:, offset], factor * weight)
+    np.add.at(bands[1], smooth[:, 1], -2.0 * weight)
+    np.add.at(bands[1], smooth[:, 2], -2.0 * weight)
+    np.add.at(bands[0], smooth[:, 2], weight)
+    for offset, factor in ((0, -1.0), (1, 2.0), (2, -1.0)):
+        np.add.at(gradient, smooth[:, offset], factor * weight * second)
+    return np.asarray(solveh_banded(bands, gradient), np.float64)
+
+
+def typical_speed(sums: Sums) -> FloatArray:
+    """(N,) root mean square of a point's speeds; the mean of all where it has none."""
+    count = sums.count
+    overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
+    return np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
+
+
+def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
+    """(M, 3) consecutive points within curves, and (M,) the middle ones."""
+    index = np.arange(max(int(offsets[-1]) - 2, 0))
+    ids = owners_of(offsets)
+    index = index[ids[index] == ids[index + 2]]
+    return index[:, None] + np.arange(3), index + 1
+
+
+def refine_curves(
+    driver: View,
+    own: _kernels.EdgeView,
+    curves: Curves,
+    edge_views: list[_kernels.EdgeView],
+    options: RefinementOptions,
+    num_threads: int,
+) -> Refined:
+    """Refine the depths of curves on their observations.
+
+    Args:
+        driver: the view on whose chains the curves are.
+        own: its chains, in the kernels' form.
+        curves: the curves, N points, at depths near enough to find their observations.
+        edge_views: the chains of the K views that may observe them.
+        options: search radius, noise and smoothness.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The curves at their new depths, with (N, K) observations and (N,) standard deviations.
+    """
+    observers = Observers(
+        driver=driver, own=own, others=edge_views, options=options, num_threads=num_threads
+    )
+    for radius in (options.search_radius_px, options.search_radius_px / 2):
+        positions = observers.find(curves, radius)
+        for _ in range(2):
+            changes = depth_step(curves, observers.sums(curves, positions), options)
+            curves = replace_depths(curves, curves.inverse_depths + changes)
+    # Once more, now that observations are sure: earlier, wrong ones would pull points away.
+    normals = curves.normals
+    changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
+    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+    curves = replace_depths(curves, curves.inverse_depths + changes)
+    positions = observers.find(curves, options.max_residual_px)
+    curves, positions, information = align_side_gray(curves, positions, observers)
+    residuals, slopes2 = _kernels.observation_residuals(
+        *placed(driver, curves), positions, edge_views, num_threads
+    )
+    with np.errstate(divide="ignore"):
+        sigmas = options.noise_px / np.sqrt(slopes2 + information)
+    return Refined(curves=curves, positions=positions, residuals=residuals, sigmas=sigmas)
+
+
+def align_side_gray(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray]:
+    """Refine depths also by the gray beside the edges, which runs alike along them in all views.
+
+    It tells how far a curve is moved along itself, of which its places across the chains say
+    nothing: the only thing to be known where an edge runs along the epipolar lines.
+
+    Returns:
+        The curves at their new depths, (N, K) positions at which they are observed there, and (N,)
+        what gray added to the information on inverse depth, in units of that of places across.
+    """
+    information = np.zeros(len(curves.indices))
+    if observers.options.side_gray_weight == 0:
+        return curves, positions, information
+    sums = observers.sums(curves, positions)
+    count = len(curves.offsets) - 1
+    across, every = (
+        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
+    )
+    weak = np.flatnonzero(across < WELL_ACROSS * every)
+    if len(weak) == 0:
+        return curves, positions, information
+    rows, chosen = curves.select(weak)
+    depths, positions = curves.inverse_depths.copy(), positions.copy()
+    moved, positions[rows], information[rows] = aligned(chosen, positions[rows], observers)
+    depths[rows] = moved.inverse_depths
+    return replace(curves, inverse_depths=depths), positions, information
+
+
+def aligned(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray]:
+    """The curves at depths at which the gray beside them is alike, too: as `align_side_gray`."""
+    options, num_threads = observers.options, observers.num_threads
+    weight = options.side_gray_weight * options.noise_px**2
+    for reach in GRAY_REACHES:
+        sums = observers.sums(curves, positions)
+        information, gradient = weight * _kernels.sum_side_gray(
+            *placed(observers.driver, curves),
+            positions,
+            observers.others,
+            observers.own,
+            curves.indices,
+            curves.offsets,
+            reach,
+            GRAY_WINDOW,
+            num_threads,
+        )
+        changes = solve_smooth(
+            curves,
+            sums.slope_slope + information,
+            gradient - sums.slope_residual,
+            typical_speed(sums),
+            options,
+        )
+        curves = replace_depths(curves, curves.inverse_depths + changes)
+        positions = _kernels.slide_positions(
+            *placed(observers.driver, curves), positions, observers.others, num_threads
+        )
+    residuals, _ = _kernels.observation_residuals(
+        *placed(observers.driver, curves), positions, observers.others, num_threads
+    )
+    near = np.abs(residuals) <= options.max_residual_px
+    return curves, drop_lone(np.where(near, positions, np.nan), curves.offsets), information

@@ -1,0 +1,350 @@
+"""2D edge graphs -> 3D edges: depths along chains, checked, joined to curves and refined.
+
+Views drive in turn. What a driver's curves cover in the other views is marked, so that each edge
+of the scene is traced once, by the view that sees it best (paper: 3D edge reconstruction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View, lift
+from colmap_edges.declared_options import derived
+from colmap_edges.edges2d.cached_graphs import NUM_KEPT
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graph_store import Recent
+from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
+from colmap_edges.edges3d.chains.assembly import link
+from colmap_edges.edges3d.chains.coverage import (
+    Scene,
+    in_whole_graphs,
+    make_scene,
+    mark_covered,
+    what_remains,
+    without_repeats,
+)
+from colmap_edges.edges3d.chains.curve_extraction import find_curves
+from colmap_edges.edges3d.chains.curves import Curves
+from colmap_edges.edges3d.chains.depth_consistency import count_agreeing_views
+from colmap_edges.edges3d.chains.depths import (
+    ChainDepths,
+    compute_chain_depths,
+    learn_side_likelihoods,
+)
+from colmap_edges.edges3d.chains.filtering import Limits, Traced, lasting_points, sort_out
+from colmap_edges.edges3d.chains.refinement import refine_curves
+from colmap_edges.edges3d.chains.view_selection import DepthRange, Neighborhood, select_views
+from colmap_edges.options import ChainDepthOptions, PipelineOptions
+from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
+from colmap_edges.runtime.scheduling import Schedule, local_order
+
+
+def trace_edges(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None] = lambda: None,
+    workers: Workers | None = None,
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Reconstruct the 3D edges of a model from the edge graphs of its views.
+
+    Args:
+        model: posed views and, where there are any, SfM points.
+        graphs: the edge graph of each view.
+        options: every step's parameters.
+        num_threads: threads to use; the result does not depend on it.
+        advance: called twice a view and round, when its depths are known and when its edges are.
+        workers: who does the work on the views; threads of this process when not given.
+
+    Returns:
+        The 3D edges and counts in, kept and dropped by reason.
+    """
+    if workers is None:
+        with local_workers(num_threads) as workers:
+            return trace_edges(model, graphs, options, num_threads, advance, workers)
+    options = in_enlarged_pixels(options, model.scale)
+    near = select_views(model, options.view_selection)
+    whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
+    traced, stats = trace_round(whole, near, options, None, workers, advance)
+    kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    whole = replace(whole, neighbors=near.later_neighbors)
+    for _ in range(1, options.tracing.num_rounds):
+        rest = what_remains(whole, kept, options.tracing)
+        # The surest curves, those of the first round, say what to ask of all.
+        limits = kept.limits if traced else None
+        later = for_what_remains(options)
+        found, more = trace_round(rest, near, later, limits, workers, advance)
+        traced += in_whole_graphs(rest, found)
+        stats = {name: stats[name] + more[name] for name in stats}
+        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
+    kept, repeated = without_repeats(whole, kept, options.tracing)
+    edges, linked = link(graphs, whole.edge_views, kept, options, num_threads)
+    about = {
+        "views": len(graphs),
+        "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
+        "max_side_difference": whole.sides.limit,
+    }
+    return edges, about | stats | sorted_stats | repeated | linked
+
+
+def with_side_likelihoods(
+    scene: Scene, near: Neighborhood, options: PipelineOptions, num_threads: int
+) -> Scene:
+    """The scene with what its views tell of the sides of edges."""
+    learned = learn_side_likelihoods(
+        near.neighbors,
+        scene.edge_views,
+        scene.graphs,
+        near.ranges,
+        options.chain_depth,
+        num_threads,
+    )
+    return replace(scene, sides=learned)
+
+
+def trace_round(
+    scene: Scene,
+    near: Neighborhood,
+    options: PipelineOptions,
+    limits: Limits | None,
+    workers: Workers,
+    advance: Callable[[], None],
+) -> tuple[list[Traced], dict[str, int]]:
+    """The curves that every view drives, the best view first, and counts of their samples.
+
+    `limits` are what edges may have, where it is known.
+    """
+    order = local_order(scene.neighbors)
+    depths = find_depths(scene, near, order, options.chain_depth, workers, advance)
+    agreeing = {
+        v: count_agreeing_views(
+            scene.views, scene.graphs, depths, v, options.tracing.max_cross_check_px
+        )
+        for v in order.tolist()
+    }
+    counts = [agreeing[v] for v in range(len(order))]
+    depths = [without_supports(found) for found in depths]
+    traced, in_runs = trace_views(scene, depths, counts, options, limits, workers, advance)
+    return traced, count_samples(depths, counts, in_runs)
+
+
+def in_enlarged_pixels(options: PipelineOptions, scale: float) -> PipelineOptions:
+    """Options whose tolerances are in pixels of images enlarged `scale` times.
+
+    Poses and distortion are off by pixels of the images as they are given.
+    """
+    depths, refinement = options.chain_depth, options.refinement
+    return replace(
+        options,
+        chain_depth=derived(depths, max_disagreement_px=scale * depths.max_disagreement_px),
+        refinement=derived(
+            refinement,
+            search_radius_px=scale * refinement.search_radius_px,
+            max_residual_px=scale * refinement.max_residual_px,
+        ),
+    )
+
+
+def for_what_remains(options: PipelineOptions) -> PipelineOptions:
+    """Options of later rounds: where fewer chains are left, less agreement is enough."""
+    return replace(
+        options,
+        chain_depth=derived(options.chain_depth, none_score=options.chain_depth.none_score - 2),
+        tracing=derived(options.tracing, min_agreeing_views=options.tracing.min_agreeing_views - 1),
+    )
+
+
+def find_depths(
+    scene: Scene,
+    near: Neighborhood,
+    order: IntArray,
+    options: ChainDepthOptions,
+    workers: Workers,
+    advance: Callable[[], None],
+) -> list[ChainDepths]:
+    """Depths along the chains of every view, worked on in the given order."""
+
+    def calls() -> Iterator[Call]:
+        for view in order.tolist():
+            part = scene.part(view, scene.neighbors[view], workers)
+            depth_range, threads = near.ranges[view], workers.threads_per_view
+            yield depths_of_view, (part, view, depth_range, options, threads)
+
+    found = run_all(workers.views, calls(), advance)
+    return [found[place] for place in np.argsort(order)]
+
+
+def depths_of_view(
+    scene: Scene,
+    view: int,
+    depth_range: DepthRange,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> ChainDepths:
+    """Depths along the chains of one view, by its neighbours."""
+    return compute_chain_depths(
+        view,
+        scene.neighbors[view],
+        scene.edge_views,
+        scene.graphs[view],
+        depth_range,
+        scene.sides,
+        options,
+        num_threads,
+    )
+
+
+def trace_views(
+    scene: Scene,
+    depths: list[ChainDepths],
+    agreeing: list[Int32Array],
+    options: PipelineOptions,
+    limits: Limits | None,
+    workers: Workers,
+    advance: Callable[[], None],
+) -> tuple[list[Traced], int]:
+    """Curves of every view on what those before it left, the best view first.
+
+    Views that have no witness in common do not wait for each other.
+
+    Returns:
+        The curves of each view that has any, and how many samples are in sure runs.
+    """
+    views = scene.views
+    worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
+    order = np.argsort([-worth for worth in worths], kind="stable")
+    traced: dict[int, Traced] = {}
+    in_runs = np.zeros(len(order), np.int64)
+
+    def call(view: int) -> Call:
+        part = scene.part(view, scene.witnesses[view], workers)
+        found, threads = (depths[view], agreeing[view]), workers.threads_per_view
+        return curves_traced, (part, view, *found, options, threads)
+
+    def finish(view: int, result: tuple[Traced | None, int]) -> None:
+        found, in_runs[view] = result
+        if found is not None:
+            traced[view] = found
+            # What will not last covers nothing, so that what is there can still be found.
+            lasting = lasting_points(found, options.tracing, limits)
+            mark_covered(
+                scene.covered,
+                scene.polyline_offsets,
+                found.views,
+                found.positions[lasting],
+                options.tracing.point_spacing_px,
+            )
+        advance()
+
+    num_kept = scene.edge_views.num_kept if isinstance(scene.edge_views, Recent) else len(order)
+    schedule = Schedule(order, scene.witnesses, NUM_KEPT if workers.remote else num_kept)
+    run_scheduled(workers, schedule, call, finish)
+    return [traced[view] for view in order.tolist() if view in traced], int(in_runs.sum())
+
+
+def curves_traced(
+    scene: Scene,
+    view: int,
+    depths: ChainDepths,
+    agreeing: Int32Array,
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[Traced | None, int]:
+    """Curves of one view on what is not covered yet, refined and observed; None without any.
+
+    Returns:
+        The curves, and how many samples are in sure runs.
+    """
+    curves, in_runs = find_curves(
+        scene.graphs[view],
+        scene.edge_views[view],
+        scene.covered[view],
+        depths,
+        agreeing,
+        options.tracing,
+    )
+    if len(curves.indices) == 0:
+        return None, in_runs
+    return trace_view(scene, view, curves, options, num_threads), in_runs
+
+
+def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
+    """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
+    return float(view.focal_px * (depths.inverse_depths @ agreeing))
+
+
+def without_supports(depths: ChainDepths) -> ChainDepths:
+    """The depths without the places that agree, most of their memory; how many remains known."""
+    return replace(
+        depths, support_views=np.zeros(0, np.int32), support_positions=np.zeros(0, np.float64)
+    )
+
+
+def count_samples(
+    depths: list[ChainDepths], agreeing: list[Int32Array], in_runs: int
+) -> dict[str, int]:
+    """Count the samples on chains after each check."""
+    return {
+        "samples": sum(len(d.samples) for d in depths),
+        "samples_with_depth": int(sum(d.found.sum() for d in depths)),
+        "samples_confirmed": int(sum((a >= 1).sum() for a in agreeing)),
+        "samples_in_runs": in_runs,
+    }
+
+
+def trace_view(
+    scene: Scene,
+    view: int,
+    curves: Curves,
+    options: PipelineOptions,
+    num_threads: int,
+) -> Traced:
+    """Refine the curves of one driver and find their observations."""
+    witnesses = scene.witnesses[view]
+    driver = scene.views[view]
+    views = [scene.views[w] for w in witnesses]
+    edge_views = [scene.edge_views[w] for w in witnesses]
+    refined = refine_curves(
+        driver, scene.edge_views[view], curves, edge_views, options.refinement, num_threads
+    )
+    observed = np.isfinite(refined.positions).sum(axis=1)
+    distances = np.nansum(np.abs(refined.residuals), axis=1)
+    shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
+    log_chances = chance_of_observations(
+        driver,
+        refined.curves,
+        refined.residuals,
+        shift / options.refinement.noise_px,
+        views,
+        edge_views,
+        options.refinement,
+        num_threads,
+    )
+    inverse_depths = refined.curves.inverse_depths
+    seeing = np.isfinite(refined.positions).any(axis=0)
+    return Traced(
+        points=lift(driver, refined.curves.ideal, inverse_depths),
+        sigmas=refined.sigmas / inverse_depths**2,
+        uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
+        residuals=distances / np.maximum(observed, 1),
+        log_chances=log_chances,
+        offsets=refined.curves.offsets,
+        views=np.concatenate([[view], witnesses[seeing]]),
+        positions=sparse(np.column_stack([curves.indices, refined.positions[:, seeing]])),
+    )
+
+
+def sparse(values: FloatArray) -> csr_array:
+    """The values that are not NaN, of (N, M), zeros among them."""
+    known = np.isfinite(values)
+    columns = np.nonzero(known)[1].astype(np.int32)
+    return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)

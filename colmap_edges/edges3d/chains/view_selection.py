@@ -1,0 +1,266 @@
+"""Which views look at the same part of the scene, and how deep each sees (paper: PEPC views)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.options import ViewSelectionOptions
+
+RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
+NEAR_POINTS = 16  # SfM points around a place that tell its depths
+NEAR_MARGIN = 0.15  # of all inverse depths of the view, added to theirs on both sides
+MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthRange:
+    """Which inverse depths, 1 / world units, a view sees: overall, and around its SfM points.
+
+    Attributes:
+        overall: smallest and largest inverse depth.
+        pixels: (n, 2) float64 ideal pixels of the SfM points it sees; none when they are too few.
+        inverse_depths: (n,) float64 of these points.
+    """
+
+    overall: tuple[float, float]
+    pixels: FloatArray
+    inverse_depths: FloatArray
+
+    def at(self, ideal: FloatArray) -> FloatArray:
+        """(N, 2) smallest and largest inverse depth at (N, 2) ideal pixels.
+
+        Those of the SfM points nearest to the middle of its cell, with a margin for what stands
+        before or behind them.
+        """
+        if len(self.pixels) <= NEAR_POINTS:
+            return np.tile(self.overall, (len(ideal), 1))
+        corner, size, ranges = self.cells
+        column, row = np.clip((ideal - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)).T
+        found: FloatArray = ranges[row.astype(np.int64), column.astype(np.int64)]
+        return found
+
+    @cached_property
+    def cells(self) -> tuple[FloatArray, float, FloatArray]:
+        """Ranges around the middles of square cells, of about four SfM points each.
+
+        Returns:
+            Corner and size of the first cell in ideal pixels, (rows, columns, 2) ranges.
+        """
+        low, high = self.overall
+        corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
+        size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
+        # A point next to the camera's plane may be anywhere: no more cells in a row than points.
+        size = max(size, float(extent.max()) / len(self.pixels))
+        x, y = (np.arange(0, length, size) + size / 2 for length in extent)
+        middles = np.stack(np.meshgrid(x, y), axis=-1) + corner
+        _, near = cKDTree(self.pixels).query(middles, NEAR_POINTS)
+        inverse = self.inverse_depths[near]
+        margin = NEAR_MARGIN * (high - low)
+        ranges = np.stack([inverse.min(axis=-1) - margin, inverse.max(axis=-1) + margin], axis=-1)
+        return corner, size, np.clip(ranges, low, high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neighborhood:
+    """The neighbours of every view and the range of inverse depths it sees.
+
+    Attributes:
+        neighbors: per view its neighbours, indices into the model's views, best first.
+        later_neighbors: the same and further ones, for later rounds.
+        witnesses: per view all views that may observe its edges, ascending.
+        ranges: per view the inverse depths it sees and where.
+    """
+
+    neighbors: tuple[IntArray, ...]
+    later_neighbors: tuple[IntArray, ...]
+    witnesses: tuple[IntArray, ...]
+    ranges: tuple[DepthRange, ...]
+
+
+def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
+    """Choose the neighbours of each view by shared points and triangulation angle.
+
+    Views with few points are compared by their poses alone.
+    """
+    count = max(options.num_neighbors, options.num_later_neighbors)
+    observed = observation_matrix(model)
+    observers = observed.T.tocsr()
+    ranges = inverse_depth_ranges(model, observed)
+    neighbors, witnesses = [], []
+    for view in range(len(model.views)):
+        near, wide = neighbor_scores(
+            model, observed, observers, view, ranges[view].overall, options
+        )
+        chosen = pick_diverse(model, view, near, count)
+        lacking = count - len(chosen)
+        if lacking:  # those from further aside are better than none
+            aside = wide.copy()
+            aside[chosen] = 0
+            chosen = np.concatenate([chosen, pick_diverse(model, view, aside, lacking)])
+        neighbors.append(chosen)
+        seeing = np.flatnonzero(wide > 0)
+        order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
+        witnesses.append(np.sort(seeing[order]))
+    return Neighborhood(
+        neighbors=tuple(of[: options.num_neighbors] for of in neighbors),
+        later_neighbors=tuple(neighbors),
+        witnesses=tuple(witnesses),
+        ranges=ranges,
+    )
+
+
+def observation_matrix(model: Model) -> csr_array:
+    """(V, N) sparse bool: view v observes point n."""
+    points = model.track_points
+    shape = (len(model.views), len(model.point3D_ids))
+    ones = np.ones(len(points), np.float64)
+    matrix = csr_array((ones, (model.track_views, points)), shape=shape)
+    matrix.data[:] = 1
+    return matrix
+
+
+def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
+    """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
+    ranges = []
+    focus = None
+    for index, view in enumerate(model.views):
+        seen = observed.indices[observed.indptr[index] : observed.indptr[index + 1]]
+        ideal, depths = view.project_ideal(model.points3D_xyz[seen])
+        ideal, inverse = ideal[depths > 0], 1 / depths[depths > 0]
+        if len(inverse) < MIN_POINTS:
+            focus = find_focus(model) if focus is None else focus
+            overall, none = pose_range(model, index, focus), np.zeros(0)
+            ranges.append(
+                DepthRange(overall=overall, pixels=none.reshape(0, 2), inverse_depths=none)
+            )
+            continue
+        low, high = np.percentile(inverse, [0.5, 99.5])
+        margin = RANGE_MARGIN * (high - low) + 0.02 * low
+        overall = float(max(low - margin, 0.1 * low)), float(high + margin)
+        ranges.append(DepthRange(overall=overall, pixels=ideal, inverse_depths=inverse))
+    return tuple(ranges)
+
+
+def find_focus(model: Model) -> FloatArray:
+    """(3,) the point nearest to all optical axes; NaN where they hardly tell it."""
+    axes = np.array([view.rotation[2] for view in model.views])
+    projectors = np.eye(3)[None] - axes[:, :, None] * axes[:, None, :]
+    normal = projectors.sum(axis=0)
+    if np.linalg.cond(normal) >= 1e3:
+        return np.full(3, np.nan)
+    towards = np.einsum("vij,vj->i", projectors, model.camera_centers)
+    return np.asarray(np.linalg.solve(normal, towards), np.float64)
+
+
+def pose_range(model: Model, index: int, focus: FloatArray) -> tuple[float, float]:
+    """Inverse depths a view may see, judged by the poses of all.
+
+    Around the point nearest to all optical axes when the view looks at it, from a third to three
+    times its depth; else from the distance to the nearest other camera to infinity.
+    """
+    view = model.views[index]
+    baselines = np.linalg.norm(model.camera_centers - view.center, axis=1)
+    baselines = baselines[baselines > 0]
+    if len(baselines) == 0:
+        return 0.0, 1.0
+    depth = float(view.cam_from_world(focus[None])[0, 2])
+    if depth > baselines.min():
+        return 1 / (3 * depth), 3 / depth
+    return 0.0, 1 / float(baselines.min())
+
+
+def neighbor_scores(
+    model: Model,
+    observed: csr_array,
+    observers: csr_array,
+    view: int,
+    inverse_depths: tuple[float, float],
+    options: ViewSelectionOptions,
+) -> FloatArray:
+    """(2, V) scores of every other view as a neighbour and as a witness.
+
+    They are numbers of shared points, weighted by their angles.
+
+    `observers` is `observed` transposed: it leads from the view's points to those that share them,
+    so that nothing is done for the other views.
+    """
+    seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
+    if len(seen) < MIN_POINTS:
+        return pose_scores(model, view, inverse_depths, options)
+    points = model.points3D_xyz[seen]
+    shared = observers[seen]
+    columns = np.repeat(np.arange(len(seen)), np.diff(shared.indptr))
+    to_own = points - model.camera_centers[view]
+    to_other = points[columns] - model.camera_centers[shared.indices]
+    weights = angle_weights(to_own[columns], to_other, options)
+    scores = [np.bincount(shared.indices, of, len(model.views)) for of in weights]
+    result = np.array(scores, np.float64)
+    result[:, view] = 0
+    return result
+
+
+def angle_weights(
+    rays: FloatArray, other_rays: FloatArray, options: ViewSelectionOptions
+) -> FloatArray:
+    """(2, N) weight of the triangulation angle between two rays: 1 where it is wide enough.
+
+    That of neighbours and that of witnesses, which may look from further aside.
+    """
+    cosines = np.einsum("ij,ij->i", rays, other_rays) / (
+        np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
+    )
+    angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    narrow = np.minimum(angles / options.good_angle_deg, 1) ** 2
+    most = np.array([[options.max_angle_deg], [options.max_witness_angle_deg]])
+    weights: FloatArray = narrow * np.clip((most - angles) / options.good_angle_deg, 0, 1)
+    return weights
+
+
+def pose_scores(
+    model: Model, view: int, inverse_depths: tuple[float, float], options: ViewSelectionOptions
+) -> FloatArray:
+    """(2, V) the same scores by the poses: how much of this view's frustum another sees."""
+    own = model.views[view]
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
+    ideal = own.ideal_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
+    depth = 1 / np.mean(inverse_depths)
+    local = depth * np.column_stack([ideal, np.ones(len(ideal))])
+    points = (local - own.translation) @ own.rotation
+    rays = np.tile(points - own.center, (len(model.views), 1))
+    other_rays = points[None] - model.camera_centers[:, None]
+    weights = angle_weights(rays, other_rays.reshape(-1, 3), options)
+    weights = weights.reshape(2, -1, len(points))
+    weights[:, view] = 0
+    scores = np.zeros((2, len(model.views)))
+    for index in np.flatnonzero(weights.any(axis=(0, 2))):  # few of many
+        other = model.views[index]
+        scores[:, index] = weights[:, index] @ other.holds(*other.project(points))
+    return scores
+
+
+def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> IntArray:
+    """Indices of up to `count` views with positive score, best first, baselines spread.
+
+    A view whose baseline points where one already chosen does counts less: edges along one
+    baseline need another.
+    """
+    candidates = np.flatnonzero(scores > 0)
+    scores = scores[candidates]
+    baselines = model.camera_centers[candidates] - model.camera_centers[view]
+    norms = np.linalg.norm(baselines, axis=1, keepdims=True)
+    directions = baselines / np.where(norms > 0, norms, 1)
+    chosen: list[int] = []
+    while len(chosen) < count and scores.max(initial=0) > 0:
+        best = int(np.argmax(scores >= scores.max() * (1 - 1e-9)))  # of equals, but for rounding
+        chosen.append(int(candidates[best]))
+        scores[best] = 0
+        parallel = np.abs(directions @ directions[best])
+        scores *= 1 - 0.3 * parallel**8
+    return np.array(chosen, np.int64)

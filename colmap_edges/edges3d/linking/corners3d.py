@@ -1,0 +1,305 @@
+"""Ends of edges that point at each other run on to where they meet: the corners of bodies.
+
+Blur rounds corners off and depths are known up to a few pixels before them, so that edges end a
+little before or behind the corner. Where lines through their ends meet, and views observe an edge
+there, each is led to the meeting point (the least squares one of three edges and more).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    ranges_of,
+)
+from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.core.polylines import end_points
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.edge_index import look_up, positions_near
+from colmap_edges.edges3d.linking.joining import (
+    SHORT_GAP,
+    Ends,
+    find_ends,
+    near_pairs,
+    num_behind,
+    views_near,
+    with_nodes,
+)
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import LinkingOptions, PipelineOptions
+
+FIT_POINTS = 8  # next to the last one that tell the line of an end
+MIN_ANGLE_DEG = 20.0  # between lines; where nearly parallel ones meet is not known
+APART_RATIO = 1.5  # how far apart two ends are at most, in their longest ways to the corner
+MAX_MISS_SPACINGS = 0.5  # distance of an end's line to the corner
+MAX_PAST_SPACINGS = 0.75  # how far an edge may have gone past the corner
+MIN_GAP_SPACINGS = 0.5  # nearer to the corner an edge point is replaced by it
+STAY_WEIGHT = 1e-6  # of where a corner was thought to be, against a line's
+WAY = np.array([1 / 3, 2 / 3])  # of the way to a corner, where it must be observed
+MIN_SEEN_RATIO = 0.5  # of the views that observe an end, those that must observe the corner
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corners:
+    """Ends of edges that meet.
+
+    Attributes:
+        positions: (C, 3) where they do.
+        members: (M,) the ends.
+        owners: (M,) corner of each.
+    """
+
+    positions: FloatArray
+    members: IntArray
+    owners: IntArray
+
+    @property
+    def points(self) -> FloatArray:
+        """(M, 3) the corner of each end."""
+        return self.positions[self.owners]
+
+    def select(self, rows: BoolArray) -> Corners:
+        """Some of the ends, and the corners that two of them at least are left of."""
+        counts = np.bincount(self.owners[rows], minlength=len(self.positions))
+        left = rows & (counts[self.owners] >= 2)
+        return replace(self, members=self.members[left], owners=self.owners[left])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The lines that fit the 2E ends of E edges.
+
+    Attributes:
+        ends: the ends.
+        centers: (2E, 3) a point of each line.
+        outward: (2E, 3) their unit directions, out of the edges.
+    """
+
+    ends: Ends
+    centers: FloatArray
+    outward: FloatArray
+
+    def reaches(self, of: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far (n, k) ends are from (n, k or 1, 3) points along their lines, how far those miss.
+
+        Both (n, k) in spacings.
+        """
+        outward, spacings = self.outward[of], self.ends.spacings[of] + 1e-300
+        along = np.einsum("nki,nki->nk", points - self.ends.positions[of], outward)
+        offset = points - self.centers[of]
+        offset = offset - np.einsum("nki,nki->nk", offset, outward)[:, :, None] * outward
+        return along / spacings, np.linalg.norm(offset, axis=2) / spacings
+
+
+def meet_at_corners(
+    edges: Edges3D,
+    graphs: Sequence[EdgeGraph],
+    edge_views: Sequence[_kernels.EdgeView],
+    options: PipelineOptions,
+    num_threads: int,
+) -> Edges3D:
+    """Lead the ends of edges on, or back, to the corners where they meet others.
+
+    Args:
+        edges: linked edges.
+        graphs: the edge graph of each view.
+        edge_views: the same in the kernels' form.
+        options: how far a corner may be, and how near to a chain and by how many views it is
+            observed.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The edges, each with a point of its own at every corner, which are their nodes.
+    """
+    if edges.num_edges == 0:
+        return edges
+    lines = fit_lines(edges)
+    corners = find_corners(edges, lines, options.linking)
+    asked = views_near(edges, corners.members[:, None], len(edge_views))
+    views, positions, rows = observe(corners, lines.ends, asked, edge_views, options, num_threads)
+    counts = np.bincount(rows, minlength=len(corners.members))
+    num_asked = np.bincount(asked.indices, minlength=len(corners.members))
+    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
+    met = corners.select(counts >= least)
+    pixels, colors = look_up(graphs, views, positions)
+    longer = with_points(edges, met, corners.members[rows], views, pixels, colors)
+    return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
+
+
+def with_points(
+    edges: Edges3D,
+    met: Corners,
+    observed: IntArray,
+    views: Int32Array,
+    pixels: FloatArray,
+    colors: FloatArray,
+) -> Edges3D:
+    """The edges with a point after all others for each end that meets others.
+
+    Args:
+        edges: the edges.
+        met: the ends, and where.
+        observed: (T,) ends whose corners are observed; others than those of `met` do not count.
+        views: (T,) by which view each is.
+        pixels: (T, 2) where in its image.
+        colors: (T, 3) RGB there.
+    """
+    place = np.full(2 * edges.num_edges, -1)
+    place[met.members] = np.arange(len(met.members))
+    place = place[observed]
+    order = np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+    tips, _ = end_points(edges.edge_offsets, 0)
+    tracks = offsets_of(np.bincount(place[order], minlength=len(met.members)))
+    return replace(
+        edges,
+        points=np.concatenate([edges.points, met.points]),
+        track_offsets=np.concatenate([edges.track_offsets, edges.track_offsets[-1] + tracks[1:]]),
+        track_views=np.concatenate([edges.track_views, views[order]]),
+        track_points2D=np.concatenate([edges.track_points2D, pixels[order]]),
+        sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[met.members]]]),
+        colors=np.concatenate([edges.colors, mean_colors(colors[order], tracks)]),
+    )
+
+
+def fit_lines(edges: Edges3D) -> Lines:
+    """The lines that fit the ends of all edges."""
+    ends = find_ends(edges)
+    tips, inner = end_points(edges.edge_offsets, FIT_POINTS)
+    inward = np.sign(inner - tips)[:, None]
+    steps = np.minimum(np.arange(1, FIT_POINTS + 1), np.abs(inner - tips)[:, None])
+    points = edges.points[tips[:, None] + inward * steps]
+    centers = points.mean(axis=1)
+    apart = points - centers[:, None]
+    outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
+    outward *= np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
+    return Lines(ends=ends, centers=centers, outward=outward)
+
+
+def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corners:
+    """Where lines through the ends of edges meet, the nearest meeting of each end."""
+    reach = options.max_corner_spacings
+    pairs = pairs_to_meet(edges, lines, reach)
+    middle = meetings(lines, pairs)
+    along, miss = lines.reaches(pairs, middle[:, None])
+    fits = fit(along, miss, reach).all(axis=1)
+    cost = (np.abs(along) + 2 * miss).max(axis=1)
+    rows = np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")]
+    members, first = np.unique(pairs[rows], return_index=True)
+    links = pairs[rows[first // 2]]  # of each end with the one that costs the least
+    size = (len(lines.centers),) * 2
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
+    labels = connected_components(graph, directed=False)[1]
+    cheapest = rows[np.unique(labels[pairs[rows, 0]], return_index=True)[1]]
+    owners = np.unique(labels[members], return_inverse=True)[1]
+    corners = Corners(positions=middle[cheapest], members=members, owners=owners)
+    for _ in range(2):  # first who runs to where the best two meet, then to where all meet
+        along, miss = lines.reaches(corners.members[:, None], corners.points[:, None])
+        corners = corners.select(fit(along, miss, reach)[:, 0])
+        corners = replace(corners, positions=intersect(corners, lines))
+    return corners
+
+
+def pairs_to_meet(edges: Edges3D, lines: Lines, reach: float) -> IntArray:
+    """(n, 2) ends of different open edges, near enough to meet, whose lines are not parallel."""
+    a, b, _ = near_pairs(lines.ends, APART_RATIO * reach)
+    open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
+    keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
+    pairs = np.column_stack([a, b])[keep]
+    cosine = np.einsum("ij,ij->i", *lines.outward[pairs.T])
+    apart: IntArray = pairs[np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))]
+    return apart
+
+
+def meetings(lines: Lines, pairs: IntArray) -> FloatArray:
+    """(n, 3) the points midway between the lines of (n, 2) ends where they are nearest."""
+    (center_a, center_b), (a, b) = lines.centers[pairs.T], lines.outward[pairs.T]
+    cosine = np.einsum("ij,ij->i", a, b)
+    on_a = np.einsum("ij,ij->i", a, center_b - center_a)
+    on_b = np.einsum("ij,ij->i", b, center_b - center_a)
+    square = 1 - cosine**2
+    near_a = center_a + ((on_a - cosine * on_b) / square)[:, None] * a
+    near_b = center_b + ((cosine * on_a - on_b) / square)[:, None] * b
+    middle: FloatArray = (near_a + near_b) / 2
+    return middle
+
+
+def fit(along: FloatArray, miss: FloatArray, reach: float) -> BoolArray:
+    """Whether ends so far from a corner, in spacings, run to it."""
+    return (along >= -MAX_PAST_SPACINGS) & (along <= reach) & (miss <= MAX_MISS_SPACINGS)
+
+
+def intersect(corners: Corners, lines: Lines) -> FloatArray:
+    """(C, 3) the points nearest to the lines of their ends; they stay along parallel ones."""
+    outward, centers = lines.outward[corners.members], lines.centers[corners.members]
+    across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
+    sums = np.tile(STAY_WEIGHT * np.eye(3), (len(corners.positions), 1, 1))
+    pulls = STAY_WEIGHT * corners.positions
+    np.add.at(sums, corners.owners, across)
+    np.add.at(pulls, corners.owners, np.einsum("nij,nj->ni", across, centers))
+    return np.asarray(np.linalg.solve(sums, pulls[:, :, None])[:, :, 0], np.float64)
+
+
+def observe(
+    corners: Corners,
+    ends: Ends,
+    asked: csc_array,
+    edge_views: Sequence[_kernels.EdgeView],
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[Int32Array, FloatArray, IntArray]:
+    """Observations of corners by the views `asked` (M, V), on chains of any direction.
+
+    A view that observes a corner farther than `SHORT_GAP` must observe the way to it, too.
+
+    Returns:
+        (T,) views, (T,) positions on their chains, and (T,) which end, as one of `members`.
+    """
+    points = corners.points
+    away = points - ends.positions[corners.members]
+    far = np.linalg.norm(away, axis=1) > SHORT_GAP * ends.spacings[corners.members]
+    outward = ends.outward[corners.members]
+    places = points[:, None] - WAY[:, None] * away[:, None]
+    along = np.repeat(away[:, None], len(WAY), axis=1)
+    radius = options.refinement.max_residual_px
+    cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
+    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
+    for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
+        rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
+        near = partial(positions_near, edge_views[view], radius, num_threads)
+        on_way = near(places[rows], along[rows], cosine)
+        at_corner = near(points[rows, None], outward[rows, None], 0.0)[:, 0]
+        seen = (at_corner >= 0) & ((on_way >= 0).all(axis=1) | ~far[rows])
+        found.append((np.full(seen.sum(), view), at_corner[seen], rows[seen]))
+    views, positions, members = (np.concatenate(of) for of in zip(*found, strict=True))
+    return views.astype(np.int32), positions, members
+
+
+def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D:
+    """The edges with the points that follow theirs in `longer`, one for each end, as their ends.
+
+    Points past the corner or next to it are left out.
+    """
+    limits = MIN_GAP_SPACINGS * ends.spacings[met.members]
+    skip = num_behind(edges, met.members, met.points, -ends.outward[met.members], limits)
+    begins = edges.edge_offsets[:-1] + skip[::2]
+    stops = edges.edge_offsets[1:] - skip[1::2]
+    own = ranges_of(begins, stops)
+    owners = np.concatenate(
+        [np.repeat(np.arange(edges.num_edges), stops - begins), met.members // 2]
+    )
+    rank = np.concatenate([np.zeros(len(own)), np.where(met.members % 2 == 0, -1, 1)])
+    points = np.concatenate([own, edges.num_points + np.arange(len(met.members))])
+    order = np.lexsort((rank, owners))  # stable: points of an edge stay in their order
+    lengths = np.bincount(owners, minlength=edges.num_edges)
+    return longer.reordered(points[order], offsets_of(lengths), edges.closed, edges.end_nodes)

@@ -1,0 +1,178 @@
+"""Pieces of 3D edges -> whole edges: joined, closed, with nodes (paper: future work).
+
+A chain that ends in one view often goes on in another, which traced the rest of the edge. Lengths
+are measured in spacings, the distance between edge points there, so that nothing depends on the
+scene's unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import end_points, match_best_first, points_along, walk_joined
+from colmap_edges.options import LinkingOptions
+
+REACH = 4  # points from an end that tell its direction and spacing
+MIN_LOOP_POINTS = 8  # of a closed edge
+SHORT_GAP = 2.0  # spacings; shorter ones are hardly any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """The 2E ends of E edges; end 2e is the first point of edge e, end 2e + 1 its last.
+
+    Attributes:
+        positions: (2E, 3) where they are.
+        outward: (2E, 3) unit directions out of the edge.
+        spacings: (2E,) distance between edge points there.
+    """
+
+    positions: FloatArray
+    outward: FloatArray
+    spacings: FloatArray
+
+
+# Of (n,) ends and (n,) others: (n,) whether an edge runs from the one to the other.
+GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
+
+
+def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edges3D:
+    """Join the edges whose ends face each other, close loops and give ends that meet one node.
+
+    Args:
+        edges: pieces; their ends may overlap by a few points, which are then left out.
+        options: how far apart and how parallel.
+        goes_on: tells of gaps longer than `SHORT_GAP` spacings whether an edge runs through them.
+
+    Returns:
+        The linked edges, tracks reordered with their points.
+    """
+    if edges.num_edges == 0:
+        return edges
+    ends = find_ends(edges)
+    partner = match_ends(ends, np.diff(edges.edge_offsets), options, goes_on)
+    skip = overlaps(edges, ends, partner)
+    begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
+    paths = walk_joined(partner)
+    order, lengths = points_along(paths, begin, stop)
+    loops = np.array([closed for _, closed in paths], bool)
+    none = np.full((len(paths), 2), -1, np.int32)
+    return with_nodes(edges.reordered(order, offsets_of(lengths), loops, none), options)
+
+
+def find_ends(edges: Edges3D) -> Ends:
+    """The ends of all edges with their directions and spacings."""
+    tips, inner = end_points(edges.edge_offsets, REACH)
+    chords = edges.points[tips] - edges.points[inner]
+    lengths = np.linalg.norm(chords, axis=1)
+    return Ends(
+        positions=edges.points[tips],
+        outward=chords / (lengths[:, None] + 1e-300),
+        spacings=lengths / np.maximum(np.abs(tips - inner), 1),
+    )
+
+
+def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Pairs of ends within `radius` of the smaller spacing of the two, a < b, and their gaps."""
+    tree = cKDTree(ends.positions)
+    found = tree.query_ball_point(ends.positions, radius * ends.spacings, return_sorted=True)
+    a = np.repeat(np.arange(len(found)), [len(row) for row in found])
+    b = np.fromiter(chain.from_iterable(found), np.int64, len(a))
+    gap = ends.positions[b] - ends.positions[a]
+    near = np.linalg.norm(gap, axis=1) <= radius * np.minimum(ends.spacings[a], ends.spacings[b])
+    keep = near & (a < b)
+    return a[keep], b[keep], gap[keep]
+
+
+def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: GoesOn) -> IntArray:
+    """(2E,) the end that continues each end, best pairs first, or -1."""
+    a, b, gap = near_pairs(ends, options.max_gap_spacings)
+    spacing = np.minimum(ends.spacings[a], ends.spacings[b])
+    turn = -np.einsum("ij,ij->i", ends.outward[a], ends.outward[b])
+    direction = ends.outward[a] - ends.outward[b]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-300
+    along = np.einsum("ij,ij->i", direction, gap)
+    across = np.linalg.norm(gap - along[:, None] * direction, axis=1)
+    bend = np.tan(np.radians(options.max_join_angle_deg))
+    allowed = turn >= np.cos(np.radians(options.max_join_angle_deg))
+    allowed &= across <= bend * np.maximum(along, spacing)
+    # An overlap is left out later, of one piece; it must not be all of it.
+    allowed &= along >= -(REACH - 1) * spacing
+    allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
+    lengths = np.linalg.norm(gap, axis=1)
+    rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
+    allowed[rows] = goes_on(ends, a[rows], b[rows])
+    cost = lengths / spacing + 2 * across / spacing
+    return match_best_first(len(ends.positions), a, b, allowed, cost)
+
+
+def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
+    """(2E,) points to leave out at each end, since the piece it is joined to goes past them."""
+    joined = np.flatnonzero((partner >= 0) & (np.arange(len(partner)) < partner))
+    positions, outward = ends.positions[joined], ends.outward[joined]
+    return num_behind(edges, partner[joined], positions, outward, 0.3 * ends.spacings[joined])
+
+
+def num_behind(
+    edges: Edges3D, of: IntArray, origins: FloatArray, directions: FloatArray, limits: FloatArray
+) -> IntArray:
+    """How many points at the ends of edges do not lie ahead of where the edges are to begin.
+
+    Args:
+        edges: the edges, of each of which something remains.
+        of: (n,) ends.
+        origins: (n, 3) where the edge is to begin there.
+        directions: (n, 3) unit vectors in which it goes on.
+        limits: (n,) how far ahead points must lie, in world units.
+
+    Returns:
+        (2E,) how many at each end, at most `REACH`.
+    """
+    sizes = np.diff(edges.edge_offsets)[of // 2]
+    tips = end_points(edges.edge_offsets, 0)[0][of]
+    skip = np.zeros(2 * edges.num_edges, np.int64)
+    for step in range(REACH):
+        place = tips + np.where(of % 2 == 0, 1, -1) * np.minimum(step, sizes - 1)
+        ahead = np.einsum("ij,ij->i", edges.points[place] - origins, directions)
+        behind = (ahead < limits) & (skip[of] == step)
+        behind &= sizes > skip[of] + skip[of ^ 1] + 2  # something of every edge remains
+        skip[of[behind]] += 1
+    return skip
+
+
+def with_nodes(edges: Edges3D, options: LinkingOptions) -> Edges3D:
+    """The edges with a node for the ends of open ones that meet."""
+    ends = find_ends(edges)
+    free = np.flatnonzero(np.repeat(~edges.closed, 2))
+    own = Ends(
+        positions=ends.positions[free], outward=ends.outward[free], spacings=ends.spacings[free]
+    )
+    nodes = np.full(len(ends.positions), -1, np.int32)
+    if len(free):
+        a, b, _ = near_pairs(own, options.node_radius_spacings)
+        links = coo_array((np.ones(len(a)), (a, b)), shape=(len(free), len(free)))
+        _, labels = connected_components(links, directed=False)
+        shared = np.bincount(labels)[labels] > 1
+        numbers = np.unique(labels[shared], return_inverse=True)[1]
+        nodes[free[shared]] = numbers
+    return replace(edges, end_nodes=nodes.reshape(-1, 2))
+
+
+def views_near(edges: Edges3D, ends: IntArray, num_views: int) -> csc_array:
+    """(n, V) sparse: view v observes an edge point near one of (n, k) ends."""
+    tips, inner = end_points(edges.edge_offsets, REACH)
+    of = ends.ravel()
+    first = edges.track_offsets[np.minimum(tips, inner)[of]]
+    last = edges.track_offsets[np.maximum(tips, inner)[of] + 1]
+    views = edges.track_views[ranges_of(first, last)]
+    rows = np.repeat(np.repeat(np.arange(len(ends)), ends.shape[1]), last - first)
+    return csc_array((np.ones(len(views), bool), (rows, views)), shape=(len(ends), num_views))

@@ -1,0 +1,1 @@
+"""3D edges as the paper traces them: PECs, PEPCs, following, visibility, sampling."""

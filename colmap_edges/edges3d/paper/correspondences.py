@@ -1,0 +1,189 @@
+"""Epipolar intersections -> potential edge-point correspondences (paper: PEPC generation)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    entries_of,
+    offsets_of,
+    ranks_of,
+)
+from colmap_edges.core.view import rows_by_view, views_with_rows
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.edges3d.paper.matching import project_tracks
+from colmap_edges.options import CorrespondenceOptions
+
+DEPTH_MARGIN = 2.0  # how far beyond the SfM points of a view edges are sought, as a factor
+DEPTH_PERCENTILES = (1.0, 99.0)  # of the SfM points' depths, against their outliers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pepcs:
+    """Potential edge-point correspondences: a start each and its candidates in other views.
+
+    Attributes:
+        starts: (S) places on chains.
+        candidate_offsets: (S + 1,) int64 CSR of candidates by start.
+        candidates: (C) places on chains of other views, those of a start grouped by view.
+    """
+
+    starts: ChainPositions
+    candidate_offsets: IntArray
+    candidates: ChainPositions
+
+    def __len__(self) -> int:
+        """Number of PEPCs."""
+        return len(self.starts)
+
+
+def pepcs_from_sfm_points(
+    model: Model, field: EdgeField, options: CorrespondenceOptions, num_threads: int
+) -> Pepcs:
+    """PEPCs near SfM points.
+
+    Around each SfM point lie two spheres. In every view that sees the point, the nearest place of
+    each polyline within the projected inner sphere is a start; its candidates are the crossings of
+    its epipolar lines within the projected outer sphere in the other views of the point. Radii
+    are given in pixels of the view that sees the point sharpest, and a sphere's circle has the
+    radius r * focal / depth.
+    """
+    point_ids = model.track_points
+    sizes = pixel_sizes(model, point_ids)
+    finest = np.full(len(model.points3D_xyz), np.inf)
+    np.minimum.at(finest, point_ids, sizes)
+    usable = np.isfinite(finest)
+    finest[~usable] = 0
+    with np.errstate(invalid="ignore"):
+        circles = np.where(
+            usable[point_ids], options.inner_radius_px * finest[point_ids] / sizes, 0
+        )
+    near = field.find_near(
+        model.track_views, project_tracks(model, point_ids), circles, num_threads
+    )
+    offsets, segments, fractions = field.kernel.candidates_in_spheres(
+        near.positions.segments,
+        near.positions.fractions,
+        point_ids[near.queries],
+        np.ascontiguousarray(model.points3D_xyz),
+        options.outer_radius_px * finest,
+        model.track_offsets,
+        model.track_views,
+        num_threads,
+    )
+    candidates = ChainPositions(segments=segments, fractions=fractions)
+    return Pepcs(starts=near.positions, candidate_offsets=offsets, candidates=candidates)
+
+
+def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
+    """(T,) size of a pixel at the depth of each tracked point in world units; inf behind a view."""
+    sizes = np.full(len(point_ids), np.inf)
+    for view, rows in views_with_rows(model.views, model.track_views):
+        depths = view.cam_from_world(model.points3D_xyz[point_ids[rows]])[:, 2]
+        sizes[rows] = np.where(depths > 0, depths / view.focal_px, np.inf)
+    return sizes
+
+
+def pepcs_from_pecs(
+    model: Model,
+    field: EdgeField,
+    pecs: Int32Array,
+    options: CorrespondenceOptions,
+    num_threads: int,
+) -> Pepcs:
+    """PEPCs of matched polylines.
+
+    Every polyline of a PEC is sampled at fixed intervals; the candidates of a sample are the
+    crossings of its epipolar lines with the polylines of the same PEC in the other views.
+
+    Args:
+        model: bounds the depths by its SfM points.
+        field: edge graphs of all views.
+        pecs: (P,) PEC of each polyline, -1 for none.
+        options: the sampling interval.
+        num_threads: threads to use; the result does not depend on it.
+    """
+    starts = sample_polylines(field, pecs >= 0, options.sample_spacing_px)
+    offsets, segments, fractions = field.kernel.candidates_in_pecs(
+        starts.segments, starts.fractions, pecs, depth_bounds(model), num_threads
+    )
+    candidates = ChainPositions(segments=segments, fractions=fractions)
+    return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
+
+
+def depth_bounds(model: Model) -> FloatArray:
+    """(V, 2) depths between which each view may see edges, from its SfM points and a margin.
+
+    A view that sees no SfM points is not bounded: (0, inf).
+    """
+    point_ids = model.track_points
+    ranges = np.tile([0.0, np.inf], (len(model.views), 1))
+    for index, rows in enumerate(rows_by_view(model.track_views, len(model.views))):
+        points = model.points3D_xyz[point_ids[rows]]
+        depths = model.views[index].cam_from_world(points)[:, 2]
+        depths = depths[depths > 0]
+        if len(depths):
+            near, far = np.percentile(depths, DEPTH_PERCENTILES)
+            ranges[index] = near / DEPTH_MARGIN, far * DEPTH_MARGIN
+    return ranges
+
+
+def sample_polylines(field: EdgeField, wanted: BoolArray, spacing_px: float) -> ChainPositions:
+    """Places at even intervals of about `spacing_px` on the wanted polylines ((P,) bool).
+
+    The intervals are centred on the polyline; one shorter than the spacing has one place.
+    """
+    ends = field.next_points >= 0
+    steps = np.zeros(len(field.ideal))
+    following = field.ideal[field.next_points[ends]]
+    steps[ends] = np.linalg.norm(following - field.ideal[ends], axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(steps)])
+    begin = arc[field.polyline_offsets[:-1]]
+    lengths = arc[field.polyline_offsets[1:]] - begin
+    usable = wanted & (lengths > 0)
+    counts = np.where(usable, np.maximum(1, np.round(lengths / spacing_px)), 0).astype(np.int64)
+    polylines = np.repeat(np.arange(field.num_polylines), counts)
+    rank = ranks_of(counts)
+    places = begin[polylines] + (rank + 0.5) * lengths[polylines] / counts[polylines]
+    segments = np.searchsorted(arc, places, "right") - 1
+    segments = np.clip(
+        segments, field.polyline_offsets[polylines], field.polyline_offsets[polylines + 1] - 1
+    )
+    fractions = (places - arc[segments]) / np.where(steps[segments] > 0, steps[segments], 1)
+    return ChainPositions(segments=segments, fractions=np.clip(fractions, 0, 1))
+
+
+def join_pepcs(parts: Sequence[Pepcs]) -> Pepcs:
+    """The PEPCs of several strategies, one after the other."""
+    counts = np.concatenate([np.diff(part.candidate_offsets) for part in parts])
+    return Pepcs(
+        starts=join_positions([part.starts for part in parts]),
+        candidate_offsets=offsets_of(counts),
+        candidates=join_positions([part.candidates for part in parts]),
+    )
+
+
+def join_positions(parts: Sequence[ChainPositions]) -> ChainPositions:
+    """Concatenate places."""
+    return ChainPositions(
+        segments=np.concatenate([part.segments for part in parts]),
+        fractions=np.concatenate([part.fractions for part in parts]),
+    )
+
+
+def shuffle_pepcs(pepcs: Pepcs, random_seed: int) -> Pepcs:
+    """The same PEPCs in random order, so that neighbours on an edge are not tried in a row."""
+    order = np.random.default_rng(random_seed).permutation(len(pepcs))
+    return Pepcs(
+        starts=pepcs.starts.select(order),
+        candidate_offsets=offsets_of(np.diff(pepcs.candidate_offsets)[order]),
+        candidates=pepcs.candidates.select(entries_of(pepcs.candidate_offsets, order)),
+    )

@@ -1,0 +1,68 @@
+"""Validate PEPCs and follow edges through the views (paper: PEPC validation)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.edges3d.paper.correspondences import Pepcs
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.options import FollowingOptions
+
+MIN_SELECTION_VIEWS = 3  # fewest observations that give evidence (paper: PEPC-selection)
+OUTCOMES = (
+    "accepted",
+    "on_covered_stretch",
+    "too_few_views",
+    "no_valid_selection",
+    "ambiguous_selection",
+    "on_known_edge",
+)
+
+
+def follow_edges(
+    field: EdgeField, pepcs: Pepcs, options: FollowingOptions, num_threads: int
+) -> tuple[Edges3D, dict[str, int]]:
+    """Turn PEPCs into 3D edges.
+
+    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried: valid
+    is one that triangulates and can be followed. A PEPC with exactly one valid selection (those
+    that are one 3D point count as one) is extended to further views and followed both ways in all
+    its views at once. Starts on stretches that an earlier 3D edge covers are skipped.
+
+    Returns:
+        3D edges with points about `step_px` apart, and the number of starts by outcome.
+    """
+    points, edge_offsets, closed, track_offsets, segments, fractions, outcomes = (
+        field.kernel.trace_edges(
+            pepcs.starts.segments,
+            pepcs.starts.fractions,
+            pepcs.candidate_offsets,
+            pepcs.candidates.segments,
+            pepcs.candidates.fractions,
+            options.step_px,
+            options.max_error_px,
+            options.max_step_ratio,
+            float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+            float(np.sin(np.radians(options.full_triangulation_angle_deg))),
+            options.max_stretch,
+            MIN_SELECTION_VIEWS,
+            options.min_steps,
+            options.max_view_triples,
+            num_threads,
+        )
+    )
+    track = ChainPositions(segments=segments, fractions=fractions)
+    edges = Edges3D(
+        points=points,
+        edge_offsets=edge_offsets,
+        closed=closed.astype(bool),
+        track_offsets=track_offsets,
+        track_views=field.views_at(track).astype(np.int32),
+        track_points2D=field.image_points(track),
+        sigmas=np.full(len(points), np.nan),
+        end_nodes=np.full((len(closed), 2), -1, np.int32),
+        colors=mean_colors(field.colors_at(track), track_offsets),
+    )
+    counts = np.bincount(outcomes, minlength=len(OUTCOMES))
+    return edges, dict(zip(OUTCOMES, counts.tolist(), strict=True))

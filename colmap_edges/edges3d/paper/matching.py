@@ -1,0 +1,132 @@
+"""Polyline similarity graph -> communities (paper: Edge Matching and PEC generation)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import networkx
+import numpy as np
+from scipy.sparse import csr_array
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.view import views_with_rows
+from colmap_edges.edges3d.paper.edge_field import EdgeField
+from colmap_edges.options import MatchingOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimilarityGraph:
+    """Undirected weighted graph of polylines; each link once, with first < second.
+
+    Attributes:
+        num_polylines: number of nodes.
+        links: (L, 2) int64 polylines over all views, of different views.
+        similarities: (L,) float64 in (0, 1].
+    """
+
+    num_polylines: int
+    links: IntArray
+    similarities: FloatArray
+
+
+def match_polylines(
+    model: Model, field: EdgeField, options: MatchingOptions, random_seed: int, num_threads: int
+) -> Int32Array:
+    """Label the polylines of all views with their PEC.
+
+    Returns:
+        (P,) int32 PEC of each polyline, from 0; -1 for those matched with no other view.
+    """
+    incidence, weights = close_points(model, field, options.max_point_distance_px, num_threads)
+    graph = similarity_graph(incidence, weights, field.polyline_views, options.min_similarity)
+    return find_pecs(graph, options.resolution, random_seed)
+
+
+def close_points(
+    model: Model, field: EdgeField, max_distance_px: float, num_threads: int
+) -> tuple[csr_array, FloatArray]:
+    """Which visible SfM points lie close to which polylines, and how much each point counts.
+
+    Returns:
+        (P, N) sparse matrix, 1 where SfM point n, visible in the view of polyline p, projects to
+        within the distance of it; (N,) weights, the inverse of the mean number of polylines close
+        to the reprojections of a point (0 for points close to none).
+    """
+    num_points = len(model.points3D_xyz)
+    point_ids = model.track_points
+    pixels = project_tracks(model, point_ids)
+    near = field.find_near(
+        model.track_views, pixels, np.full(len(pixels), max_distance_px), num_threads
+    )
+    columns = point_ids[near.queries]
+    ones = np.ones(len(columns))
+    incidence = csr_array((ones, (near.polylines, columns)), (field.num_polylines, num_points))
+    incidence.data[:] = 1  # a view that sees a point twice counts once
+    close_counts = np.bincount(columns, minlength=num_points)
+    visible_counts = np.diff(model.track_offsets)
+    weights = np.zeros(num_points)
+    np.divide(visible_counts, close_counts, out=weights, where=close_counts > 0)
+    return incidence, weights
+
+
+def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
+    """(T, 2) ideal pixels to which each point projects in each view of its track."""
+    pixels = np.full((len(point_ids), 2), np.nan)
+    for view, rows in views_with_rows(model.views, model.track_views):
+        pixels[rows] = view.project_ideal(model.points3D_xyz[point_ids[rows]])[0]
+    return pixels
+
+
+def similarity_graph(
+    incidence: csr_array,
+    weights: FloatArray,
+    polyline_views: Int32Array,
+    min_similarity: float,
+) -> SimilarityGraph:
+    """Similarity of all pairs of polylines on different images (paper: equation 1).
+
+    Weight of the shared close points over that of all close points of either polyline; the
+    numerators of all pairs are one sparse product A diag(w) A', the union is what both have
+    minus what they share.
+
+    Args:
+        incidence: (P, N) 1 where a point is close to a polyline.
+        weights: (N,) of the points.
+        polyline_views: (P,) view of each polyline.
+        min_similarity: pairs below it are not linked.
+    """
+    weighted = incidence * weights[None, :]
+    shared = (csr_array(weighted) @ incidence.T).tocoo()
+    totals = np.asarray(weighted.sum(axis=1)).ravel()
+    first, second = shared.coords
+    keep = (first < second) & (polyline_views[first] != polyline_views[second])
+    keep &= shared.data > 0
+    first, second, common = first[keep], second[keep], shared.data[keep]
+    similarities = np.minimum(common / (totals[first] + totals[second] - common), 1.0)
+    linked = similarities >= min_similarity
+    links = np.column_stack([first, second])[linked].astype(np.int64)
+    order = np.lexsort((links[:, 1], links[:, 0]))
+    return SimilarityGraph(
+        num_polylines=incidence.shape[0],
+        links=links[order],
+        similarities=similarities[linked][order],
+    )
+
+
+def find_pecs(graph: SimilarityGraph, resolution: float, random_seed: int) -> Int32Array:
+    """(P,) int32 Louvain community (Blondel et al. 2008) of each polyline, -1 for lone ones."""
+    network = networkx.Graph()
+    network.add_nodes_from(np.unique(graph.links).tolist())
+    network.add_weighted_edges_from(
+        (a, b, weight)
+        for (a, b), weight in zip(graph.links.tolist(), graph.similarities.tolist(), strict=True)
+    )
+    communities = networkx.community.louvain_communities(
+        network, resolution=resolution, seed=random_seed
+    )
+    labels = np.full(graph.num_polylines, -1, np.int32)
+    members = sorted(sorted(community) for community in communities if len(community) > 1)
+    for label, community in enumerate(members):
+        labels[community] = label
+    return labels

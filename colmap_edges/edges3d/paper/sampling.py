@@ -1,0 +1,154 @@
+"""3D edges sampled finely to edge points, each with its own track (paper: sampling)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of, ranks_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import views_with_rows
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.edges3d.paper.observations import (
+    Observations,
+    edge_neighbours,
+    merge,
+    observations_of,
+    track_offsets,
+    triangulate_observations,
+    with_observations,
+)
+from colmap_edges.options import SamplingOptions
+
+
+def sample_edges(
+    edges: Edges3D,
+    field: EdgeField,
+    options: SamplingOptions,
+    max_error_px: float,
+    num_threads: int = 1,
+) -> Edges3D:
+    """Sample 3D edges finely to edge points, each with its own track.
+
+    Between two edge points samples are spread evenly; the views that see both see the samples. A
+    sample is observed at the nearest place of the view's polylines, and triangulated from that,
+    so it follows the curve and not the chord. Samples left with fewer than three views or a
+    larger error are left out; the edge points given stay.
+    """
+    segment_starts, segment_ends, counts = subdivisions(edges, field, options.spacing_px)
+    samples = np.repeat(np.arange(len(counts)), counts)
+    rank = ranks_of(counts) + 1
+    share = (rank / (counts[samples] + 1))[:, None]
+    start, end = edges.points[segment_starts[samples]], edges.points[segment_ends[samples]]
+    chords = start + share * (end - start)
+    observed = observe_samples(
+        edges, segment_starts, segment_ends, samples, chords, field, max_error_px, num_threads
+    )
+    points, errors = triangulate_observations(observed, len(samples), field, num_threads)
+    views = np.bincount(observed.points, minlength=len(samples))
+    good = (errors <= max_error_px) & (views >= 3)
+    positions = segment_starts[samples] + share[:, 0]
+    return insert_points(edges, field, positions, points, observed, good)
+
+
+def subdivisions(
+    edges: Edges3D, field: EdgeField, spacing_px: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Segments of the 3D edges as start and end points (S,), and samples to put inside (S,)."""
+    _, after = edge_neighbours(edges)
+    starts = np.flatnonzero(after >= 0)
+    ends = after[starts]
+    sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
+    track_points = edges.track_points
+    for view, of_view in views_with_rows(field.views, edges.track_views):
+        rows = track_points[of_view]
+        depths = view.cam_from_world(edges.points[rows])[:, 2]
+        np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
+    lengths = np.linalg.norm(edges.points[ends] - edges.points[starts], axis=1)
+    pieces = np.ceil(lengths * sharpness[starts] / spacing_px)
+    return starts, ends, np.maximum(pieces - 1, 0).astype(np.int64)
+
+
+def observe_samples(
+    edges: Edges3D,
+    starts: IntArray,
+    ends: IntArray,
+    samples: IntArray,
+    chords: FloatArray,
+    field: EdgeField,
+    max_distance_px: float,
+    num_threads: int,
+) -> Observations:
+    """Nearest places to samples ((N,) segments, (N, 3) points) in the views of both their ends."""
+    num_views = len(field.views)
+    track_points = edges.track_points
+    seen = np.zeros((edges.num_points, num_views), bool)
+    seen[track_points, edges.track_views] = True
+    both = seen[starts] & seen[ends]
+    found_points, found_views, segments, fractions = [], [], [], []
+    for index, view in enumerate(field.views):
+        rows = np.flatnonzero(both[samples, index])
+        near = field.find_near(
+            np.full(len(rows), index, np.int32),
+            view.project_ideal(chords[rows])[0],
+            np.full(len(rows), max_distance_px),
+            num_threads,
+        )
+        nearest = nearest_rows(near.offsets, near.distances)
+        found_points.append(rows[np.diff(near.offsets) > 0])
+        found_views.append(np.full(len(nearest), index, np.int32))
+        segments.append(near.positions.segments[nearest])
+        fractions.append(near.positions.fractions[nearest])
+    points, views = np.concatenate(found_points), np.concatenate(found_views)
+    order = np.lexsort((views, points))
+    places = ChainPositions(
+        segments=np.concatenate(segments)[order], fractions=np.concatenate(fractions)[order]
+    )
+    return Observations(
+        points=points[order],
+        views=views[order],
+        pixels=field.image_points(places),
+        ideal=field.ideal_points(places),
+        colors=field.colors_at(places),
+    )
+
+
+def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
+    """Row of the smallest distance of each query that has any; the first among equals."""
+    queries = owners_of(offsets)
+    order = np.lexsort((distances, queries))
+    first: IntArray = order[offsets[:-1][np.diff(offsets) > 0]]
+    return first
+
+
+def insert_points(
+    edges: Edges3D,
+    field: EdgeField,
+    positions: FloatArray,
+    points: FloatArray,
+    observed: Observations,
+    good: BoolArray,
+) -> Edges3D:
+    """Edges with the good samples put in at positions (index of the point before + share)."""
+    given = observations_of(edges, field)
+    kept = np.flatnonzero(good)
+    renumbered = np.cumsum(good) - 1 + edges.num_points
+    fresh = observed.select(good[observed.points])
+    order = np.argsort(
+        np.concatenate([np.arange(edges.num_points), positions[kept]]), kind="stable"
+    )
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    merged = merge(
+        replace(given, points=place[given.points]),
+        replace(fresh, points=place[renumbered[fresh.points]]),
+    )
+    edge_ids = edges.edge_ids
+    all_edges = np.concatenate([edge_ids, edge_ids[np.floor(positions[kept]).astype(np.int64)]])
+    enlarged = replace(
+        edges,
+        edge_offsets=track_offsets(all_edges, edges.num_edges),
+        sigmas=np.concatenate([edges.sigmas, np.full(len(kept), np.nan)])[order],
+    )
+    return with_observations(enlarged, np.concatenate([edges.points, points[kept]])[order], merged)

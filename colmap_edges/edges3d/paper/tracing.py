@@ -1,0 +1,81 @@
+"""The paper's tracing in its order: PECs, PEPCs, validation and following, visibility, sampling."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges3d.paper.correspondences import (
+    Pepcs,
+    join_pepcs,
+    pepcs_from_pecs,
+    pepcs_from_sfm_points,
+    shuffle_pepcs,
+)
+from colmap_edges.edges3d.paper.edge_field import EdgeField, build_edge_field
+from colmap_edges.edges3d.paper.following import follow_edges
+from colmap_edges.edges3d.paper.matching import match_polylines
+from colmap_edges.edges3d.paper.sampling import sample_edges
+from colmap_edges.edges3d.paper.visibility import expand_visibility, filter_outliers
+from colmap_edges.options import PipelineOptions
+
+logger = logging.getLogger(__name__)
+
+
+def trace_edges_paper(
+    model: Model, graphs: Sequence[EdgeGraph], options: PipelineOptions, num_threads: int = 1
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Reconstruct 3D edges as the paper does.
+
+    Args:
+        model: posed views and SfM points.
+        graphs: the edge graph of each view, in the model's order.
+        options: the groups matching, correspondence, following, visibility and sampling hold
+            every parameter of the paper.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        3D edges sampled to edge points with tracks, and counts in, kept and dropped by reason.
+
+    Raises:
+        ValueError: when graphs and views differ in number.
+    """
+    field = build_edge_field(model.views, graphs)
+    pepcs, stats = generate_pepcs(model, field, options, num_threads)
+    edges, stats["starts"] = follow_edges(field, pepcs, options.following, num_threads)
+    stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}
+    edges, stats["visibility"] = expand_visibility(edges, field, options.visibility, num_threads)
+    edges, stats["outliers"] = filter_outliers(edges, options.visibility)
+    edges = sample_edges(
+        edges, field, options.sampling, options.following.max_error_px, num_threads
+    )
+    stats["sampled"] = {"edges": edges.num_edges, "points": edges.num_points}
+    logger.info("%d 3D edges of %d edge points", edges.num_edges, edges.num_points)
+    return edges, stats
+
+
+def generate_pepcs(
+    model: Model, field: EdgeField, options: PipelineOptions, num_threads: int
+) -> tuple[Pepcs, dict[str, Any]]:
+    """PEPCs of the chosen strategies, those from SfM points first, each in random order."""
+    seed, strategy = options.random_seed, options.correspondence.strategy
+    parts, stats = [], {}
+    if strategy in ("sfm_points", "both"):
+        found = pepcs_from_sfm_points(model, field, options.correspondence, num_threads)
+        parts.append(shuffle_pepcs(found, seed))
+        stats["pepcs_from_sfm_points"] = len(found)
+    if strategy in ("pecs", "both"):
+        pecs = match_polylines(model, field, options.matching, seed, num_threads)
+        stats["polylines"] = len(pecs)
+        stats["matched_polylines"] = int(np.count_nonzero(pecs >= 0))
+        stats["pecs"] = int(pecs.max(initial=-1)) + 1
+        found = pepcs_from_pecs(model, field, pecs, options.correspondence, num_threads)
+        parts.append(shuffle_pepcs(found, seed))
+        stats["pepcs_from_pecs"] = len(found)
+    return join_pepcs(parts), {"pepcs": stats}

@@ -1,0 +1,248 @@
+"""Find further views of 3D edges, drop outliers, sample finely (paper: Visibility refinement)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.edges3d.paper.observations import (
+    Observations,
+    edge_neighbours,
+    merge,
+    observations_of,
+    reprojection_errors,
+    track_offsets,
+    triangulate_observations,
+    with_observations,
+)
+from colmap_edges.options import VisibilityOptions
+
+
+def expand_visibility(
+    edges: Edges3D, field: EdgeField, options: VisibilityOptions, num_threads: int = 1
+) -> tuple[Edges3D, dict[str, int]]:
+    """Add observations of edge points in views where they were not found so far.
+
+    A point gains the nearest place of a polyline when that is the only polyline within d_v of its
+    projection, runs along the projected edge, is also the one its neighbours on the 3D edge come
+    to lie on, and all observations together still triangulate within the error. Points are
+    triangulated anew from all their observations.
+
+    Returns:
+        The edges with longer tracks, and counts of candidates and of those added.
+    """
+    observed = observations_of(edges, field)
+    candidates = further_observations(edges, field, observed, options, num_threads)
+    accepted = compatible(observed, candidates, field, options.max_error_px, num_threads)
+    merged, points = merge_consistent(
+        edges, observed, candidates.select(accepted), field, options.max_error_px, num_threads
+    )
+    stats = {
+        "observations_before": len(observed.points),
+        "candidates": len(candidates.points),
+        "observations_after": len(merged.points),
+    }
+    return with_observations(edges, points, merged), stats
+
+
+def further_observations(
+    edges: Edges3D,
+    field: EdgeField,
+    observed: Observations,
+    options: VisibilityOptions,
+    num_threads: int,
+) -> Observations:
+    """Places on single near polylines that agree in direction and with the neighbours."""
+    tangents = edge_tangents(edges)
+    neighbours = edge_neighbours(edges)
+    found = []
+    for index in range(len(field.views)):
+        seen = np.zeros(edges.num_points, bool)
+        seen[observed.points[observed.views == index]] = True
+        if seen.all():
+            continue
+        points, positions = near_in_view(
+            edges.points, tangents, neighbours, index, field, options, num_threads
+        )
+        fresh = ~seen[points]
+        found.append((points[fresh], index, positions.select(fresh)))
+    positions = ChainPositions(
+        segments=np.concatenate([np.zeros(0, np.int64), *(f[2].segments for f in found)]),
+        fractions=np.concatenate([np.zeros(0), *(f[2].fractions for f in found)]),
+    )
+    return Observations(
+        points=np.concatenate([np.zeros(0, np.int64), *(f[0] for f in found)]),
+        views=np.repeat(np.array([f[1] for f in found], np.int32), [len(f[0]) for f in found]),
+        pixels=field.image_points(positions),
+        ideal=field.ideal_points(positions),
+        colors=field.colors_at(positions),
+    )
+
+
+def edge_tangents(edges: Edges3D) -> FloatArray:
+    """(N, 3) direction of the 3D edge at each point, between its neighbours; not normalised."""
+    before, after = edge_neighbours(edges)
+    index = np.arange(edges.num_points)
+    start, end = np.where(before >= 0, before, index), np.where(after >= 0, after, index)
+    tangents: FloatArray = edges.points[end] - edges.points[start]
+    return tangents
+
+
+def near_in_view(
+    points: FloatArray,
+    tangents: FloatArray,
+    neighbours: tuple[IntArray, IntArray],
+    view_index: int,
+    field: EdgeField,
+    options: VisibilityOptions,
+    num_threads: int,
+) -> tuple[IntArray, ChainPositions]:
+    """Of one view: points with a fitting place on a chain, ascending, and the places."""
+    view = field.views[view_index]
+    pixels, _ = view.project_ideal(points)
+    near = field.find_near(
+        np.full(len(points), view_index, np.int32),
+        pixels,
+        np.full(len(points), options.max_distance_px),
+        num_threads,
+    )
+    single = np.flatnonzero(np.diff(near.offsets) == 1)
+    rows = near.offsets[single]
+    polylines = np.full(len(points) + 1, -1, np.int64)  # the last stands for "no neighbour"
+    polylines[single] = near.polylines[rows]
+    agrees = [
+        (neighbour[single] < 0) | (polylines[neighbour[single]] == polylines[single])
+        for neighbour in neighbours
+    ]
+    alone = (neighbours[0][single] < 0) & (neighbours[1][single] < 0)
+    keep = agrees[0] & agrees[1] & ~alone
+    single, places = single[keep], near.positions.select(rows[keep])
+    directions = projected_directions(points[single], tangents[single], view)
+    cosines = np.abs(np.einsum("ij,ij->i", directions, field.tangents(places)))
+    along = cosines >= np.cos(np.radians(options.max_tangent_angle_deg))
+    return single[along], places.select(along)
+
+
+def projected_directions(points: FloatArray, tangents: FloatArray, view: object) -> FloatArray:
+    """(N, 2) unit image directions of 3D directions at 3D points; 0 where seen end on."""
+    local = view.cam_from_world(points)  # type: ignore[attr-defined]
+    turned = tangents @ view.rotation.T  # type: ignore[attr-defined]
+    directions = turned[:, :2] * local[:, 2:] - local[:, :2] * turned[:, 2:]
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    result: FloatArray = directions / np.where(norms > 0, norms, 1)
+    return result
+
+
+def compatible(
+    observed: Observations,
+    candidates: Observations,
+    field: EdgeField,
+    max_error_px: float,
+    num_threads: int,
+) -> BoolArray:
+    """(C,) whether each candidate, alone with its point's track, triangulates well enough."""
+    num_points = int(observed.points.max(initial=-1)) + 1
+    offsets = track_offsets(observed.points, num_points)
+    counts = np.diff(offsets)[candidates.points]
+    tracks = observed.select(entries_of(offsets, candidates.points))
+    trials = np.arange(len(candidates.points))
+    trial_tracks = merge(
+        replace(tracks, points=np.repeat(trials, counts)), replace(candidates, points=trials)
+    )
+    errors = triangulate_observations(trial_tracks, len(trials), field, num_threads)[1]
+    fits: BoolArray = errors <= max_error_px
+    return fits
+
+
+def merge_consistent(
+    edges: Edges3D,
+    observed: Observations,
+    added: Observations,
+    field: EdgeField,
+    max_error_px: float,
+    num_threads: int,
+) -> tuple[Observations, FloatArray]:
+    """Tracks with the added observations, the worst left out until all fit together.
+
+    Returns:
+        The tracks and the (N, 3) points triangulated from them; a point that gains nothing stays.
+    """
+    points = edges.points.copy()
+    accepted = [observed]
+    while len(added.points):
+        active = np.zeros(edges.num_points, bool)
+        active[added.points] = True
+        tracks = merge(observed.select(active[observed.points]), added)
+        moved, errors = triangulate_observations(tracks, edges.num_points, field, num_threads)
+        failing = active & (errors > max_error_px)
+        done = active & ~failing
+        points[done] = moved[done]
+        accepted.append(added.select(done[added.points]))
+        estimates = np.where(np.isfinite(moved), moved, edges.points)
+        added = drop_worst(added.select(failing[added.points]), estimates, field)
+    return merge(*accepted), points
+
+
+def drop_worst(added: Observations, points: FloatArray, field: EdgeField) -> Observations:
+    """Without, of each point ((N, 3) world), the observation farthest from its projection."""
+    errors = reprojection_errors(added, points, field)
+    order = np.lexsort((np.where(np.isfinite(errors), errors, np.inf), added.points))
+    last = np.append(added.points[order][1:] != added.points[order][:-1], True)[: len(order)]
+    keep = np.ones(len(added.points), bool)
+    keep[order[last]] = False
+    return added.select(keep)
+
+
+def min_inlier_views(view_counts: IntArray, min_views: int) -> float:
+    """k_v = max(min_views, median / 2 + 1) of the numbers of views of all edge points."""
+    if len(view_counts) == 0:
+        return float(min_views)
+    return max(float(min_views), float(np.median(view_counts)) / 2 + 1)
+
+
+def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D, dict[str, float]]:
+    """Drop what too few views see: stretches of 3D edges whose points have fewer than k_v.
+
+    An edge is cut where points fall out; single points left over are dropped too.
+    """
+    views = np.diff(edges.track_offsets)
+    threshold = min_inlier_views(views, options.min_views)
+    kept = keep_points(edges, views >= threshold)
+    return kept, {
+        "min_views": threshold,
+        "points_before": edges.num_points,
+        "points_after": kept.num_points,
+        "edges_before": edges.num_edges,
+        "edges_after": kept.num_edges,
+    }
+
+
+def keep_points(edges: Edges3D, keep: BoolArray) -> Edges3D:
+    """Edges with only the kept points ((N,) bool), cut where some are missing; no lone points.
+
+    A closed edge that loses a point is opened there.
+    """
+    edge_ids = edges.edge_ids
+    order = np.arange(edges.num_points)
+    whole = np.ones(edges.num_edges, bool)
+    np.logical_and.at(whole, edge_ids, keep)
+    for edge in np.flatnonzero(edges.closed & ~whole):
+        begin, end = edges.edge_offsets[edge], edges.edge_offsets[edge + 1]
+        order[begin:end] = np.roll(order[begin:end], -int(np.argmin(keep[begin:end])))
+    kept = keep[order]
+    starts = kept.copy()  # kept points whose predecessor is missing or of another edge
+    starts[1:] &= ~kept[:-1] | (edge_ids[1:] != edge_ids[:-1])
+    piece = np.cumsum(starts) - 1
+    lengths = np.bincount(piece[kept], minlength=int(starts.sum()))
+    long_enough = lengths > 1
+    chosen = order[kept][long_enough[piece[kept]]]
+    source = edge_ids[np.flatnonzero(starts)][long_enough]
+    offsets = offsets_of(lengths[long_enough])
+    end_nodes = edges.end_nodes[source].copy()
+    end_nodes[chosen[offsets[:-1]] != edges.edge_offsets[source], 0] = -1
+    end_nodes[chosen[offsets[1:] - 1] != edges.edge_offsets[source + 1] - 1, 1] = -1
+    return edges.reordered(chosen, offsets, edges.closed[source] & whole[source], end_nodes)

@@ -1,0 +1,1 @@
+"""Figures of how good meshes, edges and poses are."""

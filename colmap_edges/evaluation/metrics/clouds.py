@@ -1,0 +1,86 @@
+"""Distances between clouds and meshes: CloudCompare's, and Tanks and Temples' scores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Precision, recall and their harmonic mean at a distance threshold.
+
+    Attributes:
+        threshold: Distance in the unit of the points, NaN where each point has its own.
+        precision: Share of the result within the threshold of the reference.
+        recall: Share of the reference within the threshold of the result.
+        f_score: 2 precision recall / (precision + recall).
+    """
+
+    threshold: float
+    precision: float
+    recall: float
+    f_score: float
+
+
+def cloud_to_cloud(points: FloatArray, reference: FloatArray) -> FloatArray:
+    """Distance (N,) from each of `points` (N, 3) to the nearest of `reference` (M, 3).
+
+    CloudCompare's C2C without a local model. Infinite when the reference is empty.
+    """
+    if not len(reference):
+        return np.full(len(points), np.inf)
+    distance, _ = cKDTree(reference).query(points, workers=2)
+    return np.asarray(distance, dtype=np.float64)
+
+
+def cloud_to_mesh(points: FloatArray, vertices: NDArray[Any], faces: NDArray[Any]) -> FloatArray:
+    """Distance (N,) from each of `points` (N, 3) to the surface (CloudCompare's C2M, unsigned)."""
+    import pymeshlab
+
+    if not len(points):
+        return np.empty(0)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(np.asarray(points, dtype=np.float64)))
+    meshes.add_mesh(
+        pymeshlab.Mesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32))
+    )
+    meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
+        measuremesh=0, refmesh=1, signeddist=False
+    )
+    return np.asarray(meshes.mesh(0).vertex_scalar_array(), dtype=np.float64)
+
+
+def score(
+    to_reference: FloatArray,
+    to_result: FloatArray,
+    threshold: float,
+) -> Score:
+    """Precision, recall and F of distances result -> reference (N,) and reference -> result (M,).
+
+    Tanks and Temples' definition at its tau. A share of nothing is 0.
+    """
+    precision = float(np.mean(to_reference < threshold)) if len(to_reference) else 0.0
+    recall = float(np.mean(to_result < threshold)) if len(to_result) else 0.0
+    return make_score(threshold, precision, recall)
+
+
+def make_score(threshold: float, precision: float, recall: float) -> Score:
+    """Score of a known precision and recall."""
+    total = precision + recall
+    f_score = 2 * precision * recall / total if total > 0 else 0.0
+    return Score(threshold=threshold, precision=precision, recall=recall, f_score=f_score)
+
+
+def scores(
+    to_reference: FloatArray, to_result: FloatArray, thresholds: Sequence[float]
+) -> list[Score]:
+    """`score` at every threshold."""
+    return [score(to_reference, to_result, threshold) for threshold in thresholds]

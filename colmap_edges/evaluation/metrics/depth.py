@@ -1,0 +1,227 @@
+"""Depth errors of a mesh, seen from the cameras (Strecha's protocol, the paper's mesh columns)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import Float32Array, FloatArray
+from colmap_edges.core.view import View, views_with_rows
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics.raycasting import RayCaster
+from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summarize
+from colmap_edges.evaluation.readers.arrays import read_arrays
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceDepth:
+    """True depth as one view sees it.
+
+    Attributes:
+        view: The posed image.
+        depth: (H, W) along the optical axis in world units, 0 where unknown.
+        scale: Size of the map over the size of the image: the centre of its pixel (row, column)
+            lies at ((column + 0.5) / scale, (row + 0.5) / scale) in the image.
+        pixels: (H, W, 2) where in the image each depth was measured; None: at the pixel centres.
+    """
+
+    view: View
+    depth: Float32Array
+    scale: float
+    pixels: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthErrors:
+    """Signed depth errors mesh - reference of one view.
+
+    Attributes:
+        name: Name of the view.
+        errors: (H, W) in world units, NaN where either is unknown.
+        reference: (H, W) depths, 0 where unknown.
+        coverage: Share of the reference's known pixels that the mesh answers.
+    """
+
+    name: str
+    errors: FloatArray
+    reference: Float32Array
+    coverage: float
+
+    def statistics(self) -> ErrorStatistics:
+        """Statistics of the known errors."""
+        return summarize(self.errors[np.isfinite(self.errors)])
+
+
+def measured_pixels(reference: ReferenceDepth) -> FloatArray:
+    """Image coordinates (H * W, 2) of what a depth map holds, row by row."""
+    if reference.pixels is not None:
+        return reference.pixels.reshape(-1, 2)
+    rows, columns = np.indices(reference.depth.shape)
+    centres = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64) + 0.5
+    return centres / reference.scale
+
+
+def load_reference_depths(folder: Path, model: Model) -> list[ReferenceDepth]:
+    """Read every NAME.npz (`depth`, `scale`, `image_name`) of `folder` whose view is in `model`.
+
+    Names are compared without their suffix.
+
+    Raises:
+        ColmapEdgesError: No file, a file without `depth`, or no view of that name.
+    """
+    paths = sorted(folder.glob("*.npz"))
+    if not paths:
+        raise ColmapEdgesError(f"{folder} holds no depth map (*.npz)")
+    views = {str(Path(view.name).with_suffix("")): view for view in model.views}
+    references = []
+    for path in paths:
+        depth, scale, name = read_depth(path)
+        view = views.get(str(Path(name).with_suffix(""))) or views.get(path.stem)
+        if view is None:
+            raise ColmapEdgesError(f"{path} is of image {name}, which the model does not hold")
+        scale = scale or depth.shape[1] / view.width
+        references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
+    return references
+
+
+def read_depth(path: Path) -> tuple[Float32Array, float, str]:
+    """Depths (H, W), scale (0: not stated) and image name of a depth map."""
+    data = read_arrays(path)
+    if "depth" not in data:
+        raise ColmapEdgesError(f"{path} holds no array 'depth'")
+    name = str(data["image_name"]) if "image_name" in data else path.stem
+    try:
+        depth = np.asarray(data["depth"], dtype=np.float32)
+        scale = float(data.get("scale", np.float64(0)))
+    except (ValueError, TypeError) as error:
+        raise ColmapEdgesError(f"{path} holds a depth or scale that is no number") from error
+    if depth.ndim != 2 or not depth.size or not (np.isfinite(scale) and scale >= 0):
+        raise ColmapEdgesError(
+            f"{path} holds depths {depth.shape} of scale {scale}, not an image's"
+        )
+    return depth, scale, name
+
+
+def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> Float32Array:
+    """Depth map (H, W) of the mesh of `caster` in `view`, 0 where it is not hit."""
+    shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
+    empty = ReferenceDepth(view=view, depth=np.zeros(shape, dtype=np.float32), scale=scale)
+    depth = caster.depth_at(view, measured_pixels(empty)).reshape(shape)
+    return np.nan_to_num(depth, nan=0.0).astype(np.float32)
+
+
+def render_references(
+    caster: RayCaster, views: Sequence[View], max_size_px: int = 1600
+) -> list[ReferenceDepth]:
+    """Depth maps of a reference mesh in `views`, the longer side at most `max_size_px`."""
+    references = []
+    for view in views:
+        scale = min(1.0, max_size_px / max(view.width, view.height))
+        depth = render_depth(caster, view, scale)
+        references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
+    return references
+
+
+def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
+    """Depth of those points (N, 3) of a dense cloud that `view` sees.
+
+    The map is so coarse that neighbouring points fall at most half a pixel apart. Of the points in
+    a pixel the nearest counts, with the ray through its own projection; it is hidden when a point
+    up to two pixels away is nearer by more than twelve times a pixel's length at its depth (what a
+    surface seen at 80 degrees falls back by over two pixels).
+    """
+    pixels, depths = view.project(points)
+    inside = view.holds(pixels, depths)
+    pixels, depths = pixels[inside], depths[inside]
+    scale = _cloud_scale(points[inside], depths, view)
+    shape = (int(np.ceil(view.height * scale)), int(np.ceil(view.width * scale)))
+    cells = np.ravel_multi_index(tuple(np.floor(pixels * scale).astype(int).T[::-1]), shape)
+    order = np.lexsort((depths, cells))
+    cells, first = np.unique(cells[order], return_index=True)
+    nearest = order[first]
+    buffer = np.full(shape, np.inf)
+    buffer.flat[cells] = depths[nearest]
+    front = minimum_filter(buffer, size=5, mode="nearest").flat[cells]
+    seen = depths[nearest] <= front * (1 + 12 / (view.focal_px * scale))
+    depth, where = np.zeros(shape, dtype=np.float32), np.zeros((*shape, 2))
+    depth.flat[cells[seen]] = depths[nearest[seen]]
+    where.reshape(-1, 2)[cells[seen]] = pixels[nearest[seen]]
+    return ReferenceDepth(view=view, depth=depth, scale=scale, pixels=where)
+
+
+def _cloud_scale(points: FloatArray, depths: FloatArray, view: View) -> float:
+    if len(points) < 2:
+        return 1.0
+    chosen = np.random.default_rng(0).permutation(len(points))[:5000]
+    spacing, _ = cKDTree(points).query(points[chosen], k=2)
+    spacing_px = float(np.median(spacing[:, 1] * view.focal_px / depths[chosen]))
+    return float(np.clip(0.5 / max(spacing_px, 1e-9), 8 / max(view.width, view.height), 1.0))
+
+
+def central_view(model: Model) -> View:
+    """The middle view of the sequence in order of names (the paper's "central camera")."""
+    if not model.views:
+        raise ColmapEdgesError("the model holds no posed image")
+    return model.views[len(model.views) // 2]
+
+
+def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
+    """Depth of the mesh minus the reference, along the rays of the reference's pixels."""
+    known = (reference.depth > 0) & np.isfinite(reference.depth)
+    errors = np.full(reference.depth.shape, np.nan)
+    pixels = measured_pixels(reference)[known.ravel()]
+    if len(pixels):
+        errors[known] = caster.depth_at(reference.view, pixels) - reference.depth[known]
+    answered = int(np.isfinite(errors).sum())
+    coverage = answered / len(pixels) if len(pixels) else float("nan")
+    logger.debug("%s: %d of %d pixels answered", reference.view.name, answered, len(pixels))
+    return DepthErrors(
+        name=reference.view.name, errors=errors, reference=reference.depth, coverage=coverage
+    )
+
+
+def pool(results: Sequence[DepthErrors]) -> tuple[ErrorStatistics, float]:
+    """Statistics and coverage over all pixels of all views together."""
+    errors = [result.errors[np.isfinite(result.errors)] for result in results]
+    known = sum(int(np.count_nonzero(result.reference > 0)) for result in results)
+    statistics = summarize(np.concatenate(errors) if errors else np.empty(0))
+    return statistics, statistics.count / known if known else float("nan")
+
+
+def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArray, FloatArray]:
+    """Depth of a mesh at the observations of points it was not made from (held-out points).
+
+    Returns:
+        Signed errors mesh - point along the optical axis in world units (T,), NaN where the mesh
+        is not hit; depths of the points (T,).
+    """
+    points = model.points3D_xyz[model.track_points]
+    errors = np.full(len(points), np.nan)
+    depths = np.full(len(points), np.nan)
+    for view, seen in views_with_rows(model.views, model.track_views):
+        if not len(seen):
+            continue
+        depths[seen] = view.cam_from_world(points[seen])[:, 2]
+        errors[seen] = caster.depth_at(view, model.track_points2D[seen]) - depths[seen]
+    return errors, depths
+
+
+def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, dict[str, Any]]:
+    """Statistics of `observation_depth_errors`, absolute and relative to the points' depths."""
+    errors, depths = observation_depth_errors(caster, model)
+    known = np.isfinite(errors)
+    coverage = {"coverage": float(known.mean())}
+    return {
+        "absolute": asdict(summarize(errors[known])) | coverage,
+        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+    }

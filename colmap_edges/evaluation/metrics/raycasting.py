@@ -1,0 +1,104 @@
+"""Rays against triangle meshes (trimesh over Embree), with depths in double precision."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.view import View
+from colmap_edges.errors import ColmapEdgesError
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """Read the triangle mesh of `path` without merging or dropping anything.
+
+    Raises:
+        ColmapEdgesError: The file is missing, unreadable or holds no triangle.
+    """
+    geometry = load_geometry(path)
+    if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
+        raise ColmapEdgesError(f"{path} holds no triangle; give a mesh")
+    return geometry
+
+
+def check_geometry(geometry: Any, path: Path) -> None:
+    """Raise `ColmapEdgesError` when vertices are no 3D points or faces name none of them."""
+    vertices = np.asarray(getattr(geometry, "vertices", np.empty(0)))
+    faces = np.asarray(getattr(geometry, "faces", np.empty(0)))
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise ColmapEdgesError(f"{path} is damaged: its vertices are no finite 3D points")
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ColmapEdgesError(f"{path} is damaged: a face names a vertex that is not there")
+
+
+def load_geometry(path: Path) -> Any:
+    """Read a mesh or point cloud as trimesh gives it.
+
+    Raises:
+        ColmapEdgesError: The file is missing or unreadable.
+    """
+    if not path.is_file():
+        raise ColmapEdgesError(f"{path} does not exist; give a mesh or point cloud")
+    try:
+        loaded = trimesh.load(path, process=False, maintain_order=True)
+        if isinstance(loaded, trimesh.Scene):  # such as GLB's
+            loaded = trimesh.util.concatenate(loaded.dump())
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200]
+        if isinstance(error, ImportError):  # of what trimesh guesses encodings with
+            reason = "its text is not UTF-8"
+        raise ColmapEdgesError(f"{path} is not a readable mesh or point cloud: {reason}") from error
+    check_geometry(loaded, path)
+    return loaded
+
+
+class RayCaster:
+    """A mesh ready to be hit by rays."""
+
+    def __init__(self, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
+        """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3)."""
+        try:
+            from trimesh.ray.ray_pyembree import RayMeshIntersector
+        except ImportError as error:
+            raise ColmapEdgesError(
+                "ray casting needs embreex; pip install 'colmap-edges[evaluation]'"
+            ) from error
+        self._origin = np.asarray(vertices, dtype=np.float64).mean(axis=0)
+        mesh = trimesh.Trimesh(vertices - self._origin, faces, process=False)
+        corners = mesh.vertices[mesh.faces]
+        self._corner = corners[:, 0]
+        self._normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._intersector = RayMeshIntersector(mesh)
+
+    def cast(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
+        """First hits of rays origin + t * direction, t > 0, from one origin.
+
+        Args:
+            origin: (3,) start of every ray.
+            directions: (N, 3), of any length.
+
+        Returns:
+            t of the first hit, (N,); NaN where a ray hits nothing. Embree (single precision)
+            finds the triangle, its plane gives t in double precision.
+        """
+        start = origin - self._origin
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        hit = self._intersector.intersects_first(np.broadcast_to(start, unit.shape), unit)
+        distance = np.full(len(directions), np.nan)
+        rays = np.flatnonzero(hit >= 0)
+        normal = self._normal[hit[rays]]
+        ahead = np.einsum("ij,ij->i", self._corner[hit[rays]] - start, normal)
+        along = np.einsum("ij,ij->i", directions[rays], normal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = ahead / along
+        distance[rays] = np.where(np.isfinite(t) & (t > 0), t, np.nan)
+        return distance
+
+    def depth_at(self, view: View, pixels: FloatArray) -> FloatArray:
+        """Depths (N,) along the optical axis of `view` at `pixels` (N, 2); NaN off the mesh."""
+        return self.cast(view.center, view.rays(pixels))

@@ -1,0 +1,1 @@
+"""Benchmarks' data and rules: DTU, Strecha, scenes with any reference."""

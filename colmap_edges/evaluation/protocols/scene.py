@@ -1,0 +1,225 @@
+"""How good a mesh or 3D edges are on any scene, with whatever reference there is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import pictures
+from colmap_edges.evaluation.metrics import clouds, curves, depth, edges, visible_curves
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
+from colmap_edges.evaluation.metrics.statistics import summarize
+from colmap_edges.evaluation.readers import peers
+from colmap_edges.evaluation.readers.curves import Curves, load_curves
+
+Record = dict[str, Any]
+
+
+def evaluate_mesh(
+    mesh_path: Path,
+    input_path: Path,
+    reference_path: Path | None = None,
+    *,
+    view_names: Sequence[str] = (),
+    thresholds: Sequence[float] = (),
+    pictures_path: Path | None = None,
+) -> Record:
+    """Measure a mesh against reference depth maps, a mesh, a point cloud, or SfM points.
+
+    Args:
+        mesh_path: The mesh to judge.
+        input_path: COLMAP model with the views. Without a reference, its points are the
+            reference: they are held out only if the mesh was made without them.
+        reference_path: Folder of depth maps (*.npz), mesh or point cloud file, or none.
+        view_names: Views in which a reference mesh is rendered; default: the central one.
+        thresholds: Distances for precision, recall and F of cloud references, in world units;
+            default: 0.1, 0.2, 0.5 and 1 % of the diagonal of the reference's box.
+        pictures_path: Folder for error maps.
+
+    Returns:
+        What `evaluation.json` holds.
+    """
+    model = load_model(input_path)
+    mesh = load_mesh(mesh_path)
+    record: Record = {"mesh": str(mesh_path), "faces": len(mesh.faces), "unit": "world unit"}
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    if reference_path is None:
+        return record | _against_points(caster, model)
+    if reference_path.is_dir():
+        references = depth.load_reference_depths(reference_path, model)
+        return record | _against_depth(caster, references, pictures_path)
+    reference = load_geometry(reference_path)
+    if len(getattr(reference, "faces", ())):
+        views = views_named(model, view_names)
+        true = RayCaster(reference.vertices, reference.faces)
+        record |= _against_depth(caster, depth.render_references(true, views), pictures_path)
+        points = sample_surface(reference.vertices, reference.faces)
+    else:
+        points = np.asarray(reference.vertices, dtype=np.float64)
+    return record | _against_cloud(mesh, points, thresholds)
+
+
+def views_named(model: Model, names: Sequence[str]) -> list[Any]:
+    """The views called `names`, `all` of them, or (none named) the central one.
+
+    Raises:
+        ColmapEdgesError: The model holds no view of that name.
+    """
+    if not names:
+        return [depth.central_view(model)]
+    if list(names) == ["all"]:
+        return list(model.views)
+    views = {view.name: view for view in model.views}
+    missing = [name for name in names if name not in views]
+    if missing:
+        raise ColmapEdgesError(f"the model holds no image {', '.join(missing)}")
+    return [views[name] for name in names]
+
+
+def sample_surface(vertices: Any, faces: Any, count: int = 200_000, seed: int = 0) -> Any:
+    """`count` points (count, 3) spread over a surface by area."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    return np.asarray(points, dtype=np.float64)
+
+
+def _against_depth(
+    caster: RayCaster, references: list[depth.ReferenceDepth], pictures_path: Path | None
+) -> Record:
+    results = [depth.depth_errors(caster, reference) for reference in references]
+    if pictures_path is not None:
+        pictures.write_error_maps(pictures_path, results)
+    pooled, coverage = depth.pool(results)
+    views = {r.name: asdict(r.statistics()) | {"coverage": r.coverage} for r in results}
+    return {"depth": {"pooled": asdict(pooled) | {"coverage": coverage}, "views": views}}
+
+
+def _against_points(caster: RayCaster, model: Model) -> Record:
+    if not len(model.points3D_xyz):
+        raise ColmapEdgesError("without a reference the model must hold points, and it has none")
+    return {"points_depth": depth.observation_depth_statistics(caster, model)}
+
+
+def _against_cloud(mesh: Any, points: Any, thresholds: Sequence[float]) -> Record:
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    thresholds = thresholds or [share * diagonal for share in (0.001, 0.002, 0.005, 0.01)]
+    samples = sample_surface(mesh.vertices, mesh.faces)
+    to_reference = clouds.cloud_to_cloud(samples, points)
+    to_mesh = clouds.cloud_to_mesh(points, mesh.vertices, mesh.faces)
+    return {
+        "accuracy": asdict(summarize(to_reference)),
+        "completeness": asdict(summarize(to_mesh)),
+        "scores": [asdict(s) for s in clouds.scores(to_reference, to_mesh, thresholds)],
+    }
+
+
+def evaluate_edges(
+    edges_path: Path,
+    sparse_path: Path,
+    input_path: Path | None = None,
+    *,
+    reference_path: Path | None = None,
+    surface_path: Path | None = None,
+    reference_depth_path: Path | None = None,
+    thresholds: Sequence[float] = (),
+    thresholds_px: Sequence[float] = (1.0, 2.0),
+    unit_size: bool = False,
+    crop: bool = False,
+) -> Record:
+    """Measure 3D edges against curves and depth maps, and against their own observations.
+
+    Args:
+        edges_path: Edge graph as PLY with `vertex` and `edge` elements, or a peer's lines.
+        sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
+        input_path: Model without them; without it every point counts as an edge point.
+        reference_path: True curves (.npz or .ply).
+        surface_path: True surface: then visibility in at least three views is asked of the true
+            curves and `thresholds_px` apply.
+        reference_depth_path: Folder of depth maps.
+        thresholds: Distances for precision and recall; default 0.005, 0.01 and 0.02 of the
+            longest side of the reference's box.
+        thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
+        unit_size: Scale so that the longest side of the reference's box is 1.
+        crop: Count only what lies in the reference's box.
+
+    Returns:
+        What `evaluation.json` holds.
+    """
+    model = load_model(sparse_path)
+    found = peers.read_curves(edges_path)
+    record: Record = {
+        "edges": str(edges_path),
+        "lengths": asdict(edges.segment_lengths(found)),
+    }
+    if edges_path.suffix in (".ply", ".npz"):
+        points = model
+        if input_path is not None:
+            points = edges.edge_points(model, load_model(input_path))
+        record["reprojection"] = asdict(edges.reprojection_errors(points))
+    else:  # a peer's: sampled where its lines project to, so their reprojection says nothing
+        points = edges.points_of_edges(peers.load(edges_path, model), model)
+    if reference_path is not None:
+        true = load_curves(reference_path)
+        if surface_path is not None:
+            record["curves"] = _against_visible_curves(
+                found, true, model, input_path, surface_path, thresholds_px
+            )
+        else:
+            thresholds = thresholds or default_thresholds(true, unit_size)
+            record["curves"] = asdict(
+                curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
+            )
+    if reference_depth_path is not None:
+        references = depth.load_reference_depths(reference_depth_path, model)
+        record["depth"] = _points_against_depth(points, input_path, references)
+    return record
+
+
+def _points_against_depth(
+    points: Model, input_path: Path | None, references: Sequence[depth.ReferenceDepth]
+) -> Record:
+    """Errors of edge points and, measured the same way, of SfM points."""
+    judged = {"edge_points": points}
+    if input_path is not None:
+        judged["sfm_points"] = load_model(input_path)
+    return {
+        name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
+        for name, kind in judged.items()
+    }
+
+
+def _against_visible_curves(
+    found: Curves,
+    true: Curves,
+    model: Model,
+    input_path: Path | None,
+    surface_path: Path,
+    thresholds_px: Sequence[float],
+) -> Record:
+    """Errors in pixels, and beside them how far the SfM points are off the same surface."""
+    surface = load_mesh(surface_path)
+    record: Record = asdict(
+        visible_curves.compare_visible_curves(
+            found, true, model.views, surface, thresholds_px=thresholds_px
+        )
+    )
+    if input_path is not None:
+        points = load_model(input_path).points3D_xyz
+        record["sfm_points_on_surface"] = visible_curves.on_surface(
+            points, model.views, surface, thresholds_px
+        )
+    return record
+
+
+def default_thresholds(reference: Curves, unit_size: bool) -> list[float]:
+    """0.005, 0.01 and 0.02 of the longest side of the reference's box."""
+    side = 1.0 if unit_size else float(np.ptp(reference.points, axis=0).max())
+    return [share * side for share in (0.005, 0.01, 0.02)]

@@ -1,0 +1,1 @@
+"""Files of other programs, and outputs of this one, read for evaluation."""

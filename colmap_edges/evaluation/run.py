@@ -1,0 +1,149 @@
+"""The command `evaluate`: figures and pictures of how good an output folder is."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import colmap_edges
+from colmap_edges.errors import ColmapEdgesError
+
+__all__ = ["run"]
+
+
+def run(
+    run_path: Path,
+    input_path: Path,
+    reference_path: Path | None = None,
+    *,
+    curves_path: Path | None = None,
+    image_path: Path | None = None,
+    held_out_views: int = 0,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Judge the output of `colmap-edges mesh` and write RUN/evaluation/ with figures and pictures.
+
+    Args:
+        run_path: Output folder: its mesh is judged, and edges.ply with sparse/ where there are.
+        input_path: COLMAP model the run started from.
+        reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
+            points (and the run's edges) is judged by the other half.
+        curves_path: True 3D curves.
+        image_path: Images, for `held_out_views` and to draw edges on, coloured by depth error.
+        held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
+        overwrite: Replace an earlier evaluation.
+
+    Returns:
+        What evaluation.json holds.
+
+    Raises:
+        ColmapEdgesError: Something is missing; see its message.
+    """
+    from dataclasses import asdict
+
+    from colmap_edges.evaluation import held_out, tables
+    from colmap_edges.runtime.output import new_folder
+    from colmap_edges.runtime.ownership import EVALUATION, PROGRAM, file_sizes
+
+    output = run_path / "evaluation"
+    find_mesh(run_path)
+    if os.path.lexists(output) and not overwrite:
+        raise ColmapEdgesError(f"{output} is there already; add --overwrite to replace it")
+    if held_out_views and image_path is None:
+        raise ColmapEdgesError("held-out views need the images; give --image_path")
+    with new_folder(output, EVALUATION, overwrite) as folder:
+        record = judge(run_path, input_path, reference_path, curves_path, folder)
+        if image_path and reference_path and reference_path.is_dir():
+            draw_edge_points(run_path, input_path, reference_path, image_path, folder)
+        if held_out_views and image_path is not None:
+            errors = held_out.left_out_view_errors(
+                input_path, image_path, held_out_views, pictures_path=folder
+            )
+            record["held_out_views"] = [asdict(error) for error in errors]
+        (folder / "evaluation.md").write_text(tables.run_tables(record) + "\n", encoding="utf-8")
+        record["versions"] = {PROGRAM: colmap_edges.__version__}
+        record["files"] = file_sizes(folder)
+        (folder / EVALUATION.record).write_text(json.dumps(record, indent=2) + "\n")
+    return record
+
+
+def judge(
+    run_path: Path,
+    input_path: Path,
+    reference_path: Path | None,
+    curves_path: Path | None,
+    pictures_path: Path,
+) -> dict[str, Any]:
+    """Figures of the mesh and edges of `run_path`; see `run`."""
+    from colmap_edges.evaluation.protocols import scene
+
+    record: dict[str, Any] = {}
+    if reference_path is not None:
+        record["mesh"] = scene.evaluate_mesh(
+            find_mesh(run_path), input_path, reference_path, pictures_path=pictures_path
+        )
+    else:
+        record["held_out_points"] = held_out_points(run_path, input_path)
+    if (run_path / "edges.ply").is_file():
+        record["edges"] = scene.evaluate_edges(
+            run_path / "edges.ply",
+            run_path / "sparse",
+            input_path,
+            reference_path=curves_path,
+            reference_depth_path=reference_path if _is_folder(reference_path) else None,
+        )
+    return record
+
+
+def draw_edge_points(
+    run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
+) -> None:
+    """Write the run's edge points over the images that have a reference depth; see `pictures`."""
+    from colmap_edges.colmap.model import load_model
+    from colmap_edges.evaluation import pictures
+    from colmap_edges.evaluation.metrics import depth, edges
+
+    if (run_path / "sparse").is_dir():
+        model = load_model(run_path / "sparse")
+        points = edges.edge_points(model, load_model(input_path))
+        references = depth.load_reference_depths(reference_path, model)
+        pictures.write_edge_overlays(folder, points, references, image_path)
+
+
+def find_mesh(run_path: Path) -> Path:
+    """The mesh of an output folder, in whatever format it was written.
+
+    Raises:
+        ColmapEdgesError: There is none.
+    """
+    from colmap_edges.export.meshes import MESH_FORMATS
+
+    for suffix in MESH_FORMATS:
+        if (path := run_path / f"mesh{suffix}").is_file():
+            return path
+    names = ", ".join(f"mesh{suffix}" for suffix in MESH_FORMATS)
+    raise ColmapEdgesError(
+        f"{run_path} holds no mesh ({names}); give an output of colmap-edges mesh"
+    )
+
+
+def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
+    """Errors at left-out points of a mesh of the other half, without and (if any) with the edges.
+
+    The edges were traced with all points, so only the mesh is judged by what it does not know.
+    """
+    from colmap_edges.colmap.model import load_model
+    from colmap_edges.evaluation import held_out
+    from colmap_edges.evaluation.readers import results
+
+    record = {"SfM only": held_out.split_half_errors(input_path)}
+    if (run_path / "edges.json").is_file():
+        found = results.load_edges(run_path, load_model(input_path))
+        record["with edges"] = held_out.split_half_errors(input_path, found)
+    return record
+
+
+def _is_folder(path: Path | None) -> bool:
+    return path is not None and path.is_dir()

@@ -1,0 +1,1 @@
+"""3D edges and meshes as files for other programs."""

@@ -1,0 +1,1 @@
+"""Image files, masks, and where images show the background."""

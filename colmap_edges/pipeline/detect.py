@@ -1,0 +1,179 @@
+"""The stage that detects: the 2D edge graph of every view."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.edges2d.image_graphs import (
+    DetectedEdges,
+    ImageCounts,
+    ImageRecord,
+    ImageWork,
+    Visitor,
+    load_graph,
+    work_in_cache,
+    work_on_image,
+)
+from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.images.files import encoded, path_of_image, single_threaded_opencv
+from colmap_edges.options import PipelineOptions
+from colmap_edges.report.overlay import draw_edge_graph
+from colmap_edges.runtime.executors import Workers, open_workers, run_all
+from colmap_edges.runtime.stages import Stage, Stages
+
+logger = logging.getLogger(__name__)
+
+
+def detect_stage(
+    model: Model,
+    image_path: Path,
+    options: PipelineOptions,
+    stages: Stages,
+    visitor: Visitor | None = None,
+    workers: Workers | None = None,
+    mask_path: Path | None = None,
+) -> GraphStore:
+    """Detect the 2D edge graph of every view, in the views' order.
+
+    As many images are in memory at once as there are threads. Damaged images are left out: they
+    get an empty graph and are counted. Graphs beyond the memory meant for them wait on disk.
+
+    Raises:
+        ColmapEdgesError: when fewer than two images can be read.
+    """
+    if workers is None:
+        with open_workers(options) as workers:
+            return detect_stage(model, image_path, options, stages, visitor, workers, mask_path)
+    work = ImageWork(
+        image_path=image_path,
+        detection=options.detection,
+        edge_graph=options.edge_graph,
+        mask_path=mask_path,
+        masks_are_background=options.masks_are_background,
+        cache=workers.cache,
+        visitor=visitor,
+    )
+    with stages.stage("detect", len(model.views)) as stage, single_threaded_opencv():
+        store, records = find_graphs(work, model.views, options, workers, stage)
+        damaged = {i: r.damage for i, r in enumerate(records) if r.damage}
+        report_damaged(damaged, len(records))
+        names = [model.views[index].name for index in damaged]
+        stage.counts = detection_counts([record.counts for record in records], names)
+        stage.counts["image_scale"] = model.scale
+        if mask_path:
+            stage.counts["images_masked"] = sum(record.masked for record in records)
+        if workers.cache:
+            stage.counts["images_reused"] = sum(record.reused for record in records)
+    return store
+
+
+def find_graphs(
+    work: ImageWork,
+    views: Sequence[View],
+    options: PipelineOptions,
+    workers: Workers,
+    stage: Stage,
+) -> tuple[GraphStore, list[ImageRecord]]:
+    """Have the work on every image done; the graphs, and what is said of each image."""
+    # Tracing holds the same graphs in the kernels' form too, which takes as much again.
+    max_bytes = options.max_graph_memory_gb * 1e9 / 2
+    cache = workers.cache
+    if workers.remote and cache:
+        store = GraphStore(len(views), max_bytes, lambda i: load_graph(cache, store.keys[i]))
+        calls = [(work_in_cache, (work, i, view)) for i, view in enumerate(views)]
+        records = run_all(workers.images, calls, stage.advance)
+    else:
+        store = GraphStore(len(views), max_bytes)
+
+        def put(index: int, view: View) -> ImageRecord:
+            graph, record = work_on_image(work, index, view)
+            store.add(index, graph)
+            return record
+
+        records = run_all(workers.images, ((put, pair) for pair in enumerate(views)), stage.advance)
+    for index, record in enumerate(records):
+        if work.visitor and record.visited is not None:
+            work.visitor.collect(index, record.visited)
+    store.keys = [record.key for record in records if record.key]
+    store.backdrops = [record.backdrop for record in records]
+    return store, records
+
+
+def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[str, Any]:
+    """Counts of detection.
+
+    Args:
+        found: what was detected in each image.
+        damaged: names of the images that could not be read.
+    """
+    return {
+        "images": len(found),
+        "images_damaged": len(damaged),
+        "images_without_edges": sum(image.edge_pixels == 0 for image in found) - len(damaged),
+        **{entry.name: sum(getattr(i, entry.name) for i in found) for entry in fields(ImageCounts)},
+        "damaged": damaged,
+    }
+
+
+def report_damaged(damaged: Mapping[int, ImageError], num_images: int) -> None:
+    """Log the images that could not be read; raise when only one or none could."""
+    errors = [damaged[index] for index in sorted(damaged)]
+    if errors and num_images - len(errors) < 2:
+        raise ColmapEdgesError(f"{errors[0]} ({len(errors)} of {num_images} images are so)")
+    for error in errors:
+        logger.warning("%s; it is left out", error)
+
+
+@dataclass(frozen=True)
+class GraphWriter:
+    """Writes each view's edge graph as .npz and overlay PNG into a folder."""
+
+    folder: Path
+
+    def visit(self, _index: int, view: View, read: Callable[[], Any], found: DetectedEdges) -> None:
+        """Write the files of a view."""
+        arrays = path_of_image(self.folder / "edge_graphs", view.name + ".npz")
+        picture = path_of_image(self.folder / "overlays", view.name + ".png")
+        for path in (arrays, picture):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        packed = BytesIO()  # a .npz cut short on a full disk would complain when it is deleted
+        np.savez(packed, **vars(found.graph))
+        arrays.write_bytes(packed.getvalue())
+        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph)))
+
+    def collect(self, index: int, kept: None) -> None:
+        """Nothing is kept."""
+
+
+def check_file_names(views: Sequence[View]) -> None:
+    """Check that the files of no two images would be one, or one the folder of the other.
+
+    Raises:
+        ColmapEdgesError: naming the two images.
+    """
+    names: dict[PurePosixPath, str] = {}
+    for view in views:
+        path = PurePosixPath(view.name + ".npz")  # without "./" and "//"
+        if path in names:
+            raise ColmapEdgesError(
+                f"the images {names[path]} and {view.name} of the model are one file, and so would "
+                "be what is written of them; delete one from the model"
+            )
+        names[path] = view.name
+    for path, name in names.items():
+        inside = next((names[parent] for parent in path.parents if parent in names), None)
+        if inside:
+            raise ColmapEdgesError(
+                f"the folder of image {name} has the name of the file that is written of image "
+                f"{inside}; rename one"
+            )

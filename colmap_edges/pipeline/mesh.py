@@ -1,0 +1,52 @@
+"""The stage that meshes points and edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.meshes import write_mesh
+from colmap_edges.images.background import Backdrop
+from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import thread_count
+from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.mesher import finished, mesh_with_curves, with_outlines
+from colmap_edges.surfaces.silhouettes import find_background
+
+
+def check_mesher() -> None:
+    """Check that the mesher is built, before work starts."""
+    from colmap_edges.surfaces.mesher import load_extension
+
+    load_extension()
+
+
+def mesh_stage(
+    model: Model,
+    edges: Edges3D | None,
+    extended: Model,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+    backdrops: Sequence[Backdrop] = (),
+) -> Mesh:
+    """Mesh a model's points and edges; `extended` is the model with the edges' points."""
+    with stages.stage("mesh") as stage:
+        curves = [] if edges is None else with_outlines(edges)
+        background = None
+        if edges and backdrops and options.meshing.background_weight:
+            are_masks = options.masks_are_background
+            background = find_background(model, backdrops, are_masks, edges)
+        threads = thread_count(options)
+        mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
+        mesh = finished(mesh, extended, options.meshing)
+        write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
+        stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        if background:
+            stage.counts["background_rays"] = len(background.rays.cameras)
+            stage.counts["silhouette_points"] = len(background.silhouettes.points)
+        stage.counts["details"] = plain_counts(mesh.stats)
+    return mesh

@@ -1,0 +1,65 @@
+"""The stage that reads: the model, and whether what a run needs is there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.errors import ColmapEdgesError, OptionError
+from colmap_edges.images.files import check_images_exist
+from colmap_edges.images.masks import check_masks
+from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.stages import Stages
+
+
+def read_stage(input_path: Path, stages: Stages) -> Model:
+    """Read the model.
+
+    Raises:
+        ColmapEdgesError: when it cannot be read or has fewer than two posed images.
+    """
+    with stages.stage("read") as stage:
+        model = load_model(input_path)
+        check_model(model, str(input_path))
+        stage.counts = model_counts(model)
+    return model
+
+
+def check_model(model: Model, where: str) -> None:
+    """Check that there is something to work on.
+
+    Raises:
+        ColmapEdgesError: with fewer than two posed images.
+    """
+    if len(model.views) < 2:
+        raise ColmapEdgesError(
+            f"{where} has {len(model.views)} images with poses; "
+            "3D edges need at least 3: run `colmap mapper` on more images first"
+        )
+
+
+def check_pictures(
+    model: Model, image_path: Path, mask_path: Path | None, options: PipelineOptions
+) -> None:
+    """Check that the images are there, and masks where they are asked for.
+
+    Raises:
+        ColmapEdgesError: when they are not.
+    """
+    check_images_exist(model.views, image_path)
+    if mask_path:
+        check_masks(model.views, mask_path)
+    elif options.masks_are_background:
+        raise OptionError("masks_are_background is 1 and there are no masks; give mask_path")
+
+
+def model_counts(model: Model) -> dict[str, Any]:
+    """Counts of the input model."""
+    return {
+        "images_with_poses": len(model.views),
+        "images_without_poses": len(model.unposed_names),
+        "points3D": len(model.point3D_ids),
+        **({"points3D_too_far": len(model.far_point3D_ids)} if len(model.far_point3D_ids) else {}),
+        "observations": len(model.track_views),
+    }

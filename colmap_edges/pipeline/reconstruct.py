@@ -1,0 +1,96 @@
+"""3D edges of a pycolmap.Reconstruction: the pipeline as a function of Python objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from colmap_edges.colmap.model import model_from_reconstruction, observation_residuals
+from colmap_edges.colmap.writing import extend_reconstruction
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges2d.upsampling import enlarged
+from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.read import check_model, check_pictures
+from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.report.diagnosis import Finding, diagnose
+from colmap_edges.runtime.executors import open_workers
+from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.silhouettes import Background, find_background
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeReconstruction:
+    """What `reconstruct` gives back.
+
+    Attributes:
+        edges: the 3D edges with their tracks.
+        point3D_ids: (N,) ids of the edge points in `reconstruction`.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
+            and SfM points are the input's unless `refine_poses` is set.
+        residuals_px: (T,) distance of each observation from the projection of its edge point.
+        background: what the sight of a plain backdrop or, with `masks_are_background`, of what
+            masks hide says, for `mesh`; none where no such background is seen.
+        stages: records of the stages, as in report.json.
+        findings: where edges were lost and what to do about it; empty when all went well.
+    """
+
+    edges: Edges3D
+    point3D_ids: IntArray
+    reconstruction: Any
+    residuals_px: FloatArray
+    background: Background | None
+    stages: list[dict[str, Any]]
+    findings: list[Finding]
+
+
+def reconstruct(
+    reconstruction: Any,
+    image_path: Path | str,
+    options: PipelineOptions | None = None,
+    cache_path: Path | str | None = None,
+    mask_path: Path | str | None = None,
+) -> EdgeReconstruction:
+    """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
+
+    Args:
+        reconstruction: the sparse model, a pycolmap.Reconstruction; it is not changed. Its
+            cameras may be of any model, with distortion; images without poses are left out.
+        image_path: folder of its images, as they were when the model was made.
+        options: every stage's options, `preset("high")` for instance; defaults when not given.
+        cache_path: folder of edge graphs and edges that later calls find again; none are kept
+            when not given.
+        mask_path: folder of masks named as COLMAP's are, or one mask of all images; edges are not
+            looked for where they are black.
+
+    Returns:
+        The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
+
+    Raises:
+        ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
+            images or all masks are missing, of another size, or all images but one damaged.
+    """
+    options = options or PipelineOptions()
+    image_path = Path(image_path)
+    mask_path = Path(mask_path) if mask_path else None
+    stages = Stages()
+    model = model_from_reconstruction(reconstruction)
+    check_model(model, "the reconstruction")
+    check_pictures(model, image_path, mask_path, options)
+    model = enlarged(model, image_path, options.detection)
+    with open_workers(options, Path(cache_path) if cache_path else None) as workers:
+        graphs = detect_stage(model, image_path, options, stages, None, workers, mask_path)
+        model, edges = edge_stages(model, graphs, options, stages, workers)
+    residuals = observation_residuals(model, edges)
+    extended, ids = extend_reconstruction(model, edges, residuals)
+    return EdgeReconstruction(
+        edges=edges,
+        point3D_ids=ids,
+        reconstruction=extended,
+        residuals_px=residuals,
+        background=find_background(model, graphs.backdrops, options.masks_are_background, edges),
+        stages=stages.records(),
+        findings=diagnose(stages.records(), options),
+    )

@@ -1,0 +1,125 @@
+"""A run from folders to a folder: the stages in order, and the report of what they did."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.colmap.writing import check_text_names
+from colmap_edges.edges2d.upsampling import enlarged
+from colmap_edges.errors import OptionError
+from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
+from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
+from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
+from colmap_edges.pipeline.read import check_pictures, read_stage
+from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.pipeline.write import make_report, report_stage, write_stage
+from colmap_edges.report.contents import Contents
+from colmap_edges.report.pictures import PictureTaker
+from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
+from colmap_edges.runtime.executors import Workers, open_workers
+from colmap_edges.runtime.output import new_folder
+from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
+from colmap_edges.runtime.stages import Progress, Stages, no_progress
+
+
+def run(
+    command: str,
+    paths: Paths,
+    options: PipelineOptions,
+    *,
+    overwrite: bool = False,
+    progress: Progress = no_progress,
+    scheduler: str = "",
+    viewer: Viewer = NO_VIEWER,
+) -> dict[str, Any]:
+    """Run `detect`, `reconstruct` or `mesh` from folders to a folder.
+
+    The output folder appears whole at the end, or not at all.
+
+    Args:
+        command: what to run.
+        paths: where to read and write.
+        options: every stage's options.
+        overwrite: replace an earlier output.
+        progress: told of every step.
+        scheduler: address of a dask.distributed scheduler whose workers share the work.
+        viewer: is shown what the run makes.
+
+    Returns:
+        The report, as written to report.json.
+
+    Raises:
+        ColmapEdgesError: on bad input or options.
+    """
+    paths = absolute(paths)
+    check_paths(paths, overwrite)
+    if command != "mesh" or options.use_edges:
+        image_folder(paths)
+    if scheduler and paths.cache_path is None:
+        raise OptionError("a scheduler needs cache_path: through it graphs go to the workers")
+    if command == "mesh":
+        check_mesher()
+    with (
+        new_folder(paths.output_path, OUTPUT, overwrite) as folder,
+        open_workers(options, paths.cache_path, scheduler) as workers,
+    ):
+        stages = Stages(progress)
+        model = read_stage(paths.input_path, stages)
+        viewer.show_model(model)
+        if command == "mesh" and not options.use_edges:
+            mesh = mesh_stage(model, None, model, folder, options, stages)
+            viewer.show_mesh(mesh)
+            contents = Contents(model=model, mesh=mesh)
+        else:
+            check_pictures(model, image_folder(paths), paths.mask_path, options)
+            if command != "detect" and options.output_type == "TXT":
+                check_text_names(model)
+            contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
+        report = make_report(command, paths, options, stages)
+        if options.report and command != "detect":
+            report_stage(contents, folder, report, stages)
+            report["stages"] = stages.records()
+        report["files"] = file_sizes(folder)
+        text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
+        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+    return report
+
+
+def run_edges(
+    command: str,
+    model: Model,
+    paths: Paths,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+    workers: Workers,
+    viewer: Viewer,
+) -> Contents:
+    """Run the stages of `command` that need images into `folder`."""
+    images, masks = image_folder(paths), paths.mask_path
+    model = enlarged(model, images, options.detection)
+    if command == "detect":
+        check_file_names(model.views)
+        detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
+        return Contents(model=model)
+    wanted = options.report or viewer is not NO_VIEWER
+    taker = PictureTaker(len(model.views)) if wanted else None
+    graphs = detect_stage(model, images, options, stages, taker, workers, masks)
+    pictures = taker.pictures() if taker else ()
+    for picture in pictures:
+        viewer.show_picture(model.views[picture.view], picture)
+    given = model
+    model, edges = edge_stages(model, graphs, options, stages, workers)
+    if model is not given:
+        viewer.show_model(model)
+    viewer.show_edges(edges, len(model.views))
+    extended = write_stage(model, edges, folder, options, stages)
+    mesh = None
+    if command == "mesh":
+        mesh = mesh_stage(model, edges, extended, folder, options, stages, graphs.backdrops)
+        viewer.show_mesh(mesh)
+    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)

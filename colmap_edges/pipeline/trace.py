@@ -1,0 +1,156 @@
+"""The stages that reconstruct 3D edges and, where asked to, refine the poses on them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.colmap.thinning import thinned
+from colmap_edges.core.edges3d import Edges3D, arrays_of_edges, edges_from_arrays
+from colmap_edges.declared_options import derived
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.cache import key_of
+from colmap_edges.runtime.executors import Workers, open_workers, thread_count
+from colmap_edges.runtime.stages import Stages, plain_counts
+
+# Options on which traced edges do not depend, besides those of detection, which makes the graphs.
+NOT_OF_TRACING = {
+    "detection",
+    "edge_graph",
+    "bundle_adjustment",
+    "meshing",
+    "use_edges",
+    "report",
+    "refine_poses",
+    "output_type",
+    "mesh_type",
+    "num_threads",
+    "max_graph_memory_gb",
+    "masks_are_background",
+}
+
+
+def edge_stages(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+    workers: Workers | None = None,
+) -> tuple[Model, Edges3D]:
+    """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
+
+    Returns:
+        The model that the edges belong to, and the edges.
+    """
+    if not options.refine_poses:
+        return model, trace_stage(model, graphs, options, stages, workers=workers)
+    first = options_for_poses(options)
+    edges = trace_stage(model, graphs, first, stages, workers=workers)
+    refined = refine_stage(model, edges, graphs, options, stages)
+    if refined is not model or first != options:
+        edges = trace_stage(refined, graphs, options, stages, "trace again", workers)
+    return refined, edges
+
+
+def options_for_poses(options: PipelineOptions) -> PipelineOptions:
+    """How the edges are traced that poses are refined on.
+
+    By the first round alone, whose edges are the surest, in views that look from near by, and by
+    their places across the chains, for nothing else is known of edges when poses are refined. More
+    densely sampled chains give more of them. The paper's tracing has none of these options.
+    """
+    if options.tracing.method == "paper":
+        return options
+    selection, depths = options.view_selection, options.chain_depth
+    return replace(
+        options,
+        chain_depth=derived(depths, sample_step_px=4 * depths.sample_step_px // 5),
+        view_selection=replace(selection, max_witness_angle_deg=selection.max_angle_deg),
+        refinement=replace(options.refinement, side_gray_weight=0.0),
+        tracing=replace(options.tracing, num_rounds=1),
+    )
+
+
+def refine_stage(
+    model: Model,
+    edges: Edges3D,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+) -> Model:
+    """Refine the poses on SfM points and edges; the model itself where that does not help."""
+    from colmap_edges.poses.refine import edge_normals, refine_poses
+
+    with stages.stage("refine poses") as stage:
+        normals = edge_normals(model, edges, graphs)
+        refined, stats = refine_poses(model, edges, normals, options.bundle_adjustment)
+        stage.counts = plain_counts(stats)
+    return refined
+
+
+def trace_stage(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    stages: Stages,
+    name: str = "trace",
+    workers: Workers | None = None,
+) -> Edges3D:
+    """Reconstruct 3D edges from the 2D edge graphs, unless the cache has them."""
+    if workers is None:
+        with open_workers(options) as workers:
+            return trace_stage(model, graphs, options, stages, name, workers)
+    keys = graphs.keys if isinstance(graphs, GraphStore) else []
+    cache = workers.cache if keys else None
+    key = key_of_edges(model, keys, options) if cache else ""
+    steps = 1 if options.tracing.method == "paper" else 2 * len(graphs) * options.tracing.num_rounds
+    with stages.stage(name, steps) as stage:
+        entry = cache.load("edges", key) if cache else None
+        if entry is None:
+            edges, stats = trace(model, graphs, options, stage.advance, workers)
+            details = plain_counts(stats)
+            if cache:
+                text = np.array(json.dumps(details))
+                cache.save("edges", key, arrays_of_edges(edges) | {"details": text})
+        else:
+            details = json.loads(str(entry.pop("details")))
+            edges = edges_from_arrays(entry)
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        if cache:
+            stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
+        stage.counts["details"] = details
+    return edges
+
+
+def trace(
+    model: Model,
+    graphs: Sequence[EdgeGraph],
+    options: PipelineOptions,
+    advance: Callable[[], None],
+    workers: Workers,
+) -> tuple[Edges3D, dict[str, Any]]:
+    """Reconstruct 3D edges by the method that the options name."""
+    threads = thread_count(options)
+    model = thinned(model, options.random_seed)
+    if options.tracing.method == "paper":
+        from colmap_edges.edges3d.paper.tracing import trace_edges_paper
+
+        return trace_edges_paper(model, graphs, options, threads)
+    from colmap_edges.edges3d.chains.tracing import trace_edges
+
+    return trace_edges(model, graphs, options, threads, advance, workers)
+
+
+def key_of_edges(model: Model, graph_keys: list[str], options: PipelineOptions) -> str:
+    """The key of traced edges: of the graphs, the poses, the SfM points and the options."""
+    groups = {name: group for name, group in asdict(options).items() if name not in NOT_OF_TRACING}
+    poses = np.array([[*view.rotation.ravel(), *view.translation] for view in model.views])
+    tracks = (model.track_offsets, model.track_views, model.track_points2D)
+    return key_of("edges", graph_keys, groups, poses, model.points3D_xyz, *tracks)

@@ -1,0 +1,84 @@
+"""The stages that write: the model with edge points, the edges, and the reports."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import colmap_edges
+from colmap_edges.colmap.model import Model, observation_residuals
+from colmap_edges.colmap.writing import with_edge_points, write_model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.edges import write_dxf, write_glb, write_json, write_obj, write_ply
+from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.paths import Paths
+from colmap_edges.report.contents import Contents
+from colmap_edges.report.diagnosis import diagnose, funnel
+from colmap_edges.report.page import write_report
+from colmap_edges.runtime.stages import Stages
+
+
+def write_stage(
+    model: Model,
+    edges: Edges3D,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+) -> Model:
+    """Write the model with edge points, and the edges as PLY, OBJ and JSON.
+
+    Returns:
+        The model with the edge points after its own.
+    """
+    with stages.stage("write") as stage:
+        residuals = observation_residuals(model, edges)
+        sparse = folder / "sparse"
+        ids = write_model(model, edges, sparse, options.output_type, residuals)
+        write_ply(edges, folder / "edges.ply")
+        write_obj(edges, folder / "edges.obj")
+        write_glb(edges, folder / "edges.glb")
+        write_dxf(edges, folder / "edges.dxf")
+        write_json(edges, model, ids, residuals, folder / "edges.json")
+        stage.counts = {
+            "edges": edges.num_edges,
+            "edge_points": edges.num_points,
+            "observations": len(residuals),
+            "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
+        }
+    return with_edge_points(model, edges, ids)
+
+
+def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stages: Stages) -> None:
+    """Write report.html: what was made, in 3D, over the images and in figures."""
+    with stages.stage("report") as stage:
+        stage.counts = write_report(folder / "report.html", contents, record)
+
+
+def make_report(
+    command: str, paths: Paths, options: PipelineOptions, stages: Stages
+) -> dict[str, Any]:
+    """Gather what report.json holds."""
+    return {
+        "command": command,
+        "versions": versions(),
+        "paths": asdict(paths),
+        "options": asdict(options),
+        "stages": stages.records(),
+        "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
+        "funnel": [asdict(step) for step in funnel(stages.records(), options)],
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what it computes with."""
+    found = {"colmap-edges": colmap_edges.__version__}
+    for name in ("numpy", "opencv-contrib-python-headless", "pycolmap", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,1 @@
+"""Poses refined on SfM points and edges together."""

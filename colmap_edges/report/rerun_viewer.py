@@ -1,0 +1,259 @@
+"""What a run makes shown as it comes, in rerun's viewer or in a recording for it (rerun.io)."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.export.edges import polyline_indices
+from colmap_edges.report.contents import ImagePicture
+from colmap_edges.report.scene3d import bounds, pyramid_depth, up_direction
+from colmap_edges.report.tracks import views_per_edge
+from colmap_edges.runtime.output import check_apart, write_whole
+from colmap_edges.surfaces.mesh import Mesh
+
+logger = logging.getLogger(__name__)
+
+APPLICATION = "colmap-edges"
+PORT = 9876  # rerun's own
+FLUSH_S = 60.0  # what a viewer may take to get the last of a run
+POINT_SIZE, LINE_WIDTH = 1.5, 1.0  # on the screen
+REMEDY = "run: pip install 'colmap-edges[rerun]'"
+
+
+class Viewer:
+    """Shows nothing; what a run calls when it has something to show."""
+
+    def show_model(self, model: Model) -> None:
+        """Show cameras and SfM points; a second time after poses were refined."""
+
+    def show_picture(self, view: View, picture: ImagePicture) -> None:
+        """Show the small picture of an image at its camera."""
+
+    def show_edges(self, edges: Edges3D, num_views: int) -> None:
+        """Show the 3D edges of a model with `num_views` views."""
+
+    def show_mesh(self, mesh: Mesh) -> None:
+        """Show the mesh."""
+
+
+NO_VIEWER = Viewer()
+
+
+class RerunViewer(Viewer):
+    """Logs what it is shown to a rerun.RecordingStream."""
+
+    def __init__(self, rerun: Any, stream: Any) -> None:
+        """Log to `stream`; `rerun` is the module."""
+        from rerun import blueprint
+
+        self.rerun = rerun
+        self.stream = stream
+        self.sizes: dict[str, tuple[int, int]] = {}  # of the pictures, by the views' names
+        # One view in 3D; by itself rerun adds small ones of the first images.
+        view = blueprint.Spatial3DView(origin="/", name="colmap-edges")
+        stream.send_blueprint(blueprint.Blueprint(view, collapse_panels=True))
+
+    def log(self, *path: str, **archetypes: Any) -> None:
+        """Log archetypes, named with their arguments, at an entity, for all times."""
+        made = [getattr(self.rerun, name)(**values) for name, values in archetypes.items()]
+        self.stream.log(list(path), *made, static=True)
+
+    def show_model(self, model: Model) -> None:
+        """Show cameras as pyramids and SfM points in their colours."""
+        low, high = bounds(model, None)
+        depth = pyramid_depth(model, float(np.linalg.norm(high - low)))
+        up = getattr(self.rerun.ViewCoordinates, up_axis(model))
+        self.stream.log("/", up, static=True)
+        for view in model.views:
+            self.log(
+                "cameras",
+                view.name,
+                Transform3D={"translation": view.center, "mat3x3": view.rotation.T},
+                Pinhole={**self.pinhole(view), "image_plane_distance": depth},
+            )
+        radii = self.rerun.Radius.ui_points(POINT_SIZE)
+        points = {"positions": model.points3D_xyz, "colors": model.points3D_rgb, "radii": radii}
+        self.log("points", Points3D=points)
+
+    def show_picture(self, view: View, picture: ImagePicture) -> None:
+        """Show the picture of an image within its camera's pyramid."""
+        height, width = picture.shape
+        self.sizes[view.name] = width, height
+        self.log("cameras", view.name, Pinhole=self.pinhole(view))
+        encoded = {"contents": picture.photo, "media_type": "image/jpeg"}
+        self.log("cameras", view.name, EncodedImage=encoded)
+
+    def pinhole(self, view: View) -> dict[str, Any]:
+        """The camera of a view without distortion, in the pixels of its picture."""
+        width, height = self.sizes.get(view.name, (view.width, view.height))
+        scale = width / view.width
+        return {
+            "focal_length": float(view.camera.mean_focal_length()) * scale,
+            "principal_point": view.image_from_ideal(np.zeros((1, 2)))[0] * scale,
+            "width": width,
+            "height": height,
+        }
+
+    def show_edges(self, edges: Edges3D, num_views: int) -> None:
+        """Show the 3D edges as lines coloured by the number of views that observe them."""
+        views = views_per_edge(edges, num_views)
+        self.log(
+            "edges",
+            LineStrips3D={
+                "strips": strips(edges),
+                "colors": colors_of(views),
+                "labels": [f"edge {i}, {n} views" for i, n in enumerate(views)],
+                "show_labels": False,
+                "radii": self.rerun.Radius.ui_points(LINE_WIDTH),
+            },
+        )
+
+    def show_mesh(self, mesh: Mesh) -> None:
+        """Show the mesh in its colours."""
+        self.log(
+            "mesh",
+            Mesh3D={
+                "vertex_positions": mesh.vertices,
+                "triangle_indices": mesh.faces,
+                "vertex_colors": mesh.colors,
+            },
+        )
+
+
+@contextmanager
+def open_viewer(
+    target: str, output: Path, overwrite: bool, inputs: Sequence[Path] = ()
+) -> Iterator[Viewer]:
+    """Yield the viewer that `target` names.
+
+    Args:
+        target: "0" is none, "1" rerun's viewer, anything else the recording (.rrd) to make, which
+            appears whole when the block succeeds or not at all.
+        output: folder that the run makes; no recording is put there.
+        overwrite: whether an earlier recording is replaced.
+        inputs: what the run reads; no recording is put there either.
+
+    Raises:
+        ColmapEdgesError: when rerun is not installed, there is no display for its viewer, or the
+            recording cannot be written.
+    """
+    if target == "0":
+        yield NO_VIEWER
+        return
+    if target != "1":
+        check_recording_path(Path(target), output, overwrite, inputs)
+    rerun = load_rerun()
+    stream = rerun.RecordingStream(APPLICATION)
+    if target == "1":
+        spawn(rerun, stream)
+        yield RerunViewer(rerun, stream)
+        try:
+            stream.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:  # someone closed it: no harm to the run
+            logger.warning("rerun's viewer has not got all: %s", error)
+    else:
+        # Kept in memory: rerun itself says nothing when a disk is full.
+        recording = stream.binary_stream()
+        yield RerunViewer(rerun, stream)
+        write_whole(Path(target), recording.read(), "recording")
+
+
+def load_rerun() -> Any:
+    """Import rerun.
+
+    Raises:
+        ColmapEdgesError: when it is not installed.
+    """
+    try:
+        import rerun
+    except ImportError:
+        rerun = None
+    if not hasattr(rerun, "RecordingStream"):  # another package has the same name
+        raise ColmapEdgesError(f"--rerun needs rerun-sdk, which is not installed; {REMEDY}")
+    return rerun
+
+
+def spawn(rerun: Any, stream: Any) -> None:
+    """Start rerun's viewer, or take the one that is listening already.
+
+    Raises:
+        ColmapEdgesError: when it cannot be started.
+    """
+    on_linux = sys.platform == "linux"
+    has_display = not on_linux or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    if not has_display and not is_listening(PORT):
+        raise ColmapEdgesError(
+            "no display for rerun's viewer; record with --rerun FILE.rrd and open that where "
+            f"there is one, or forward port {PORT} to a viewer (ssh -R {PORT}:localhost:{PORT})"
+        )
+    folders = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    try:
+        rerun.spawn(
+            port=PORT, executable_path=shutil.which("rerun", path=folders), recording=stream
+        )
+    except RuntimeError as error:
+        raise ColmapEdgesError(f"cannot start rerun's viewer ({error}); {REMEDY}") from error
+
+
+def is_listening(port: int) -> bool:
+    """Whether something on this machine listens at a port."""
+    with socket.socket() as connection:
+        connection.settimeout(1)
+        return connection.connect_ex(("127.0.0.1", port)) == 0
+
+
+def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequence[Path]) -> None:
+    """Check that a recording can be made.
+
+    Raises:
+        ColmapEdgesError: otherwise.
+    """
+    place = Path(os.path.realpath(path))
+    if not place.parent.is_dir():
+        raise ColmapEdgesError(f"cannot write {path}: {path.parent} is no folder; create it")
+    check_apart("--rerun", place, [Path(os.path.realpath(source)) for source in inputs])
+    if Path(os.path.realpath(output)) in place.parents:
+        raise ColmapEdgesError(f"{path} is inside output_path {output}; choose a place apart")
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        what = "folder" if path.is_dir() else "link or device"
+        raise ColmapEdgesError(f"cannot write {path}: a {what} of that name is there")
+    if path.exists() and not overwrite:
+        raise ColmapEdgesError(f"{path} is there already; choose another or add --overwrite")
+
+
+def up_axis(model: Model) -> str:
+    """Rerun's name of the world's axis that is nearest to upwards."""
+    up = up_direction(model)
+    axis = int(np.abs(up).argmax())
+    return f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if up[axis] > 0 else 'DOWN'}"
+
+
+def strips(edges: Edges3D) -> list[FloatArray]:
+    """The points of each edge, the first again at the end of closed ones."""
+    return [edges.points[indices] for indices in polyline_indices(edges)]
+
+
+def colors_of(counts: IntArray) -> ByteArray:
+    """(E, 3) RGB, dark for the smallest count to bright for the largest but for a few."""
+    if not len(counts):
+        return np.zeros((0, 3), np.uint8)
+    low, high = float(counts.min()), float(np.percentile(counts, 95))
+    shades = np.clip((counts - low) / max(high - low, 1.0), 0, 1)
+    mapped = cv2.applyColorMap(np.rint(255 * shades).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    return np.ascontiguousarray(mapped.reshape(-1, 3)[:, ::-1])

@@ -1,0 +1,201 @@
+"""Results of earlier runs in a folder, found by what they were made from.
+
+An entry's name is a digest of all that its content depends on: images, poses, options, this
+package's code and the libraries it computes with. So nothing in the folder is ever out of date;
+entries that no longer fit are not found, and the folder can be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import logging
+import os
+import re
+import stat
+import time
+from contextlib import suppress
+from dataclasses import asdict, is_dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.input_files import read_bytes
+
+logger = logging.getLogger(__name__)
+
+Arrays = dict[str, NDArray[Any]]
+LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap", "networkx")
+DIGEST_BYTES = hashlib.sha256().digest_size
+UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
+FORGOTTEN_S = 24 * 3600  # age from which no living run writes to an unfinished file
+
+
+class Cache:
+    """Arrays in a folder, by kind and key; any number of processes may use it at once."""
+
+    def __init__(self, folder: Path) -> None:
+        """Use `folder`, made when missing; it may be one that can only be read.
+
+        Raises:
+            ColmapEdgesError: when it cannot be made, or not be read.
+        """
+        self.folder = folder
+        self.has_warned = False
+        self.unfinished = folder / "unfinished"
+        try:
+            make_own_folder(self.unfinished)
+            remove_forgotten(self.unfinished)
+        except OSError as error:
+            if error.errno == errno.ELOOP or not can_be_entered(folder):
+                raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
+
+    def path(self, kind: str, key: str) -> Path:
+        """Where an entry is."""
+        return self.folder / kind / key[:2] / f"{key}.entry"
+
+    def load(self, kind: str, key: str) -> Arrays | None:
+        """The arrays of an entry; None when there is none, or it is damaged."""
+        path = self.path(kind, key)
+        try:
+            data = read_bytes(path)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            logger.warning("cannot read cache entry %s (%s); it is made again", path, error)
+            return None
+        with suppress(OSError):  # of another user, or read-only
+            os.utime(path)  # tells which entries are of use
+        packed = memoryview(data)[DIGEST_BYTES:]
+        if seal(kind, key, packed) == data[:DIGEST_BYTES]:
+            try:
+                with np.load(BytesIO(packed), allow_pickle=False) as arrays:
+                    return dict(arrays)
+            except ValueError:
+                pass  # no arrays: somebody else's work
+        logger.warning("cache entry %s is damaged; it is made again", path)
+        return None
+
+    def save(self, kind: str, key: str, arrays: Arrays) -> bool:
+        """Keep arrays as an entry; False, with a warning, where that cannot be done.
+
+        The entry appears whole or not at all.
+        """
+        packed = BytesIO()
+        np.savez(packed, **arrays)  # type: ignore[arg-type]
+        path = self.path(kind, key)
+        unfinished = self.unfinished / uuid4().hex
+        try:
+            make_own_folder(path.parent.parent)
+            make_own_folder(path.parent)
+            with unfinished.open("xb") as file:
+                file.write(seal(kind, key, packed.getbuffer()))
+                file.write(packed.getbuffer())
+            unfinished.replace(path)
+        except OSError as error:
+            with suppress(OSError):  # a read-only folder says so of files that are not there, too
+                unfinished.unlink()
+            return self.not_kept(path, error)
+        return True
+
+    def not_kept(self, path: Path, error: OSError) -> bool:
+        """Warn that an entry could not be written: once, as the next will not be either."""
+        level = logging.DEBUG if self.has_warned else logging.WARNING
+        self.has_warned = True
+        logger.log(level, "cannot write cache entry %s (%s); go on without", path, error.strerror)
+        return False
+
+
+def can_be_entered(folder: Path) -> bool:
+    """Whether files of a folder can be opened by their names."""
+    try:
+        os.stat(f"{folder}/.")  # noqa: PTH116, as a Path drops the dot
+    except OSError:
+        return False
+    return True
+
+
+def seal(kind: str, key: str, packed: memoryview) -> bytes:
+    """The digest that starts an entry, by which damage shows."""
+    found = hashlib.sha256(f"{kind} {key} ".encode())
+    found.update(packed)
+    return found.digest()
+
+
+def make_own_folder(folder: Path) -> None:
+    """Make a folder of the cache; a link at its place may lead to what is not the cache's.
+
+    Raises:
+        OSError: when that cannot be done.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if folder.is_symlink():
+        raise OSError(errno.ELOOP, f"{folder} is a link")
+
+
+def remove_forgotten(folder: Path) -> None:
+    """Remove what killed runs left unfinished; nothing of another name than theirs."""
+    for path in folder.iterdir():
+        try:
+            status = path.lstat()
+            ours = stat.S_ISREG(status.st_mode) and UNFINISHED.fullmatch(path.name)
+            if ours and time.time() - status.st_mtime > FORGOTTEN_S:
+                path.unlink()
+        except OSError:
+            continue  # another run was faster
+
+
+def key_of(*parts: Any) -> str:
+    """The key of what is made from `parts` by this version of the code.
+
+    Args:
+        parts: bytes, arrays, dataclasses of options, and what JSON can hold.
+    """
+    found = hashlib.sha256(code_version().encode())
+    for part in parts:
+        kind, data = described(part)
+        found.update(f"{kind} {len(data)}\n".encode())
+        found.update(data)
+    return found.hexdigest()
+
+
+def described(part: Any) -> tuple[str, bytes]:
+    """What kind of thing a part of a key is, and its bytes."""
+    if isinstance(part, bytes):
+        return "bytes", part
+    if isinstance(part, np.ndarray):
+        return f"{part.dtype.str} {part.shape}", part.tobytes()
+    plain = asdict(part) if is_dataclass(part) and not isinstance(part, type) else part
+    return "json", json.dumps(plain, sort_keys=True).encode()
+
+
+@cache
+def code_version() -> str:
+    """Digest of this package's code and the versions of what it computes with.
+
+    Any change of the code counts, as none can be told to leave results alone.
+    """
+    package = Path(__file__).parents[1]
+    found = hashlib.sha256()
+    for path in sorted([*package.rglob("*.py"), *package.glob("kernels/_kernels*")]):
+        name = path.relative_to(package).as_posix()
+        found.update(f"{name} ".encode() + hashlib.sha256(path.read_bytes()).digest())
+    for name in LIBRARIES:
+        found.update(f"{name} {library_version(name)}\n".encode())
+    return found.hexdigest()
+
+
+def library_version(name: str) -> str:
+    """Version of a library, or nothing when it is not there."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

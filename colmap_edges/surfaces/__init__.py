@@ -1,0 +1,1 @@
+"""Points and edges -> triangle mesh: the Python side of the CGAL extension."""

@@ -1,0 +1,71 @@
+"""A triangle mesh, and what the model knows of its vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+
+if TYPE_CHECKING:
+    from colmap_edges.colmap.model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A triangle mesh whose vertices know the 3D points they came from.
+
+    Attributes:
+        vertices: (V, 3) float64, world units.
+        faces: (F, 3) int32 indices into `vertices`, counter-clockwise seen from free space.
+        point3D_ids: (V,) int64; -1 for edge points and for vertices the mesher added.
+        colors: (V, 3) uint8.
+        stats: counts of what came in, was kept and was dropped, and seconds per step.
+    """
+
+    vertices: FloatArray
+    faces: Int32Array
+    point3D_ids: IntArray
+    colors: ByteArray
+    stats: Mapping[str, float] = field(default_factory=dict)
+
+
+def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
+    """Replace the point indices in `point3D_ids` by the model's ids, and add its colours."""
+    sources = mesh_of_indices.point3D_ids
+    is_sfm = (sources >= 0) & (sources < len(model.point3D_ids))
+    ids = np.full(len(sources), -1, np.int64)
+    ids[is_sfm] = model.point3D_ids[sources[is_sfm]]
+    colors = np.zeros((len(sources), 3), np.uint8)
+    colors[is_sfm] = model.points3D_rgb[sources[is_sfm]]
+    colors = spread_colors(colors, is_sfm, mesh_of_indices.faces)
+    return replace(mesh_of_indices, point3D_ids=ids, colors=colors)
+
+
+def spread_colors(colors: ByteArray, is_known: BoolArray, faces: Int32Array) -> ByteArray:
+    """Colour unknown vertices by the mean of their known neighbours, ring by ring.
+
+    Args:
+        colors: (V, 3) uint8.
+        is_known: (V,) which of them are right.
+        faces: (F, 3) triangles.
+
+    Returns:
+        (V, 3) uint8; vertices that no known vertex is connected to stay as they are.
+    """
+    values, known = colors.astype(np.float64), is_known.copy()
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    sides = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)
+    while True:
+        useful = sides[~known[sides[:, 0]] & known[sides[:, 1]]]
+        if not len(useful):
+            return np.rint(values).astype(np.uint8)
+        counts = np.bincount(useful[:, 0], minlength=len(values))
+        for channel in range(3):
+            weights = values[useful[:, 1], channel]
+            sums = np.bincount(useful[:, 0], weights, minlength=len(values))
+            values[counts > 0, channel] = sums[counts > 0] / counts[counts > 0]
+        known |= counts > 0

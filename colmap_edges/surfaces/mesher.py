@@ -1,0 +1,232 @@
+"""Points and the cameras that see them -> triangle mesh: Python face of the CGAL extension."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, joined_offsets
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.background import BackgroundRays
+from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.silhouettes import Background, SeenPoints
+from colmap_edges.surfaces.simplify import simplify
+
+if TYPE_CHECKING:
+    from colmap_edges.colmap.model import Model
+    from colmap_edges.core.edges3d import Edges3D
+
+NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
+# Below this part of a segment's usual length it is split where others cross it ever again, in vain.
+FINEST = 0.01
+
+
+class Polylines(NamedTuple):
+    """Polylines through points, in CSR arrays.
+
+    Attributes:
+        point_indices: (P,) int32 indices into the points that are meshed.
+        offsets: (E + 1,) int64; polyline e is point_indices[offsets[e]:offsets[e + 1]].
+        closed: (E,) bool; the last point of a closed polyline connects to its first.
+    """
+
+    point_indices: Int32Array
+    offsets: IntArray
+    closed: BoolArray
+
+
+def mesh(
+    reconstruction_or_path: Any,
+    edges: Edges3D | None = None,
+    method: str | None = None,
+    options: MeshingOptions | None = None,
+    num_threads: int = 0,
+    background: Background | None = None,
+) -> Mesh:
+    """Mesh the points of a COLMAP model, with or without 3D edges.
+
+    Args:
+        reconstruction_or_path: a model folder, a pycolmap.Reconstruction or a `Model`.
+        edges: 3D edges of this model that the mesh should follow.
+        method: overrides `options.method`.
+        options: how to mesh; the defaults suit any model.
+        num_threads: threads to use, 0 for all cores; the result does not depend on it.
+        background: what its posed images' sight of the background says, as `reconstruct` finds.
+
+    Raises:
+        ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
+            is not built.
+    """
+    model = as_model(reconstruction_or_path)
+    options = options or MeshingOptions()
+    if method is not None:
+        options = replace(options, method=method)
+    curves = [] if edges is None else with_outlines(edges)
+    found = mesh_with_curves(model, curves, options, num_threads, background)
+    return finished(found, model, options)
+
+
+def with_outlines(edges: Edges3D) -> list[Edges3D]:
+    """The curves that a mesh follows: edges, then outlines where there are any."""
+    return [edges] if edges.outlines is None else [edges, edges.outlines]
+
+
+def mesh_with_curves(
+    model: Model,
+    curves: list[Edges3D],
+    options: MeshingOptions,
+    num_threads: int,
+    background: Background | None = None,
+) -> Mesh:
+    """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
+    seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
+    seen += [SeenPoints(each.points, each.track_offsets, each.track_views) for each in curves]
+    first, count = len(model.points3D_xyz), sum(len(part.points) for part in seen)
+    polylines = Polylines(
+        np.arange(first, count, dtype=np.int32),
+        joined_offsets([each.edge_offsets for each in curves]),
+        np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
+    )
+    if background and options.background_weight:
+        seen.append(background.silhouettes)
+    return mesh_points(
+        np.concatenate([part.points for part in seen]),
+        joined_offsets([part.track_offsets for part in seen]),
+        np.concatenate([part.track_views for part in seen]),
+        model.camera_centers,
+        options,
+        polylines if curves else None,
+        num_threads,
+        background.rays if background else None,
+    )
+
+
+def as_model(source: Any) -> Model:
+    """Take a `Model` as it is, a pycolmap.Reconstruction apart, and read anything else."""
+    from colmap_edges.colmap import model as model_module
+
+    if isinstance(source, model_module.Model):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return model_module.load_model(Path(source))
+    return model_module.model_from_reconstruction(source)
+
+
+def finished(mesh_of_indices: Mesh, model: Model, options: MeshingOptions) -> Mesh:
+    """Add what the model knows of the points, then simplify if asked to."""
+    mesh = with_model_attributes(mesh_of_indices, model)
+    return simplify(mesh, options.max_faces) if options.max_faces else mesh
+
+
+def mesh_points(
+    points: FloatArray,
+    visibility_offsets: IntArray,
+    visibility_cameras: Int32Array,
+    camera_centers: FloatArray,
+    options: MeshingOptions,
+    edges: Polylines | None = None,
+    num_threads: int = 0,
+    background: BackgroundRays | None = None,
+) -> Mesh:
+    """Mesh points that cameras see.
+
+    Points with coordinates that are not finite are left out; coinciding points, and nearly
+    coinciding ones of edges, become one that all their cameras see. The result does not depend on
+    the order of points and rays, nor on the number of threads.
+
+    Args:
+        points: (N, 3) float64.
+        visibility_offsets: (N + 1,) int64; the cameras that see point i are
+            visibility_cameras[visibility_offsets[i]:visibility_offsets[i + 1]].
+        visibility_cameras: (R,) int32 indices into `camera_centers`.
+        camera_centers: (C, 3) float64.
+        options: how to mesh.
+        edges: polylines through the points that the mesh should follow.
+        num_threads: threads to use, 0 for all cores; the result does not depend on it.
+        background: lines of sight of the cameras that meet nothing.
+
+    Returns:
+        The mesh; `point3D_ids` holds indices into `points`, -1 for vertices the mesher added.
+
+    Raises:
+        ColmapEdgesError: when the points span no volume or the mesher is not built.
+        ValueError: when the arrays do not fit together.
+    """
+    extension = load_extension()
+    polyline_offsets, polyline_points = closed_rows(edges)
+    vertices, faces, sources, stats = extension.mesh_points(
+        np.ascontiguousarray(points, np.float64).reshape(-1, 3),
+        np.ascontiguousarray(visibility_offsets, np.int64),
+        np.ascontiguousarray(visibility_cameras, np.int32),
+        np.ascontiguousarray(camera_centers, np.float64).reshape(-1, 3),
+        polyline_offsets,
+        polyline_points,
+        *(background if background and options.background_weight else NO_BACKGROUND),
+        method=options.method,
+        sigma_factor=options.sigma_factor,
+        quality_weight=options.quality_weight,
+        edge_solid_weight=options.edge_solid_weight,
+        background_weight=options.background_weight,
+        vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
+        vote_threshold=options.vote_threshold,
+        merge_factor=options.merge_factor,
+        min_segment_factor=options.min_segment_factor and max(options.min_segment_factor, FINEST),
+        long_facet_factor=options.long_facet_factor,
+        min_component_faces=options.min_component_faces,
+        num_threads=num_threads or os.cpu_count() or 1,
+    )
+    check_volume(stats, len(points))
+    ids, black = sources[:, 0].astype(np.int64), np.zeros((len(vertices), 3), np.uint8)
+    return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
+
+
+def check_volume(stats: Mapping[str, float], num_points: int) -> None:
+    """Raise when the points have no tetrahedron between them."""
+    if not stats["cells"]:
+        raise ColmapEdgesError(
+            f"nothing to mesh: the {num_points} points span no volume; "
+            "give a model with more 3D points"
+        )
+
+
+def closed_rows(edges: Polylines | None) -> tuple[IntArray, Int32Array]:
+    """Offsets and point indices of polylines, the first point repeated at the end of closed ones.
+
+    Raises:
+        ValueError: when the arrays do not fit together.
+    """
+    if edges is None:
+        return np.zeros(1, np.int64), np.zeros(0, np.int32)
+    offsets = np.ascontiguousarray(edges.offsets, np.int64)
+    indices = np.ascontiguousarray(edges.point_indices, np.int32)
+    closed = np.asarray(edges.closed, bool)
+    if len(offsets) != len(closed) + 1 or offsets[0] != 0 or offsets[-1] != len(indices):
+        raise ValueError(
+            f"polylines: {len(offsets)} offsets, up to {offsets[-1:]}, do not fit "
+            f"{len(closed)} flags and {len(indices)} points"
+        )
+    loops = closed & (np.diff(offsets) > 2)
+    indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
+    return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
+
+
+def load_extension() -> Any:
+    """Import the compiled mesher.
+
+    Raises:
+        ColmapEdgesError: when it was not built.
+    """
+    try:
+        from colmap_edges import _mesher
+    except ImportError as error:
+        raise ColmapEdgesError(
+            f"the mesher is not built ({error}); "
+            "run: apt-get install libcgal-dev, then reinstall colmap-edges"
+        ) from error
+    return _mesher

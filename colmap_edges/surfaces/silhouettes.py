@@ -1,0 +1,314 @@
+"""Points of smooth bodies, which have no edges: where lines of sight touch their visual hull.
+
+Before a background every view sees the silhouette of a body. The line of sight through a pixel of
+it touches the body within the stretch that no view sees before the background; where that is short,
+its middle is a point of the body ("viewing edges": Lazebnik, Furukawa and Ponce, Projective Visual
+Hulls, IJCV 2007).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    order_of,
+)
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
+from colmap_edges.images.background import Backdrop, BackgroundRays, background_rays, shows_holes
+from colmap_edges.images.files import square
+
+logger = logging.getLogger(__name__)
+
+# Points of bodies are before the background in no view: those of edges, 0.03 to 0.3 % of which are.
+# Of a black frame around photographs, or around what a fisheye lens shows, it is 1.7 % and more.
+MAX_CONTRADICTED = 0.01
+NUM_CHECKED = 5000  # of these points
+NUM_LINES = 4000  # of sight that are tried, all views together
+NUM_VIEWS = 100  # whose silhouettes are looked at, spread around
+NUM_TESTED = 40  # of them that say what is before the background, spread around, too
+NUM_STEPS = 256  # along a line of sight, across the sphere around all edges
+MAX_STRETCH = 0.25  # of that sphere's diameter
+NUM_SEEING = 8  # views that a point is seen by at most, those that look straightest at it
+MIN_COSINE = 0.5  # between the surface's normal and the direction to such a view
+NUM_SIGHT_STEPS = 40  # on the way from the point to the view, which has to be free
+EDGE_PX = 10  # of an edge's projection, within which the silhouette is that of an edge
+DIRECTION_PX = 2.5  # blur (standard deviation) of what tells the silhouette's direction
+
+
+class SeenPoints(NamedTuple):
+    """Points with the views that see them.
+
+    Attributes:
+        points: (P, 3) float64, world units.
+        track_offsets: (P + 1,) int64; the views of point i are track_views[offsets[i]:[i + 1]].
+        track_views: (T,) int32 indices into the model's views.
+    """
+
+    points: FloatArray
+    track_offsets: IntArray
+    track_views: Int32Array
+
+
+NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))
+
+
+@dataclass(frozen=True)
+class Background:
+    """What the sight of the background says of what stands before it.
+
+    Attributes:
+        rays: lines of sight that meet nothing.
+        silhouettes: points of smooth bodies, where lines of sight touch them.
+    """
+
+    rays: BackgroundRays
+    silhouettes: SeenPoints
+
+
+class Body(NamedTuple):
+    """What a view sees that is not background, (h, w) as the mask is kept, maybe made smaller."""
+
+    view: View
+    mask: BoolArray
+
+    def at(self, points: FloatArray) -> tuple[IntArray, BoolArray]:
+        """Which of (N, 3) points are in the image, (K,), and whether a body is seen there, (K,)."""
+        pixels, depths = self.view.project(points)
+        scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
+        seen = np.flatnonzero(self.view.holds(pixels, depths))
+        columns, rows = np.floor(pixels[seen] * scale).astype(np.int64).T
+        return seen, self.mask[rows, columns]
+
+    def holds(self, points: FloatArray) -> BoolArray:
+        """(N,) false for (N, 3) points where the view sees background.
+
+        True where it sees a body, and for points that are not in its image.
+        """
+        held = np.ones(len(points), bool)
+        seen, is_body = self.at(points)
+        held[seen] = is_body
+        return held
+
+    def dilated(self, radius: int) -> Body:
+        """The mask grown by a number of pixels."""
+        return Body(self.view, cv2.dilate(self.mask.astype(np.uint8), square(radius)) > 0)
+
+    def eroded(self, radius: int) -> Body:
+        """The mask made smaller by a number of pixels."""
+        return Body(self.view, cv2.erode(self.mask.astype(np.uint8), square(radius)) > 0)
+
+
+def find_background(
+    model: Model, backdrops: Sequence[Backdrop], are_masks: bool, edges: Edges3D
+) -> Background | None:
+    """What the sight of the background says; none where none is believed to be seen.
+
+    Args:
+        model: gives the V views, and SfM points where there are no edges.
+        backdrops: (V,) what their images show of it.
+        are_masks: whether masks say so, who are believed each.
+        edges: the 3D edges, whose silhouettes need no other points.
+    """
+    rays = background_rays(model.views, backdrops, are_masks)
+    if rays is None:
+        return None
+    if not any(backdrop.body_pixels[0] for backdrop in backdrops):
+        logger.warning(
+            "masks_are_background is 1, but masks hide all of every image; the mesh is made "
+            "without them; invert them if they are the other way round: black hides"
+        )
+        return None
+    known = edges.points if edges.num_points else model.points3D_xyz
+    bodies = spread_bodies(model.views, backdrops, known)
+    contradicted = contradicted_share(list(bodies.values()), known)
+    if contradicted > MAX_CONTRADICTED:
+        if not are_masks:
+            return None  # a frame around the images
+        logger.warning(
+            "masks_are_background is 1, but masks hide %.1f %% of the 3D points that are in an "
+            "image; it is meant for masks that hide nothing but the background",
+            100 * contradicted,
+        )
+    # Bodies as bright as the backdrop may seem cut off.
+    if not shows_holes(backdrops):
+        return Background(rays, NO_POINTS)
+    if not edges.num_points:  # SfM points are of the background, too
+        known = known[within(list(bodies.values()), known)]
+    return Background(rays, silhouette_points(bodies, known) if len(known) else NO_POINTS)
+
+
+def spread_bodies(
+    views: Sequence[View], backdrops: Sequence[Backdrop], known: FloatArray
+) -> dict[int, Body]:
+    """What is seen of bodies by the indices of `NUM_VIEWS` views, spread around (N, 3) points."""
+    seen = [i for i, backdrop in enumerate(backdrops) if backdrop.is_seen]
+    center = known.mean(axis=0) if len(known) else np.zeros(3)
+    away = np.array([views[i].center for i in seen]) - center
+    chosen = np.sort(spread(away, NUM_VIEWS)).tolist()
+    return {seen[k]: Body(views[seen[k]], backdrops[seen[k]].body()) for k in chosen}
+
+
+def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
+    """Share of the projections of (N, 3) points of bodies that are seen before the background."""
+    points = known[:: max(1, len(known) // NUM_CHECKED)]
+    hidden = total = 0
+    for body in bodies:
+        _, is_body = body.dilated(1).at(points)
+        hidden += int(np.sum(~is_body))
+        total += len(is_body)
+    return hidden / total if total else 0.0
+
+
+def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoints:
+    """Points on the silhouettes that are not those of edges.
+
+    Args:
+        bodies: what is seen of them, by the indices of the views.
+        known: (N, 3) points of edges, or SfM points of bodies; some at least.
+    """
+    if len(bodies) < 2:
+        return NO_POINTS
+    low, high = known.min(axis=0), known.max(axis=0)
+    center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
+    indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
+    centers = np.array([body.view.center for body in seen])
+    tested = [seen[i] for i in spread(centers - center, NUM_TESTED)]
+    around = [body.dilated(1) for body in tested]
+    count = -(-NUM_LINES // len(bodies))
+    found = [touched(body, around, known, (center, radius), count) for body in seen]
+    points = np.concatenate([points for points, _ in found])
+    normals = np.concatenate([normals for _, normals in found])
+    if len(points) == 0:
+        return NO_POINTS
+    rows, columns = seeing(points, normals, centers, [body.eroded(1) for body in tested], radius)
+    order = order_of(rows, len(points))
+    offsets = offsets_of(np.bincount(rows, minlength=len(points)))
+    return SeenPoints(points, offsets, indices[columns[order]])
+
+
+def spread(positions: FloatArray, count: int) -> IntArray:
+    """Indices of `count` of (N, 3) positions, or all: each as far as can be from those before."""
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    directions = positions / (np.linalg.norm(positions, axis=1, keepdims=True) + 1e-300)
+    chosen = [0]
+    nearest = directions @ directions[0]
+    while len(chosen) < count:
+        chosen.append(int(np.argmin(nearest)))
+        nearest = np.maximum(nearest, directions @ directions[chosen[-1]])
+    return np.array(chosen)
+
+
+def touched(
+    body: Body, around: list[Body], known: FloatArray, sphere: tuple[FloatArray, float], count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Where lines of sight through a silhouette touch the visual hull.
+
+    Args:
+        body: what the view sees.
+        around: bodies that bound the hull.
+        known: (N, 3) points of edges, whose silhouettes are left out.
+        sphere: center and radius of the sphere in which the hull lies.
+        count: number of lines that are tried.
+
+    Returns:
+        (K, 3) points, (K, 3) unit normals that point out of the body.
+    """
+    (center, radius), view = sphere, body.view
+    pixels, outward = contour(body, known, count)
+    directions = view.rays(pixels)
+    normals = view.rays(pixels + outward) - directions
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    normals -= np.einsum("ij,ij->i", normals, directions)[:, None] * directions
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-300
+    depths = (directions @ (center - view.center))[:, None] + np.linspace(
+        -radius, radius, NUM_STEPS
+    )
+    points = view.center + depths[:, :, None] * directions[:, None]
+    inside = within(around, points.reshape(-1, 3)).reshape(depths.shape)
+    first = inside.argmax(axis=1)
+    last = NUM_STEPS - 1 - inside[:, ::-1].argmax(axis=1)
+    length = last - first + 1
+    is_one = inside.any(axis=1) & (inside.sum(axis=1) == length)
+    bounded = (first > 0) & (last < NUM_STEPS - 1)
+    kept = np.flatnonzero(is_one & bounded & (length <= MAX_STRETCH * NUM_STEPS))
+    middle = (depths[kept, first[kept]] + depths[kept, last[kept]]) / 2
+    return view.center + middle[:, None] * directions[kept], normals[kept]
+
+
+def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """At most `count` pixels of a silhouette that is not that of an edge.
+
+    Returns:
+        (K, 2) image pixels, COLMAP's origin, and (K, 2) unit directions out of the body.
+    """
+    mask = body.mask.astype(np.uint8)
+    edge = mask - cv2.erode(mask, square(1))
+    scale = np.array([body.view.width, body.view.height]) / mask.shape[::-1]
+    pixels, depths = body.view.project(known)
+    columns, rows = (pixels[body.view.holds(pixels, depths)] / scale).astype(np.int64).T
+    near = np.zeros_like(mask)
+    near[rows, columns] = 1
+    edge[cv2.dilate(near, square(EDGE_PX)) > 0] = 0
+    rows, columns = np.nonzero(edge)
+    chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(np.int64)
+    rows, columns = rows[chosen], columns[chosen]
+    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), DIRECTION_PX)
+    slope = [cv2.Sobel(blurred, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]
+    outward = -np.column_stack([each[rows, columns] for each in slope]).astype(np.float64)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300
+    return (np.column_stack([columns, rows]) + 0.5) * scale, outward
+
+
+def within(bodies: Sequence[Body], points: FloatArray) -> BoolArray:
+    """(N,) whether no view sees (N, 3) points before the background."""
+    left = np.arange(len(points))
+    for body in bodies:
+        left = left[body.holds(points[left])]
+    inside = np.zeros(len(points), bool)
+    inside[left] = True
+    return inside
+
+
+def seeing(
+    points: FloatArray,
+    normals: FloatArray,
+    centers: FloatArray,
+    bodies: Sequence[Body],
+    radius: float,
+) -> tuple[IntArray, IntArray]:
+    """Which views see points of the visual hull: from the front, with nothing in between.
+
+    Args:
+        points: (P, 3).
+        normals: (P, 3) unit normals out of the body.
+        centers: (V, 3) of the views.
+        bodies: bodies that bound the hull.
+        radius: of the sphere that holds it.
+
+    Returns:
+        (T,) points and (T,) views, pair by pair.
+    """
+    away = centers - points[:, None]
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    cosines = np.einsum("pvi,pi->pv", away, normals)
+    straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :NUM_SEEING]
+    rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= MIN_COSINE)
+    columns = straightest[rows, ranks]
+    steps = radius * np.linspace(0.03, 1.5, NUM_SIGHT_STEPS)
+    way = points[rows][:, None] + steps[:, None] * away[rows, columns][:, None]
+    free = ~within(bodies, way.reshape(-1, 3)).reshape(-1, NUM_SIGHT_STEPS).any(axis=1)
+    return rows[free], columns[free]

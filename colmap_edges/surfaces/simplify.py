@@ -1,0 +1,49 @@
+"""Meshes with fewer triangles, by MeshLab's quadric errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.surfaces.mesh import Mesh
+
+
+def simplify(mesh: Mesh, max_faces: int) -> Mesh:
+    """Collapse edges by quadric errors until `max_faces` triangles are left.
+
+    Borders and topology are kept; a manifold stays one. Vertices move, so those of the result
+    know no 3D points; each takes the colour of the nearest vertex of `mesh`.
+
+    Raises:
+        ColmapEdgesError: when MeshLab fails.
+    """
+    if len(mesh.faces) <= max_faces:
+        return mesh
+    import pymeshlab
+    from scipy.spatial import cKDTree
+
+    # Around the origin and of size 1, where MeshLab's single precision does no harm.
+    center = mesh.vertices.mean(axis=0)
+    size = float(np.abs(mesh.vertices - center).max())
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh((mesh.vertices - center) / size, mesh.faces))
+    try:
+        meshes.meshing_decimation_quadric_edge_collapse(
+            targetfacenum=max_faces, preserveboundary=True, preservetopology=True, autoclean=False
+        )
+        meshes.meshing_remove_unreferenced_vertices()
+    except pymeshlab.PyMeshLabException as error:
+        raise ColmapEdgesError(f"MeshLab cannot simplify to {max_faces} faces: {error}") from error
+    current = meshes.current_mesh()
+    vertices = current.vertex_matrix() * size + center
+    nearest = cKDTree(mesh.vertices).query(vertices)[1]
+    return replace(
+        mesh,
+        vertices=vertices,
+        faces=np.ascontiguousarray(current.face_matrix(), np.int32),
+        point3D_ids=np.full(len(vertices), -1, np.int64),
+        colors=mesh.colors[nearest],
+        stats={**mesh.stats, "faces_before_simplification": len(mesh.faces)},
+    )

@@ -1,0 +1,340 @@
+import json
+import os
+import platform
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, fields
+
+import pytest
+
+import colmap_edges
+from colmap_edges.options import PipelineOptions, preset
+
+WORK = ".out.colmap-edges-*/new"  # where the output is in the making
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+
+def start(*args, **kwargs):
+    command = [sys.executable, "-m", "colmap_edges", *map(str, args)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    return subprocess.Popen(command, text=True, **pipes, **kwargs)
+
+
+def call(*args, code=0):
+    process = start(*args)
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == code, output + errors
+    assert "Traceback" not in errors
+    return output + errors
+
+
+@pytest.fixture
+def flags(scene_paths, tmp_path):
+    return [
+        *("--image_path", scene_paths[0], "--input_path", scene_paths[1]),
+        *("--output_path", tmp_path / "out"),
+    ]
+
+
+@pytest.mark.parametrize("command", ["detect", "reconstruct", "mesh", "info"])
+def test_help_names_the_flags(command):
+    assert "--verbose" in call(command, "--help")
+
+
+def test_help_imports_nothing_heavy():
+    script = (
+        "import sys; from colmap_edges.cli.main import main\n"
+        "try: main(['mesh', '--help'])\n"
+        "finally: print(sorted({'numpy', 'cv2', 'pycolmap', 'rich', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("own", [None, "3"])
+def test_blas_has_one_thread_unless_the_user_says_otherwise(own):
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    script = (
+        "import os; from colmap_edges.cli.main import main\n"
+        "try: main(['--version'])\n"
+        "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=environment | ({"OPENBLAS_NUM_THREADS": own} if own else {}),
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.splitlines()[-1] == (own or "1")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries are not told")
+def test_large_arrays_live_where_freed_ones_did():
+    script = (
+        "import resource, threading; from colmap_edges.cli.main import main\n"
+        "try: main(['--version'])\n"
+        "except SystemExit: pass\n"
+        "import numpy as np\n"
+        "def faults():\n"
+        "    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "    worker = threading.Thread(target=np.ones, args=(8_000_000,))\n"
+        "    worker.start(); worker.join()\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before\n"
+        "print([faults() for _ in range(4)])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    faults = json.loads(done.stdout.splitlines()[-1])
+    assert faults[0] > 100
+    assert max(faults[1:]) < 0.2 * faults[0]
+
+
+def test_version():
+    pattern = rf"colmap-edges {re.escape(colmap_edges.__version__)}, pycolmap \d.*, OpenCV \d.*, "
+    assert re.search(pattern + r"numpy \d.*, CGAL \d", call("--version"))
+
+
+def test_detect_says_where_files_are(flags, tmp_path):
+    output = call("detect", *flags)
+    assert str(tmp_path / "out") in output
+    assert "overlays" in output
+    assert len(list((tmp_path / "out" / "overlays").iterdir())) == 10
+
+
+def test_hyphens_and_case_do_not_matter(scene_paths, tmp_path):
+    call(
+        *("detect", "--image-path", scene_paths[0], "--INPUT-path", scene_paths[1]),
+        *("--output-path", tmp_path / "out", "--edgegraph.max-gap-px", "3.5"),
+    )
+    report = (tmp_path / "out" / "report.json").read_text()
+    assert '"max_gap_px": 3.5' in report
+
+
+def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text(
+        "num_threads = 1\nrandom-seed = 7\n[EdgeGraph]\nmax_gap_px = 2.5\n"
+        "filter_regular_length = true\n"
+    )
+    call("detect", *flags, "--config", config, "--random_seed", "8")
+    report = (tmp_path / "out" / "report.json").read_text()
+    for text in ('"max_gap_px": 2.5', '"num_threads": 1', '"random_seed": 8'):
+        assert text in report
+    assert '"filter_regular_length": true' in report
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; the nearest is EdgeGraph.max"),
+        ("num_thread = 2", "unknown key num_thread; the nearest is num_threads"),
+        ("[EdgeGraph]\nmax_gap_px = 'wide'", "max_gap_px is 'wide'; it must be a number"),
+        ("[Detection]\nmin_chain_length_px = 12.5", "length_px is 12.5; it must be a whole"),
+        ("[EdgeGraph\n", "cannot read"),
+    ],
+)
+def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
+    config = tmp_path / "config.toml"
+    config.write_text(text)
+    assert message in call("detect", *flags, "--config", config, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--EdgeGraph.max_gap", "1"], "No such option"),
+        (
+            ["--EdgeGraph.max_gap_px", "-1"],
+            "--EdgeGraph.max_gap_px is -1.0; it must be from 0",
+        ),
+        (["--random_seed", "-1"], "Error: --random_seed is -1; it must be"),
+        (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
+        (["--num_threads", "many"], "not a valid int"),
+        (["--num_threads", "10000000"], "--num_threads is 10000000; it must be from -1 to 100000"),
+        (["--Detection.gamma", "nan"], "--Detection.gamma is nan; it must be from 0.25 to 4"),
+    ],
+)
+def test_usage_errors_exit_2(flags, tmp_path, args, message):
+    assert message in call("detect", *flags, *args, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
+        (["--output_type", "PLY"], "'PLY' is none of BIN, TXT"),
+        (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
+        (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
+        (["--scheduler", "tcp://localhost:1"], "a --scheduler needs --cache_path"),
+    ],
+)
+def test_messages_spell_flags_as_help_does(flags, tmp_path, args, message):
+    assert message in call("mesh", *flags, *args, code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_config_serves_all_commands(flags, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text("quality = 'low'\n[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n")
+    call("detect", *flags, "--config", config)
+    assert '"gamma": 2.0' in (tmp_path / "out" / "report.json").read_text()
+    call("mesh", *flags, "--config", config, "--overwrite", "--report", "0")
+    assert '"max_faces": 500' in (tmp_path / "out" / "report.json").read_text()
+
+
+def test_more_threads_than_can_be_used(flags, tmp_path):
+    call("mesh", *flags, "--num_threads", 50000, "--report", 0)
+    assert (tmp_path / "out" / "mesh.ply").stat().st_size > 10_000
+
+
+def test_a_mesh_without_edges_needs_no_images(flags, tmp_path, scene_paths):
+    call("mesh", *flags[2:], "--use_edges", 0)
+    assert (tmp_path / "out" / "mesh.ply").stat().st_size > 1000
+    shutil.copytree(scene_paths[1], tmp_path / "work" / "sparse" / "0")
+    call("mesh", "--workspace_path", tmp_path / "work", "--use_edges", 0)
+    assert (tmp_path / "work" / "edges" / "mesh.ply").is_file()
+    assert "Missing --image_path;" in call("mesh", *flags[2:], code=2)
+
+
+def test_an_empty_mesh_is_told_with_its_reason(flags):
+    output = call("mesh", *flags, "--Meshing.long_facet_factor", "1e-9", "--use_edges", 0)
+    assert "Note: the mesh is empty" in output
+    assert "To change that: raise --Meshing.long_facet_factor, or set it to 0" in output
+
+
+def test_missing_flag_exits_2():
+    assert "--image_path" in call("detect", code=2)
+
+
+def test_bad_input_exits_1_in_one_line(flags, tmp_path):
+    (tmp_path / "empty").mkdir()
+    args = [*flags[:3], tmp_path / "empty", *flags[4:]]
+    output = call("detect", *args, code=1)
+    assert output.startswith("Error: no readable COLMAP model")
+    assert output.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_overwrite_is_asked_for(flags, tmp_path):
+    call("detect", *flags)
+    assert "--overwrite" in call("detect", *flags, code=1)
+    call("detect", *flags, "--overwrite")
+
+
+def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
+    assert "images: 10 with poses" in call("info", scene_paths[1])
+    call("detect", *flags)
+    assert "output of colmap-edges detect" in call("info", tmp_path / "out")
+    assert "no readable COLMAP model" in call("info", tmp_path, code=1)
+
+
+def test_info_of_a_workspace(tmp_path, scene_paths):
+    shutil.copytree(scene_paths[1], tmp_path / "sparse" / "0")
+    output = call("info", tmp_path)
+    assert output.startswith(f"{tmp_path / 'sparse' / '0'}:\n")
+    assert "images: 10 with poses" in output
+
+
+def test_reader_that_leaves_is_no_error(flags, tmp_path):
+    call("detect", *flags)
+    with start("info", tmp_path / "out") as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
+def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+
+    process = start("detect", *flags, preexec_fn=limit)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay, hash_output):
+    process = start("detect", *flags, "--num_threads", 1)
+    deadline = time.monotonic() + 60
+    while not any(tmp_path.glob(WORK)) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    time.sleep(delay)
+    process.kill()
+    process.communicate()
+    call("detect", *flags, "--overwrite")
+    call("detect", *flags[:-1], tmp_path / "undisturbed")
+    assert hash_output(tmp_path / "out") == hash_output(tmp_path / "undisturbed")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "undisturbed"]
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_interruption_leaves_nothing(flags, tmp_path, number, code):
+    process = start("detect", *flags, "--num_threads", 1, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not any(tmp_path.glob(f"{WORK}/edge_graphs")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.kill(process.pid, number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "Traceback" not in errors
+    assert not any(path.name.startswith((".out", "out")) for path in tmp_path.iterdir())
+
+
+def test_help_fits_on_two_screens_and_full_help_has_all():
+    wide = {**os.environ, "COLUMNS": "100"}
+    for command in ("mesh", "reconstruct", "detect"):
+        output, _ = start(command, "--help", env=wide).communicate(timeout=60)
+        assert len(output.splitlines()) <= 100
+        assert "--output_path" in output
+    full = call("mesh", "--help_full")
+    for entry in fields(PipelineOptions):
+        assert entry.name in full or entry.default_factory is not None
+    assert "--Refinement.noise_px" in full
+    assert "--Refinement.noise_px" not in output
+    for command in (["info"], ["evaluate"], []):
+        assert "--help_full" in call(*command, "--help_full")
+
+
+def test_help_comes_at_once():
+    call("--help")  # compiles what was not yet
+    started = time.perf_counter()
+    call("--help")
+    assert time.perf_counter() - started < 0.5
+
+
+@pytest.mark.parametrize("model", ["sparse/0", "sparse", "sparse/1"])
+def test_workspace_gives_the_paths(scene_paths, tmp_path, model):
+    shutil.copytree(scene_paths[0], tmp_path / "images")
+    shutil.copytree(scene_paths[1], tmp_path / model)
+    call("detect", "--workspace_path", tmp_path)
+    assert len(list((tmp_path / "edges" / "overlays").iterdir())) == 10
+    call("detect", "--workspace_path", tmp_path, "--output_path", tmp_path / "elsewhere")
+    assert (tmp_path / "elsewhere" / "report.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("folder", "message"), [("images", "no model in"), ("x", "no folder images")]
+)
+def test_workspace_that_is_none(tmp_path, folder, message):
+    (tmp_path / folder).mkdir()
+    output = call("detect", "--workspace_path", tmp_path, code=1)
+    assert message in output
+    assert output.count("\n") == 1
+
+
+def test_flags_go_before_the_preset(flags, tmp_path):
+    call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_px", "9")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    expected = asdict(preset("low"))
+    expected["chain_depth"]["sample_step_px"] = 9
+    assert report["options"] == expected

@@ -1,0 +1,234 @@
+"""Standard streams that are closed, signals that are ignored, names that are no plain text."""
+
+import io
+import logging
+import os
+import pty
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pycolmap
+import pytest
+
+from colmap_edges.cli.main import main
+from colmap_edges.cli.terminal import LogFormatter
+from colmap_edges.colmap.model import load_model
+from colmap_edges.errors import printable
+
+FAST = ("--use_edges", "0", "--report", "0")
+RED = "\x1b[31m"
+
+
+def command(scene, output, *flags, name="mesh"):
+    run = [sys.executable, "-m", "colmap_edges", name, "--image_path", scene[0]]
+    return [os.fspath(word) for word in (*run, "--input_path", scene[1], *flags)] + [
+        "--output_path",
+        os.fspath(output),
+    ]
+
+
+def call(scene, output, *flags, name="mesh", **how):
+    run = command(scene, output, *flags, name=name)
+    return subprocess.run(run, capture_output=True, text=True, timeout=120, **how)
+
+
+def renamed(scene, folder, names):
+    """A copy of a scene with other names of its first images."""
+    images, sparse = folder / "images", folder / "sparse"
+    shutil.copytree(scene[0], images)
+    sparse.mkdir()
+    reconstruction = pycolmap.Reconstruction(str(scene[1]))
+    for image, name in zip(reconstruction.images.values(), names, strict=False):
+        source = scene[0] / image.name
+        (images / image.name).unlink()
+        image.name = name
+        (images / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, images / name)
+    reconstruction.write_binary(str(sparse))
+    return images, sparse
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-", "2>&- >/dev/null"])
+def test_closed_streams_do_no_harm(small, tmp_path, closed, hash_output):
+    run = shlex.join(command(small, tmp_path / "out", *FAST[2:]))
+    done = subprocess.run(["sh", "-c", f"{run} {closed}"], capture_output=True, timeout=120)
+    assert done.returncode == 0
+    assert call(small, tmp_path / "usual", *FAST[2:]).returncode == 0
+    assert hash_output(tmp_path / "out") == hash_output(tmp_path / "usual")
+
+
+def test_errors_with_a_closed_stream_keep_their_code(small, tmp_path):
+    run = shlex.join(command((small[0], tmp_path), tmp_path / "out"))
+    done = subprocess.run(["sh", "-c", f"{run} 2>&-"], timeout=120)
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize(("ignored", "code"), [(True, 0), (False, 129)])
+def test_nohup_is_respected(small, tmp_path, ignored, code):
+    how = signal.SIG_IGN if ignored else signal.SIG_DFL
+    process = subprocess.Popen(
+        command(small, tmp_path / "out"),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, how),
+    )
+    end = time.monotonic() + 60
+    while not any(tmp_path.glob(".out.*/new")) and time.monotonic() < end:
+        time.sleep(0.002)
+    for _ in range(2):  # the kernel and the shell both send it
+        process.send_signal(signal.SIGHUP)
+    _, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (code, b"")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"] * ignored
+
+
+def test_a_terminal_that_closes_leaves_nothing(small, tmp_path):
+    """The kernel then hangs up on the run, whose messages go nowhere."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, command(small, tmp_path / "out"))
+    end = time.monotonic() + 60
+    while not any(tmp_path.glob(".out.*/new")) and time.monotonic() < end:
+        time.sleep(0.002)
+    os.close(terminal)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 129
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a b.jpg", "a b.jpg"),
+        ("größe 木.jpg", "größe 木.jpg"),
+        (f"{RED}x", r"\x1b[31mx"),
+        ("a\r\nb\tc\x9b\x7f", r"a\r\nb\tc\x9b\x7f"),
+        ("\u202egpj.exe", r"\u202egpj.exe"),
+        ("caf\udce9", r"caf\udce9"),
+    ],
+)
+def test_printable(text, shown):
+    assert printable(text) == shown
+
+
+def test_logs_are_printable():
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(LogFormatter("%(message)s"))
+    logger = logging.Logger("test")
+    logger.addHandler(handler)
+    try:
+        raise ValueError(f"{RED}\nx")
+    except ValueError:
+        logger.exception("image %s", f"a\n{RED}")
+    lines = stream.getvalue().split("\n")
+    assert lines[0] == r"image a\n\x1b[31m"
+    assert lines[1].startswith("Traceback")
+    assert "\x1b" not in stream.getvalue()
+
+
+def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
+    scene = renamed(small, tmp_path / "in", [f"a{RED}.jpg", "b\nc.jpg"])
+    (scene[0] / f"a{RED}.jpg").write_bytes(b"damaged")
+    output = tmp_path / f"out{RED}\n"
+    done = call(scene, output, name="detect")
+    assert done.returncode == 0, done.stderr
+    assert r"a\x1b[31m.jpg" in done.stderr
+    assert r"out\x1b[31m\n:" in done.stdout
+    info = subprocess.run(
+        [sys.executable, "-m", "colmap_edges", "info", output], capture_output=True, text=True
+    )
+    assert "output of colmap-edges detect" in info.stdout
+    (scene[0] / "b\nc.jpg").unlink()
+    missing = call(scene, tmp_path / "second", "--verbose", name="detect")
+    assert r"b\nc.jpg of the model is not in" in missing.stderr
+    usage = call(scene, tmp_path / "second", f"--{RED}")
+    assert usage.returncode == 2
+    for text in (done, info, missing, usage):
+        assert "\x1b" not in text.stdout + text.stderr
+
+
+def test_usage_errors_go_to_standard_error(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["mesh", "--no\a_flag"])
+    assert end.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("Usage: ")
+    assert r"--no\x07_flag" in lines[-1]
+
+
+def test_an_alphabet_that_lacks_letters_is_no_error(small, tmp_path):
+    environment = os.environ | {"PYTHONIOENCODING": "latin-1"}
+    done = call(small, tmp_path / "木", *FAST, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert r"\u6728:" in done.stdout
+
+
+def test_paths_that_are_no_text_work(small, tmp_path, hash_output):
+    def bad(name):
+        return tmp_path / os.fsdecode(name + b"\xe9")
+
+    scene = bad(b"images"), bad(b"sparse")
+    for source, target in zip(small, scene, strict=True):
+        shutil.copytree(source, target)
+    cache = ("--cache_path", bad(b"cache"))
+    assert call(small, tmp_path / "usual").returncode == 0
+    for flags in (cache, (*cache, "--overwrite"), ("--overwrite", "--output_type", "TXT")):
+        done = call(scene, bad(b"out"), *flags)
+        assert done.returncode == 0, done.stderr
+        if "TXT" not in flags:
+            assert hash_output(bad(b"out")) == hash_output(tmp_path / "usual")
+    info = [sys.executable, "-m", "colmap_edges", "info", bad(b"out")]
+    assert subprocess.run(info, capture_output=True).returncode == 0
+    (bad(b"out") / os.fsdecode(b"n\xe9")).write_text("mine")
+    done = call(scene, bad(b"out"), "--overwrite")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"Error: {tmp_path}/out")
+    wrong = call((tmp_path, bad(b"nowhere")), tmp_path / "second")
+    assert wrong.returncode == 1
+    assert wrong.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["a\nb.jpg", "a b.jpg", "a.jpg\t", "\vx.jpg"])
+def test_names_that_no_text_model_holds(small, tmp_path, name):
+    scene = renamed(small, tmp_path / "in", [name])
+    done = call(scene, tmp_path / "out", "--output_type", "TXT")
+    assert done.returncode == 1
+    assert f"image name {name!r} has a space or line break" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert call(scene, tmp_path / "out").returncode == 0
+    names = {view.name for view in load_model(tmp_path / "out" / "sparse").views}
+    assert name in names
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("x.jpg", "./x.jpg"), "x.jpg and x.jpg|x.jpg and ./x.jpg|./x.jpg and x.jpg"),
+        (("a/x.jpg", "a//x.jpg"), "a//x.jpg"),
+        (("x", "x.npz/y"), "folder of image x.npz/y"),
+    ],
+)
+def test_images_whose_files_would_be_one(small, tmp_path, names, words):
+    scene = renamed(small, tmp_path / "in", names)
+    done = call(scene, tmp_path / "out", name="detect")
+    assert done.returncode == 1
+    assert any(word in done.stderr for word in words.split("|"))
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("address", ["foo", "bogus://x:1", "inproc://1", "tls://127.0.0.1:9"])
+def test_addresses_that_are_none(small, tmp_path, address):
+    pytest.importorskip("distributed", reason="dask is not installed")
+    started = time.monotonic()
+    flags = ("--scheduler", address, "--cache_path", tmp_path / "cache")
+    done = call(small, tmp_path / "out", *flags)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"Error: cannot reach the scheduler {address}: ")
+    assert done.stderr.count("\n") == 1
+    assert time.monotonic() - started < 15

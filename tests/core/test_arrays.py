@@ -1,0 +1,33 @@
+"""Flat arrays of rows against lists of lists."""
+
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from colmap_edges.core.arrays import entries_of, offsets_of, order_of, owners_of, ranks_of
+
+lengths_of_rows = st.lists(st.integers(0, 4), max_size=8)
+
+
+@given(lengths_of_rows, st.data())
+def test_rows_are_those_of_lists(lengths, data):
+    starts = [sum(lengths[:row]) for row in range(len(lengths) + 1)]
+    rows = [list(range(a, b)) for a, b in pairwise(starts)]
+    counts = np.array(lengths, np.int64)
+    offsets = offsets_of(counts)
+    assert offsets.tolist() == starts
+    assert owners_of(offsets).tolist() == [i for i, row in enumerate(rows) for _ in row]
+    assert ranks_of(counts).tolist() == [rank for row in rows for rank in range(len(row))]
+    chosen = data.draw(st.lists(st.integers(0, len(rows) - 1), max_size=8)) if rows else []
+    expected = [entry for row in chosen for entry in rows[row]]
+    assert entries_of(offsets, np.array(chosen, np.int64)).tolist() == expected
+
+
+@given(st.lists(st.integers(0, 70000), max_size=20), st.sampled_from([np.int32, np.int64]))
+def test_order_is_stable(keys, kind):
+    expected = sorted(range(len(keys)), key=lambda i: keys[i])
+    values = np.array(keys, kind)
+    for limit in (max(keys, default=0) + 1, 1 << 20):
+        assert order_of(values, limit).tolist() == expected

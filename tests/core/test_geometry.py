@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from curve_scenes import make_view, ring_of_views
+from hypothesis import given
+from hypothesis import strategies as st
+from pinhole_geometry import (
+    cross_matrix,
+    epipolar_lines,
+    fundamental_matrix,
+    point_segment_distances,
+    reprojection_terms,
+    triangulate,
+    triangulate_linear,
+    view_rays,
+)
+
+from colmap_edges.edges3d.paper.edge_field import pose_arrays
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+coordinate = st.floats(-1.5, 1.5)
+VIEWS = ring_of_views()
+
+
+def project(view, point):
+    return view.project_ideal(np.array([point]))[0][0]
+
+
+def test_cross_matrix_is_the_cross_product():
+    a, b = np.array([1.0, -2.0, 3.0]), np.array([0.5, 4.0, -1.0])
+    np.testing.assert_allclose(cross_matrix(a) @ b, np.cross(a, b))
+
+
+@given(coordinate, coordinate, coordinate, st.integers(0, 6), st.integers(0, 6))
+def test_images_of_a_point_satisfy_the_epipolar_constraint(x, y, z, i, j):
+    if i == j:
+        return
+    a, b = project(VIEWS[i], [x, y, z]), project(VIEWS[j], [x, y, z])
+    fundamental = fundamental_matrix(VIEWS[i], VIEWS[j])
+    line = epipolar_lines(fundamental, a[None])[0]
+    assert np.hypot(line[0], line[1]) == pytest.approx(1)
+    assert line @ np.append(b, 1) == pytest.approx(0, abs=1e-7)  # pixels from the line
+
+
+def test_epipolar_line_of_equal_centres_is_nan():
+    lines = epipolar_lines(fundamental_matrix(VIEWS[0], VIEWS[0]), np.array([[3.0, 4.0]]))
+    assert np.isnan(lines).all()
+
+
+@given(coordinate, coordinate, coordinate, st.integers(2, 7))
+def test_triangulation_inverts_projection(x, y, z, count):
+    pixels = np.array([project(view, [x, y, z]) for view in VIEWS[:count]])
+    np.testing.assert_allclose(triangulate(VIEWS[:count], pixels), [x, y, z], atol=1e-7)
+    np.testing.assert_allclose(triangulate_linear(VIEWS[:count], pixels), [x, y, z], atol=1e-7)
+
+
+def test_rays_go_from_the_centre_through_the_point():
+    point = np.array([0.3, -0.2, 0.5])
+    ray = view_rays(VIEWS[2], project(VIEWS[2], point)[None])[0]
+    expected = point - VIEWS[2].center
+    np.testing.assert_allclose(ray, expected / np.linalg.norm(expected), atol=1e-12)
+
+
+def test_point_behind_the_views_is_no_point():
+    views = [make_view(0, (-1, 0, -6), (-1, 0, 0)), make_view(1, (1, 0, -6), (1, 0, 0))]
+    diverging = np.array([[-80.0, 0.0], [80.0, 0.0]])  # the rays meet behind both
+    assert np.isfinite(triangulate_linear(views, diverging)).all()
+    assert np.isnan(triangulate(views, diverging)).all()
+
+
+def test_parallel_rays_give_no_point():
+    views = [make_view(0, (-1, 0, -6), (-1, 0, 0)), make_view(1, (1, 0, -6), (1, 0, 0))]
+    assert np.isnan(triangulate(views, np.zeros((2, 2)))).all()
+
+
+def test_jacobian_agrees_with_finite_differences():
+    point, pixels = np.array([0.2, 0.4, -0.3]), np.zeros((7, 2))
+    residuals, jacobian, _ = reprojection_terms(VIEWS, pixels, point)
+    for k in range(3):
+        moved = point + 1e-6 * np.eye(3)[k]
+        difference = (reprojection_terms(VIEWS, pixels, moved)[0] - residuals) / 1e-6
+        np.testing.assert_allclose(jacobian[:, k], difference, atol=1e-2)
+
+
+def test_distances_to_segments():
+    starts, ends = np.zeros((4, 2)), np.tile([10.0, 0.0], (4, 1))
+    points = np.array([[5.0, 3.0], [-3.0, 4.0], [13.0, -4.0], [7.0, 0.0]])
+    np.testing.assert_allclose(point_segment_distances(points, starts, ends), [3, 5, 5, 0])
+    degenerate = point_segment_distances(np.array([[3.0, 4.0]]), np.zeros((1, 2)), np.zeros((1, 2)))
+    np.testing.assert_allclose(degenerate, [5])
+
+
+def test_kernel_triangulates_like_numpy():
+    rng = np.random.default_rng(1)
+    views, pixels, offsets = [], [], [0]
+    for _ in range(200):
+        chosen = rng.permutation(len(VIEWS))[: rng.integers(2, 8)]
+        point = rng.uniform(-1, 1, 3)
+        views.append(chosen)
+        pixels.append([project(VIEWS[v], point) + rng.normal(scale=1.0, size=2) for v in chosen])
+        offsets.append(offsets[-1] + len(chosen))
+    arguments = (
+        *pose_arrays(VIEWS),
+        np.array(offsets, np.int64),
+        np.concatenate(views).astype(np.int32),
+        np.concatenate(pixels),
+    )
+    points, errors = _kernels.triangulate_tracks(*arguments, 1)
+    for i, chosen in enumerate(views):
+        expected = triangulate([VIEWS[v] for v in chosen], np.array(pixels[i]))
+        np.testing.assert_allclose(points[i], expected, atol=1e-5)
+        residuals = reprojection_terms([VIEWS[v] for v in chosen], np.array(pixels[i]), points[i])
+        largest = np.linalg.norm(residuals[0].reshape(-1, 2), axis=1).max()
+        assert errors[i] == pytest.approx(largest, abs=1e-6)
+    again = _kernels.triangulate_tracks(*arguments, 2)
+    assert again[0].tobytes() == points.tobytes()
+
+
+def test_kernel_marks_tracks_that_do_not_triangulate():
+    poses = pose_arrays(VIEWS)
+    one = np.array([0], np.int32), np.zeros((1, 2))
+    points, errors = _kernels.triangulate_tracks(*poses, np.array([0, 1]), *one, 1)
+    assert np.isnan(points).all()
+    assert np.isinf(errors).all()
+    with pytest.raises(ValueError, match="view index"):
+        _kernels.triangulate_tracks(*poses, np.array([0, 1]), np.array([9], np.int32), one[1], 1)
+    with pytest.raises(ValueError, match="offsets"):
+        _kernels.triangulate_tracks(*poses, np.array([0, 2]), *one, 1)

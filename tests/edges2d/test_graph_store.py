@@ -1,0 +1,98 @@
+"""Edge graphs in bounded memory: what waits on disk comes back as it was."""
+
+from __future__ import annotations
+
+import curves as known
+import numpy as np
+import pytest
+
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graph_store import GraphStore, Recent, graph_bytes
+from colmap_edges.edges3d.chains.tracing import trace_edges
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.options import PipelineOptions
+
+VIEWS = known.ring(7)
+CURVES = [known.circle((0, 0, 0), 0.8), known.line((-1, -0.5, 0), (1, 0.4, 0.3))]
+
+
+def graphs_of_views() -> list[EdgeGraph]:
+    return [known.graph_of(view, CURVES) for view in VIEWS]
+
+
+def stored(graphs: list[EdgeGraph], max_bytes: float) -> GraphStore:
+    store = GraphStore(len(graphs), max_bytes)
+    for index, graph in enumerate(graphs):
+        store.add(index, graph)
+    return store
+
+
+def same(a: EdgeGraph, b: EdgeGraph) -> bool:
+    return all(
+        np.array_equal(value, vars(b)[name]) and value.dtype == vars(b)[name].dtype
+        for name, value in vars(a).items()
+        if name != "polyline_ids"
+    )
+
+
+def test_graphs_come_back_and_few_stay():
+    graphs = graphs_of_views()
+    size = max(graph_bytes(graph) for graph in graphs)
+    store = stored(graphs, 2.5 * size)
+    assert len(store) == len(graphs)
+    for index in (0, 6, 3, 3, 1, 0):
+        assert same(graphs[index], store[index])
+        assert store.num_kept <= 3
+        assert sum(graph_bytes(g) for g in store.kept.values()) == store.num_bytes <= 2.5 * size
+    assert all(same(a, b) for a, b in zip(graphs, store, strict=True))
+    folder = store.folder
+    assert len(list(folder.iterdir())) == len(graphs)
+    del store
+    assert not folder.exists()
+
+
+def test_graphs_that_fit_are_not_written():
+    store = stored(graphs_of_views(), 1e9)
+    assert store.num_kept == len(VIEWS)
+    assert store.folder is None
+    assert store[2] is store[2]
+
+
+def test_one_graph_larger_than_the_memory_is_held():
+    store = stored(graphs_of_views(), 1.0)
+    assert store.num_kept == 1
+    assert same(store[4], graphs_of_views()[4])
+
+
+def test_edges_do_not_depend_on_what_is_held():
+    graphs = graphs_of_views()
+    model = known.model_of(VIEWS)
+    expected, _ = trace_edges(model, graphs, PipelineOptions(), 1)
+    found, _ = trace_edges(model, stored(graphs, 1.0), PipelineOptions(), 1)
+    assert expected.num_edges > 0
+    for name, value in vars(expected).items():
+        np.testing.assert_array_equal(value, vars(found)[name])
+
+
+def test_recent_items_are_not_made_again():
+    made = []
+
+    def make(index: int) -> int:
+        made.append(index)
+        return 10 * index
+
+    items = Recent(make, 5, num_kept=2)
+    assert [items[i] for i in (0, 1, 0, 2, 0, 1)] == [0, 10, 0, 20, 0, 10]
+    assert made == [0, 1, 2, 1]
+    assert list(items) == [0, 10, 20, 30, 40]
+    with pytest.raises(IndexError):
+        items[5]
+
+
+def test_no_space_is_said(monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(ColmapEdgesError, match=r"No space left.*TMPDIR"):
+        stored(graphs_of_views(), 1.0)

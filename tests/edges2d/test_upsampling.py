@@ -1,0 +1,201 @@
+"""Images are enlarged as far as their sharpness asks for, and what is found lies where it is."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from colmap_edges.colmap.model import load_model
+from colmap_edges.colmap.writing import moved_model
+from colmap_edges.edges2d.detection import detect_chains
+from colmap_edges.edges2d.upsampling import enlarged, measure_blur
+from colmap_edges.edges3d.chains.tracing import in_enlarged_pixels
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.files import gray_of, read_image
+from colmap_edges.options import DetectionOptions, PipelineOptions
+from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.reconstruct import reconstruct
+from colmap_edges.runtime.stages import Stages
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+OPTIONS = DetectionOptions(gamma=1.0)  # what is drawn here is light
+SIZE = (320, 240)
+
+
+def shapes(blur_px, oversampling=16):
+    """(H, W) grays of a disc and a turned square, their edges blurred by a Gaussian."""
+    width, height = (side * oversampling for side in SIZE)
+    fine = np.full((height, width), 60, np.uint8)
+    cv2.circle(fine, (width // 4, height // 2), height // 4, 200, -1)
+    corners = cv2.boxPoints(((0.7 * width, height / 2), (height / 2, height / 2), 20))
+    cv2.fillConvexPoly(fine, corners.astype(np.int32), 180)
+    blurred = cv2.GaussianBlur(fine, (0, 0), blur_px * oversampling)
+    middle = oversampling // 2
+    return np.ascontiguousarray(blurred[middle::oversampling, middle::oversampling])
+
+
+def bars(width_px, pitch_px):
+    """(H, W) grays of upright bars, the first one's left edge at 0.5 px."""
+    x = (np.arange(16 * SIZE[0]) + 0.5) / 16
+    line = np.where((x - 0.5) % pitch_px < width_px, 180, 60).astype(np.float32)
+    line = cv2.GaussianBlur(line[None], (0, 0), 0.5 * 16).reshape(SIZE[0], 16).mean(axis=1)
+    return np.tile(np.round(line).astype(np.uint8), (SIZE[1], 1))
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 0.8, 1.2])
+def test_blur_of_known_edges(blur_px):
+    assert measure_blur(shapes(blur_px), OPTIONS) == pytest.approx(blur_px, rel=0.2)
+
+
+@pytest.mark.parametrize("noise", [2, 6])
+def test_blur_under_noise(noise):
+    image = shapes(0.8) + np.random.default_rng(0).normal(0, noise, SIZE[::-1])
+    blur_px = measure_blur(np.clip(np.round(image), 0, 255).astype(np.uint8), OPTIONS)
+    assert blur_px == pytest.approx(0.8, rel=0.2)
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (1, 1), (3, 50)])
+def test_what_shows_nothing_has_no_blur(shape):
+    assert measure_blur(np.full(shape, 90, np.uint8), OPTIONS) == 0
+
+
+def scene_of(model, folder, images):
+    """A model whose views are these images, written to the folder."""
+    views = []
+    for i, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{i}.png"), image)
+        height, width = image.shape
+        views.append(replace(model.views[0], name=f"{i}.png", width=width, height=height))
+    return replace(model, views=tuple(views))
+
+
+def scale_of(model, folder, **options):
+    """The one scale of all views."""
+    found = enlarged(model, folder, DetectionOptions(**options))
+    [scale] = {view.scale for view in found.views}
+    return scale
+
+
+@pytest.mark.parametrize(
+    ("blur_px", "scale"), [(0.2, 1.5), (0.47, 1.5), (0.6, 1.25), (0.9, 1.0), (1.5, 1.0)]
+)
+def test_sharp_images_are_enlarged(scene_model, tmp_path, blur_px, scale):
+    model = scene_of(scene_model, tmp_path, [shapes(blur_px)] * 3)
+    assert scale_of(model, tmp_path) == scale
+    assert scale_of(model, tmp_path, min_blur_px=0) == 1
+    assert model.views[0].scale == 1
+
+
+def test_the_usual_image_decides(scene_model, tmp_path):
+    blank = np.full(SIZE[::-1], 90, np.uint8)
+    model = scene_of(scene_model, tmp_path, [shapes(0.5), blank, shapes(0.5), shapes(3.0), blank])
+    (tmp_path / "4.png").write_bytes(b"damaged")
+    assert scale_of(model, tmp_path) == 1.5
+    for view in model.views:
+        (tmp_path / view.name).write_bytes(b"damaged")
+    assert scale_of(model, tmp_path) == 1
+
+
+def test_large_images_stay_as_they_are(scene_model, tmp_path):
+    large = cv2.copyMakeBorder(shapes(0.5), 900, 900, 800, 800, cv2.BORDER_REPLICATE)
+    model = scene_of(scene_model, tmp_path, [large[:, :1920]] * 2)
+    assert scale_of(model, tmp_path) == 1.5  # 2880 px
+    views = tuple(replace(view, width=2700) for view in model.views)
+    assert scale_of(replace(model, views=views), tmp_path) == 1  # not even read
+
+
+def test_an_image_of_another_size_is_told(scene_model, tmp_path):
+    model = scene_of(scene_model, tmp_path, [shapes(0.5)] * 2)
+    views = (model.views[0], replace(model.views[1], width=SIZE[0] + 1))
+    with pytest.raises(ColmapEdgesError, match="its camera 321x240"):
+        enlarged(replace(model, views=views), tmp_path, OPTIONS)
+
+
+@pytest.mark.parametrize("scale", [1.25, 1.5, 2.0])
+def test_chains_of_enlarged_images_lie_where_they_are(scale):
+    image = shapes(0.6)
+    points = detect_chains(image, OPTIONS, scale).points / scale
+    center, radius = np.array([SIZE[0] / 4, SIZE[1] / 2]), SIZE[1] / 4
+    distances = np.linalg.norm(points - center, axis=1) - radius
+    on_disc = np.abs(distances) < 2
+    assert on_disc.sum() > 0.95 * scale * 2 * np.pi * radius / np.sqrt(2)
+    assert abs(np.median(distances[on_disc])) < 0.03
+    assert np.abs(distances[on_disc]).max() < 0.25
+
+
+@pytest.mark.parametrize(
+    ("width_px", "most_px"), [(2.0, (0.35, 0.25, 0.15)), (3.0, (0.15, 0.03, 0.02))]
+)
+def test_edges_of_thin_bars_are_moved_apart_less(width_px, most_px):
+    """The blur of the sub-pixel step moves the two edges of a bar apart, by 0.48 px where it is 2
+    px wide; that is undone as far as pixels tell, the better the larger they are made.
+    """
+    image = bars(width_px, pitch_px=12.0)
+    edges = (np.arange(1, SIZE[0] // 12 - 1) * 12)[:, None] + [0.5, 0.5 + width_px]
+    for scale, most in zip((1.0, 1.5, 2.0), most_px, strict=True):
+        x = detect_chains(image, OPTIONS, scale).points[:, :1] / scale
+        assert np.median(np.abs(x - edges.ravel()).min(axis=0)) < most
+
+
+def test_graphs_of_enlarged_views(scene_model, scene_paths):
+    """The graph is in pixels of the image, its ideal pixels in those of the enlarged one."""
+    view = scene_model.views[0]
+    twice = replace(scene_model, views=(replace(view, scale=2.0),))
+    [graph] = detect_stage(twice, scene_paths[0], PipelineOptions(), Stages())
+    image = detect_chains(gray_of(read_image(view, scene_paths[0])), OPTIONS).points
+    np.testing.assert_allclose(graph.ideal, 2 * view.ideal_from_image(graph.points), atol=1e-9)
+    assert graph.points.max() < max(view.width, view.height)
+    assert len(graph.points) > 1.6 * len(image)
+    assert (graph.colors.max(axis=0) > 0).all()
+
+
+def test_a_view_is_the_same_camera_at_every_scale(scene_model):
+    view = scene_model.views[0]
+    twice = replace(view, scale=2.0)
+    points = scene_model.points3D_xyz[:50]
+    np.testing.assert_allclose(twice.project(points)[0], view.project(points)[0], atol=1e-9)
+    np.testing.assert_allclose(twice.project_ideal(points)[0], 2 * view.project_ideal(points)[0])
+
+
+def test_moved_views_keep_their_scale(scene_model):
+    model = scene_model.at_scale(1.5)
+    still = np.tile(np.eye(3, 4), (len(model.views), 1, 1))
+    moved = moved_model(model, still, model.points3D_xyz)
+    assert [view.focal_px for view in moved.views] == [view.focal_px for view in model.views]
+
+
+def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
+    """Tracks are in pixels of the images as they are; edges lie no worse than without."""
+    views = load_model(scene_paths[1]).views
+    errors = {}
+    for min_blur_px, scale in ((0.0, 1.0), (1.5, 1.5)):
+        options = PipelineOptions(detection=DetectionOptions(min_blur_px=min_blur_px))
+        result = reconstruct(scene.reconstruction, scene_paths[0], options)
+        assert result.stages[0]["counts"]["image_scale"] == scale
+        edges = result.edges
+        projected = np.array(
+            [
+                views[view].project(edges.points[point : point + 1])[0][0]
+                for point, view in zip(edges.track_points, edges.track_views, strict=True)
+            ]
+        )
+        distances = np.linalg.norm(projected - edges.track_points2D, axis=1)
+        np.testing.assert_allclose(distances, result.residuals_px, atol=1e-6)
+        assert np.quantile(distances, 0.95) < 0.5
+        errors[scale] = np.median(scene.distances(edges.points))
+        seen = scene.samples[scene.sample_views >= 3]
+        assert np.mean(cKDTree(edges.points).query(seen)[0] < 0.03) > 0.8
+    assert errors[1.5] < 1.1 * errors[1.0]
+
+
+def test_tolerances_are_in_pixels_of_the_given_images():
+    given = PipelineOptions()
+    used = in_enlarged_pixels(given, 1.5)
+    assert used.chain_depth.max_disagreement_px == 1.5 * given.chain_depth.max_disagreement_px
+    assert used.refinement.search_radius_px == 1.5 * given.refinement.search_radius_px
+    assert used.refinement.max_residual_px == 1.5 * given.refinement.max_residual_px
+    assert used.chain_depth.sample_step_px == given.chain_depth.sample_step_px
+    assert in_enlarged_pixels(given, 1.0) == given

@@ -1,0 +1,115 @@
+from dataclasses import replace
+
+import curves as known
+import numpy as np
+import pytest
+
+from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges3d.chains.depths import learn_side_likelihoods
+from colmap_edges.edges3d.chains.side_similarity import (
+    BINS,
+    NOTHING_LEARNED,
+    bins_of,
+    estimate,
+    histogram,
+)
+from colmap_edges.edges3d.chains.view_selection import select_views
+from colmap_edges.options import ChainDepthOptions, ViewSelectionOptions
+
+rng = np.random.default_rng(3)
+
+
+def same_edge(count, noise=3.0):
+    """Differences of an edge on one body before others: one side alike, half of the others, too."""
+    alike = np.abs(rng.normal(0, noise, (count, 2)))
+    other = rng.uniform(0, 200, count)
+    hidden = rng.random(count) < 0.5
+    alike[hidden, rng.integers(0, 2, count)[hidden]] = other[hidden]
+    return alike.astype(int)
+
+
+def by_chance(count):
+    return rng.integers(0, 200, (count, 2))
+
+
+def test_nothing_learned_lets_every_match_be():
+    np.testing.assert_array_equal(NOTHING_LEARNED.table, np.ones((256, 256), np.float32))
+
+
+def test_every_difference_has_its_bin():
+    assert BINS[0] == 0
+    assert BINS[-1] == 256
+    levels = np.arange(256)
+    bins = bins_of(levels)
+    assert (BINS[bins] <= levels).all()
+    assert (levels < BINS[bins + 1]).all()
+
+
+def test_histogram_by_counting():
+    differences = np.array([[0, 0], [0, 0], [100, 4], [4, 100], [255, 255]])
+    counts = histogram(differences)
+    assert counts.sum() == 5
+    assert counts[0, 0] == 2
+    assert counts[bins_of(4), bins_of(100)] == 2
+    assert counts[-1, -1] == 1
+    assert np.triu(counts).sum() == 5  # the smaller difference first
+
+
+def test_alike_sides_are_likelier_and_unlike_ones_are_not():
+    sides = estimate(same_edge(5000), by_chance(20000))
+    table = sides.table
+    np.testing.assert_array_equal(table, table.T)
+    assert 4 < sides.limit < 20
+    assert table[1, 1] > 10 > table[1, 150] > table[6, 150]
+    assert (table[table > 0] >= 0.1 - 1e-6).all()  # no single view rules an edge out
+    beyond = int(sides.limit) + 1
+    assert (table[beyond:, beyond:] == 0).all()
+    assert (table[:beyond] > 0).all()
+
+
+def test_ratios_weigh_to_one_over_chance():
+    """A likelihood ratio by its definition: over what chance makes it is one in the mean."""
+    same, chance = same_edge(5000), by_chance(100000)
+    sides = estimate(same, chance)
+    drawn = sides.table[tuple(by_chance(100000).T)]
+    assert drawn[drawn > 0].mean() == pytest.approx(1, abs=0.05)
+
+
+def test_gloss_and_exposure_widen_what_is_alike():
+    dull, glossy = (estimate(same_edge(5000, noise), by_chance(20000)) for noise in (2.0, 15.0))
+    assert glossy.limit > 3 * dull.limit
+    assert glossy.table[20, 20] > dull.table[20, 20]
+
+
+def test_few_examples_say_little():
+    many, few = (estimate(np.zeros((n, 2), int), by_chance(20000)) for n in (5000, 5))
+    assert many.table[0, 0] > 4 * few.table[0, 0] > 1
+
+
+def learned_from(noise, num_lines):
+    """What is learned from lines of sides of their own, which views see within some noise."""
+    views = known.ring(6, arc_deg=60)
+    ends = rng.uniform(-0.8, 0.8, (num_lines, 2, 3))
+    own = rng.integers(0, 250, (num_lines, 2))
+    graphs = []
+    for view in views:
+        graph = known.graph_of(view, [known.line(*each) for each in ends])
+        sides = own[graph.polyline_ids] + rng.normal(0, noise, (len(graph.points), 2))
+        graphs.append(replace(graph, sides=np.clip(sides, 0, 255).astype(np.uint8)))
+    edge_views = [make_edge_view(g, v) for g, v in zip(graphs, views, strict=True)]
+    near = select_views(known.model_of(views), ViewSelectionOptions())
+    return learn_side_likelihoods(
+        near.neighbors, edge_views, graphs, near.ranges, ChainDepthOptions(), 1
+    )
+
+
+def test_what_sides_say_is_learned_from_the_views():
+    sides = learned_from(noise=2.0, num_lines=150)
+    table = sides.table
+    assert 3 < sides.limit < 15
+    assert table[2, 2] > 5
+    assert table[1, 120] < 1
+
+
+def test_nothing_is_learned_from_few_edges():
+    assert learned_from(noise=2.0, num_lines=2) is NOTHING_LEARNED

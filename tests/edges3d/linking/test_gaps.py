@@ -1,0 +1,105 @@
+"""Pieces that face each other are joined where views observe an edge between them."""
+
+from functools import partial
+
+import curves as known
+import numpy as np
+import pytest
+
+from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges3d.linking.gaps import are_observed
+from colmap_edges.edges3d.linking.joining import link_edges
+from colmap_edges.options import PipelineOptions
+
+VIEWS = known.row(6)
+LINE = known.line((-0.5, 0, 0), (1.5, 0, 0))
+BEFORE, AFTER = (0.0, 0.42), (0.48, 0.9)  # parameters of two pieces; the gap is six spacings
+STEP = 0.01
+
+
+def part_of(curve, first, last):
+    return lambda t: curve(first + (last - first) * np.asarray(t))
+
+
+ARC = part_of(known.circle((0.5, 0, 0), 0.8), 0.0, 0.4)
+
+
+def pieces_of(curve, views):
+    """The two pieces of a curve as edges that each of some views observes."""
+    t = [np.arange(first, last, STEP) for first, last in (BEFORE, AFTER)]
+    points = curve(np.concatenate(t))
+    count = len(points) * len(views)
+    return Edges3D(
+        points=points,
+        edge_offsets=offsets_of(np.array([len(of) for of in t])),
+        closed=np.zeros(2, bool),
+        track_offsets=np.arange(0, count + 1, len(views)),
+        track_views=np.tile(np.array(views, np.int32), len(points)),
+        track_points2D=np.zeros((count, 2)),
+        sigmas=np.zeros(len(points)),
+        end_nodes=np.full((2, 2), -1, np.int32),
+        colors=np.zeros((len(points), 3), np.uint8),
+    )
+
+
+def num_linked(curve, chains, observing=range(6), num_threads=1):
+    """Edges left of two pieces, in views with such chains."""
+    edge_views = [
+        make_edge_view(known.graph_of(v, of), v) for v, of in zip(VIEWS, chains, strict=True)
+    ]
+    pieces, options = pieces_of(curve, list(observing)), PipelineOptions()
+    goes_on = partial(are_observed, pieces, edge_views, options, num_threads)
+    return link_edges(pieces, options.linking, goes_on).num_edges
+
+
+def broken(curve):
+    return [part_of(curve, *BEFORE), part_of(curve, *AFTER)]
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+@pytest.mark.parametrize("curve", [LINE, ARC])
+def test_pieces_are_joined_where_chains_go_on(curve, num_threads):
+    assert num_linked(curve, [[curve]] * 6, num_threads=num_threads) == 1
+    assert num_linked(curve, [broken(curve)] * 6, num_threads=num_threads) == 2
+
+
+@pytest.mark.parametrize(("count", "expected"), [(2, 2), (3, 1)])
+def test_as_many_views_must_see_it_as_an_edge_point_needs(count, expected):
+    assert num_linked(ARC, [[ARC]] * count + [broken(ARC)] * (6 - count)) == expected
+
+
+def test_views_that_observe_neither_end_are_not_asked():
+    chains = [[LINE]] * 2 + [broken(LINE)] * 2 + [[LINE]] * 2
+    assert num_linked(LINE, chains, observing=range(4)) == 2
+    assert num_linked(LINE, chains, observing=(0, 1, 4)) == 1
+
+
+def test_chains_that_cross_a_gap_do_not_count():
+    places = LINE(np.linspace(BEFORE[1], AFTER[0], 5))[1:-1]
+    half = np.array([0, 0.2, 0])
+    across = [known.line(place - half, place + half) for place in places]
+    assert num_linked(LINE, [[*broken(LINE), *across]] * 6) == 2
+
+
+def test_one_place_without_a_chain_is_enough_to_keep_pieces_apart():
+    first, last = BEFORE[1], AFTER[0]
+    half = [part_of(LINE, BEFORE[0], 0.6 * first + 0.4 * last), part_of(LINE, *AFTER)]
+    assert num_linked(LINE, [half] * 6) == 2
+
+
+def test_short_gaps_need_no_view():
+    pieces, options = pieces_of(LINE, [0]), PipelineOptions()
+    points = np.arange(len(pieces.points))
+    offsets = np.array([0, 20, len(points)])
+    near = pieces.reordered(points, offsets, pieces.closed, pieces.end_nodes)
+    asked = []
+
+    def never(ends, a, b):
+        asked.extend(zip(a.tolist(), b.tolist(), strict=True))
+        return np.zeros(len(a), bool)
+
+    assert link_edges(near, options.linking, never).num_edges == 1
+    assert link_edges(pieces, options.linking, never).num_edges == 2
+    assert asked == [(1, 2)]

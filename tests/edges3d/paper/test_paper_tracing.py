@@ -1,0 +1,245 @@
+"""The paper's tracing on known 3D curves: precision and recall are exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from curve_scenes import (
+    circle,
+    distances_to_curves,
+    graph_of,
+    helix,
+    line,
+    ring_of_views,
+)
+from curves import model_of
+from scipy.spatial import cKDTree
+
+from colmap_edges.edges3d.paper.correspondences import Pepcs
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, build_edge_field
+from colmap_edges.edges3d.paper.following import OUTCOMES, follow_edges
+from colmap_edges.edges3d.paper.tracing import trace_edges_paper
+from colmap_edges.options import (
+    CorrespondenceOptions,
+    FollowingOptions,
+    MatchingOptions,
+    PipelineOptions,
+    TracingOptions,
+    VisibilityOptions,
+)
+from colmap_edges.pipeline.reconstruct import reconstruct
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+VIEWS = ring_of_views()
+CURVES = [
+    line((-1, -1, 0), (0.5, 1, 0.3)),
+    line((-0.2, -1, 0.5), (1.5, 0.6, -0.3)),
+    line((1.4, -0.9, 0.2), (1.3, 0.9, 0.2)),
+    circle((0.6, 0.1, 0.2), 0.5),
+    helix(),
+]
+UPRIGHT = CURVES[2]
+PIXEL = 6 / 800  # size of a pixel in the scene, roughly
+
+
+def traced(curves, strategy, num_threads=1, noise_px=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    graphs = [graph_of(view, curves, noise_px, rng) for view in VIEWS]
+    points = np.concatenate([curve.points[100::200] for curve in curves])
+    model = model_of(VIEWS, points)
+    options = PipelineOptions(correspondence=CorrespondenceOptions(strategy=strategy))
+    edges, stats = trace_edges_paper(model, graphs, options, num_threads)
+    return edges, stats
+
+
+def recall(edges, curves, radius):
+    samples = np.concatenate([curve.points[::20] for curve in curves])
+    return np.mean(cKDTree(edges.points).query(samples)[0] <= radius)
+
+
+@pytest.mark.parametrize("strategy", ["sfm_points", "pecs", "both"])
+def test_known_curves_come_out(strategy):
+    edges, stats = traced(CURVES, strategy)
+    distances = distances_to_curves(edges.points, CURVES)
+    assert distances.max() < PIXEL  # precision 1
+    assert np.median(distances) < 0.1 * PIXEL
+    # What is missing: ends shorter than a step, and where a curve runs along epipolar lines.
+    assert recall(edges, CURVES, 2 * PIXEL) > 0.9
+    starts = stats["starts"]
+    assert sum(starts.values()) == sum(
+        count for name, count in stats["pepcs"].items() if name.startswith("pepcs_from")
+    )
+    assert stats["sampled"]["points"] == edges.num_points
+    views = np.diff(edges.track_offsets)
+    assert np.median(views) >= 5
+    assert views.min() >= 3
+
+
+def test_noise_of_chains_stays_small_in_space():
+    edges, _ = traced(CURVES, "both", noise_px=0.2)
+    distances = distances_to_curves(edges.points, CURVES)
+    assert np.median(distances) < 0.3 * PIXEL
+    assert np.mean(distances < 2 * PIXEL) > 0.99
+    assert recall(edges, CURVES, 2 * PIXEL) > 0.85
+
+
+def test_each_edge_is_traced_once():
+    edges, _ = traced(CURVES[:3], "both")
+    total = sum(np.linalg.norm(np.diff(c.points, axis=0), axis=1).sum() for c in CURVES[:3])
+    steps = np.linalg.norm(np.diff(edges.points, axis=0), axis=1)
+    within = np.ones(len(steps), bool)
+    within[edges.edge_offsets[1:-1] - 1] = False
+    assert 0.85 * total < steps[within].sum() < 1.05 * total
+
+
+def test_closed_curve_comes_back_to_its_start():
+    ring = circle((0.2, 0, 0), 0.7)
+    views = ring_of_views(5)
+    field = build_edge_field(views, [graph_of(view, [ring]) for view in views])
+    options = FollowingOptions(min_epipolar_angle_deg=0.0)
+    start = on_chains(field, ring.points[500:501], 0)
+    others = [on_chains(field, ring.points[500:501], view) for view in range(1, 5)]
+    edges, outcomes = follow_edges(field, one_pepc(start, others), options, 1)
+    assert outcomes["accepted"] == 1
+    assert edges.closed.tolist() == [True]
+    gap = np.linalg.norm(edges.points[-1] - edges.points[0])
+    assert gap < 1.6 * np.median(np.linalg.norm(np.diff(edges.points, axis=0), axis=1))
+    assert recall(edges, [ring], 12 * PIXEL) == 1
+
+
+def on_chains(field, point, view):
+    """The place on a chain of `view` nearest to the projection of one 3D point."""
+    pixel = field.views[view].project_ideal(point)[0]
+    near = field.find_near(np.array([view], np.int32), pixel, np.array([2.0]), 1)
+    return near.positions.select(slice(0, 1))
+
+
+def one_pepc(start, candidates):
+    return Pepcs(
+        starts=start,
+        candidate_offsets=np.array([0, len(candidates)]),
+        candidates=ChainPositions(
+            segments=np.concatenate([c.segments for c in candidates]),
+            fractions=np.concatenate([c.fractions for c in candidates]),
+        ),
+    )
+
+
+def straight_setup(curves, views):
+    field = build_edge_field(views, [graph_of(view, curves) for view in views])
+    middle = curves[0].points[1000:1001]
+    return field, [on_chains(field, middle, view) for view in range(len(views))]
+
+
+def outcome_of(field, pepcs, **options):
+    counts = follow_edges(field, pepcs, FollowingOptions(**options), 1)[1]
+    assert sum(counts.values()) == len(pepcs)
+    assert tuple(counts) == OUTCOMES
+    return {name for name, count in counts.items() if count}
+
+
+def test_two_views_are_too_few():
+    field, places = straight_setup([UPRIGHT], ring_of_views(5))
+    assert outcome_of(field, one_pepc(places[0], places[1:2])) == {"too_few_views"}
+
+
+def test_three_views_are_enough():
+    field, places = straight_setup([UPRIGHT], ring_of_views(5))
+    assert outcome_of(field, one_pepc(places[0], places[1:3])) == {"accepted"}
+
+
+def test_points_of_different_edges_are_no_selection():
+    field, places = straight_setup([UPRIGHT, CURVES[0]], ring_of_views(5))
+    wrong = on_chains(field, CURVES[0].points[1000:1001], 2)
+    pepcs = one_pepc(places[0], [places[1], wrong])
+    assert outcome_of(field, pepcs) == {"no_valid_selection"}
+
+
+def test_edge_along_the_baseline_is_not_traced():
+    views = ring_of_views(4)
+    level = tuple(
+        replace(v, translation=-v.rotation @ (v.center * np.array([1, 0, 1]))) for v in views
+    )
+    field, places = straight_setup([line((-1, 0, 0), (1, 0, 0))], level)
+    assert outcome_of(field, one_pepc(places[0], places[1:])) == {"too_few_views"}
+
+
+def test_covered_stretches_are_skipped():
+    field, places = straight_setup([UPRIGHT], ring_of_views(5))
+    twice = Pepcs(
+        starts=ChainPositions(
+            segments=np.repeat(places[0].segments, 2), fractions=np.repeat(places[0].fractions, 2)
+        ),
+        candidate_offsets=np.array([0, 4, 8]),
+        candidates=ChainPositions(
+            segments=np.tile(np.concatenate([p.segments for p in places[1:]]), 2),
+            fractions=np.tile(np.concatenate([p.fractions for p in places[1:]]), 2),
+        ),
+    )
+    counts = follow_edges(field, twice, FollowingOptions(), 1)[1]
+    assert counts["accepted"] == 1
+    assert counts["on_covered_stretch"] == 1
+
+
+def mirrored_ambiguity():
+    """Three views in which two different 3D points make the same images of two crossing edges.
+
+    The candidates in views 1 and 2 hold the places of two parallel edges at depths such that both
+    lie on the ray of the start.
+    """
+    views = ring_of_views(5)
+    near = line((-0.4, -1, 0), (-0.2, 1, 0))
+    share = 1.08  # the same edge seen from view 0, farther away
+    far = type(near)(views[0].center + share * (near.points - views[0].center))
+    graphs = [graph_of(views[0], [near])] + [graph_of(v, [near, far]) for v in views[1:]]
+    field = build_edge_field(views, graphs)
+    start = on_chains(field, near.points[1000:1001], 0)
+    others = [on_chains(field, c.points[1000:1001], v) for v in (1, 2) for c in (near, far)]
+    return field, one_pepc(start, others)
+
+
+def test_two_different_valid_selections_are_refused():
+    field, pepcs = mirrored_ambiguity()
+    assert outcome_of(field, pepcs) == {"ambiguous_selection"}
+
+
+def test_near_duplicates_of_one_point_are_one_selection():
+    field, places = straight_setup([UPRIGHT], ring_of_views(5))
+    beside = ChainPositions(segments=places[1].segments + 1, fractions=places[1].fractions)
+    pepcs = one_pepc(places[0], [places[1], beside, places[2]])
+    assert outcome_of(field, pepcs) == {"accepted"}
+
+
+def test_result_does_not_depend_on_threads():
+    one, stats1 = traced(CURVES, "both", 1, noise_px=0.3)
+    two, stats2 = traced(CURVES, "both", 2, noise_px=0.3)
+    assert stats1 == stats2
+    for name in ("points", "edge_offsets", "track_offsets", "track_views", "track_points2D"):
+        assert getattr(one, name).tobytes() == getattr(two, name).tobytes(), name
+
+
+def test_nothing_in_gives_nothing_out():
+    graphs = [graph_of(view, []) for view in VIEWS]
+    edges, stats = trace_edges_paper(model_of(VIEWS), graphs, PipelineOptions(), 1)
+    assert edges.num_edges == 0
+    assert edges.num_points == 0
+    assert stats["starts"]["accepted"] == 0
+
+
+def test_options_have_the_values_of_the_paper():
+    assert FollowingOptions().step_px == 10
+    assert 2 <= FollowingOptions().max_error_px <= 3
+    assert VisibilityOptions().min_views == 4
+    assert MatchingOptions().resolution == 1
+
+
+def test_rendered_scene_end_to_end(scene, scene_paths):
+    options = PipelineOptions(tracing=TracingOptions(method="paper"), num_threads=2)
+    result = reconstruct(scene.reconstruction, scene_paths[0], options)
+    distances = scene.distances(result.edges.points)
+    assert np.median(distances) < 0.001  # a quarter of a pixel
+    assert np.mean(distances < 0.02) > 0.95
+    seen = scene.samples[scene.sample_views >= 3]
+    assert np.mean(cKDTree(result.edges.points).query(seen)[0] < 0.03) > 0.6
+    assert len(result.point3D_ids) == result.edges.num_points

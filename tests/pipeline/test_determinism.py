@@ -1,0 +1,121 @@
+"""The same input gives the same bytes, whatever the machine is doing and how it is set up."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pycolmap
+import pytest
+from project import DEMO
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+LOCALES = ["C", "POSIX", "C.UTF-8", "de_DE.UTF-8", "tr_TR.UTF-8", "fr_FR.ISO-8859-1"]
+
+
+def mesh(folder, output, *flags, **environment):
+    """Mesh the scene below `folder` in a process of its own."""
+    command = [sys.executable, "-m", "colmap_edges", "mesh", "--output_path", output, *flags]
+    command += ["--image_path", folder / "images", "--input_path", folder / "sparse"]
+    subprocess.run(
+        [str(word) for word in command],
+        check=True,
+        capture_output=True,
+        env=os.environ | environment,
+        timeout=600,
+    )
+    return output
+
+
+def contents(output, hash_output):
+    digests = hash_output(output)
+    assert {"mesh.ply", "edges.ply", "edges.json", "sparse/points3D.bin"} <= set(digests)
+    return digests
+
+
+@pytest.fixture(scope="module")
+def small_scene(tmp_path_factory):
+    """A folder with images/ and sparse/ of every fourth view of the demo."""
+    folder = tmp_path_factory.mktemp("small")
+    reconstruction = pycolmap.Reconstruction(DEMO / "sparse")
+    names = sorted(image.name for image in reconstruction.images.values())
+    kept = set(names[::4])
+    for frame_id, frame in list(reconstruction.frames.items()):
+        images = [reconstruction.images[data.id].name for data in frame.image_ids]
+        if not kept & set(images):
+            reconstruction.deregister_frame(frame_id)
+    (folder / "sparse").mkdir()
+    (folder / "images").mkdir()
+    reconstruction.write(folder / "sparse")
+    for name in kept:
+        shutil.copy(DEMO / "images" / name, folder / "images")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reference(small_scene, tmp_path_factory):
+    """The output on one thread."""
+    return mesh(small_scene, tmp_path_factory.mktemp("reference") / "out", "--num_threads", 1)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7])
+def test_threads_and_repeated_runs(small_scene, reference, tmp_path, hash_output, soak, threads):
+    if threads != 2 and not soak:
+        pytest.skip("in the long version")
+    mesh(small_scene, tmp_path / "out", "--num_threads", threads, PYTHONHASHSEED=str(threads))
+    assert contents(tmp_path / "out", hash_output) == contents(reference, hash_output)
+
+
+def test_order_of_files_on_disk(small_scene, reference, tmp_path, hash_output):
+    """Files made in another order, with other times, in folders of other names."""
+    folder = tmp_path / "scène 2"
+    (folder / "images").mkdir(parents=True)
+    for path in sorted((small_scene / "images").iterdir(), reverse=True):
+        shutil.copyfile(path, folder / "images" / path.name)
+    shutil.copytree(small_scene / "sparse", folder / "sparse")
+    mesh(folder, tmp_path / "out")
+    assert contents(tmp_path / "out", hash_output) == contents(reference, hash_output)
+
+
+def test_order_of_images_in_the_model(small_scene, reference, tmp_path):
+    """Records of images.bin in another order are the same images; ids decide, not places."""
+    from colmap_edges.colmap.binary_files import COUNT, image_records
+
+    shutil.copytree(small_scene, tmp_path / "scene")
+    path = tmp_path / "scene" / "sparse" / "images.bin"
+    data = path.read_bytes()
+    records = image_records(data, path)[::-1]
+    path.write_bytes(data[: COUNT.size] + b"".join(data[r.start : r.end] for r in records))
+    mesh(tmp_path / "scene", tmp_path / "out")
+    for name in ("mesh.ply", "edges.ply", "edges.json", "edges.obj"):
+        assert (tmp_path / "out" / name).read_bytes() == (reference / name).read_bytes()
+
+
+@pytest.mark.parametrize("name", LOCALES)
+def test_locale(small_scene, reference, tmp_path, hash_output, soak, name):
+    if name != "de_DE.UTF-8" and not soak:
+        pytest.skip("in the long version")
+    available = subprocess.run(["locale", "-a"], capture_output=True, text=True).stdout
+    made = name.lower().replace("-", "") in available.lower().replace("-", "")
+    environment = {"LC_ALL": name, "LANG": name, "LANGUAGE": name[:2]}
+    if not made:  # without the locale, programs fall back to C; make it where that is possible
+        charset = name.partition(".")[2]
+        command = ["localedef", "-i", name.partition(".")[0], "-f", charset, tmp_path / name]
+        if not shutil.which("localedef") or subprocess.run(command, capture_output=True).returncode:
+            pytest.skip(f"the locale {name} is not installed and cannot be made")
+        environment["LOCPATH"] = str(tmp_path)
+    mesh(small_scene, tmp_path / "out", **environment)
+    assert contents(tmp_path / "out", hash_output) == contents(reference, hash_output)
+
+
+def test_the_reference_has_edges_and_a_mesh(reference):
+    """Nothing would be easier to repeat than nothing."""
+    from colmap_edges.evaluation.metrics.raycasting import load_mesh
+    from colmap_edges.evaluation.readers.curves import load_curves
+
+    assert len(load_curves(reference / "edges.ply").segments) > 100
+    mesh_found = load_mesh(reference / "mesh.ply")
+    assert len(mesh_found.faces) > 1000
+    assert np.isfinite(mesh_found.vertices).all()

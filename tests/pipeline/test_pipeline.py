@@ -1,0 +1,415 @@
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import scenes
+from scipy.spatial import cKDTree
+
+import colmap_edges
+from colmap_edges.colmap.model import load_model
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.options import PipelineOptions, TracingOptions
+from colmap_edges.pipeline.paths import Paths
+from colmap_edges.pipeline.run import run
+from colmap_edges.pipeline.write import write_stage
+from colmap_edges.report.overlay import draw_edges
+from colmap_edges.runtime.executors import thread_count
+from colmap_edges.runtime.output import check_output_path, new_folder
+from colmap_edges.runtime.ownership import file_sizes
+from colmap_edges.runtime.stages import Stages
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+
+def paths_of(scene_paths, output):
+    return Paths(image_path=scene_paths[0], input_path=scene_paths[1], output_path=output)
+
+
+def copy_scene(scene_paths, folder):
+    for source, name in zip(scene_paths, ("images", "sparse"), strict=True):
+        shutil.copytree(source, folder / name)
+    return folder / "images", folder / "sparse"
+
+
+def detect(scene_paths, output, **options):
+    return run("detect", paths_of(scene_paths, output), PipelineOptions(**options))
+
+
+def test_detect_writes_a_graph_and_a_picture_an_image(scene, scene_paths, tmp_path):
+    report = detect(scene_paths, tmp_path / "out")
+    for name, image in scene.images.items():
+        graph = np.load(tmp_path / "out" / "edge_graphs" / f"{name}.npz")
+        assert len(graph["points"]) == graph["polyline_offsets"][-1] > 500
+        picture = cv2.imread(str(tmp_path / "out" / "overlays" / f"{name}.png"))
+        assert picture.shape[:2] == image.shape
+    counts = report["stages"][1]["counts"]
+    assert counts["images"] == len(scene.images)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["stages"] == report["stages"]
+
+
+def test_detect_is_the_same_on_any_number_of_threads(scene_paths, tmp_path, hash_folder):
+    digests = []
+    for threads in (1, 3):
+        output = tmp_path / str(threads)
+        detect(scene_paths, output, num_threads=threads)
+        digests.append(hash_folder(output / "edge_graphs") | hash_folder(output / "overlays"))
+    assert digests[0] == digests[1]
+
+
+def test_stages_have_times_and_memory(scene_paths, tmp_path):
+    stages = detect(scene_paths, tmp_path / "out")["stages"]
+    assert [stage["name"] for stage in stages] == ["read", "detect"]
+    assert all(stage["wall_s"] > 0 and stage["peak_mb"] > 20 for stage in stages)
+
+
+def test_input_is_left_as_it_was(scene_paths, tmp_path, hash_folder):
+    before = [hash_folder(path) for path in scene_paths]
+    detect(scene_paths, tmp_path / "out")
+    assert [hash_folder(path) for path in scene_paths] == before
+
+
+def damage(kind, images, sparse):
+    first = sorted(images.iterdir())[0]
+    if kind == "missing image":
+        first.unlink()
+    elif kind == "unreadable images":
+        for path in sorted(images.iterdir())[:-1]:
+            path.write_bytes(b"no picture")
+    elif kind == "image of another size":
+        cv2.imwrite(str(first), np.zeros((50, 70, 3), np.uint8))
+    elif kind == "truncated model":
+        data = (sparse / "points3D.bin").read_bytes()
+        (sparse / "points3D.bin").write_bytes(data[: len(data) // 2])
+    elif kind == "no model":
+        shutil.rmtree(sparse)
+        sparse.mkdir()
+    elif kind == "model without images":
+        for name in ("images", "frames", "points3D"):
+            (sparse / f"{name}.bin").write_bytes(bytes(8))
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("missing image", "view_001.png of the model is not in"),
+        ("unreadable images", "cannot read image .*view_001.png.*9 of 10 images"),
+        ("image of another size", "view_001.png is 70x50, its camera 480x360"),
+        ("truncated model", "points3D.bin is damaged"),
+        ("no model", "no readable COLMAP model"),
+        ("model without images", "0 images with poses"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(scene_paths, tmp_path, kind, message):
+    inputs = copy_scene(scene_paths, tmp_path)
+    damage(kind, *inputs)
+    with pytest.raises(ColmapEdgesError, match=message) as caught:
+        detect(inputs, tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["images", "sparse"]
+
+
+def test_damaged_images_are_left_out_and_named(scene_paths, tmp_path, caplog):
+    images, sparse = copy_scene(scene_paths, tmp_path)
+    (images / "view_003.png").write_bytes(b"no picture")
+    (images / "view_007.png").write_bytes(b"")
+    report = run("mesh", paths_of((images, sparse), tmp_path / "out"), PipelineOptions())
+    assert report["stages"][1]["counts"]["damaged"] == ["view_003.png", "view_007.png"]
+    assert "view_003.png, view_007.png" in report["findings"][0]["text"]
+    assert [record.levelname for record in caplog.records] == ["WARNING", "WARNING"]
+    records = json.loads((tmp_path / "out" / "edges.json").read_text())["edges"]
+    seen = {image_id for record in records for image_id in record["image_ids"]}
+    assert {1, 2, 4, 5} <= seen and not {3, 7} & seen
+
+
+@pytest.mark.parametrize("relation", [".", "below/out", ".."])
+@pytest.mark.parametrize("name", ["images", "sparse"])
+def test_output_on_an_input_is_refused(scene_paths, tmp_path, relation, name, hash_folder):
+    copy_scene(scene_paths, tmp_path / "work")
+    (tmp_path / "work" / name / "below").mkdir()
+    before = hash_folder(tmp_path)
+    inputs = tmp_path / "work" / "images", tmp_path / "work" / "sparse"
+    with pytest.raises(ColmapEdgesError, match="choose a folder apart"):
+        run(
+            "detect",
+            paths_of(inputs, tmp_path / "work" / name / relation),
+            PipelineOptions(),
+            overwrite=True,
+        )
+    assert hash_folder(tmp_path) == before
+
+
+def test_output_cannot_be_made(scene_paths, tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ColmapEdgesError, match="is no folder"):
+        detect(scene_paths, tmp_path / "missing" / "out")
+    with pytest.raises(ColmapEdgesError, match="a file of that name"):
+        detect(scene_paths, tmp_path / "file")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs Linux's /proc")
+def test_unwritable_parent(scene_paths):
+    with pytest.raises(ColmapEdgesError, match="cannot write to /proc/"):
+        detect(scene_paths, Path("/proc/edges"))
+
+
+def test_foreign_folder_is_never_overwritten(tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "precious.jpg").write_text("x")
+    with pytest.raises(ColmapEdgesError, match="no output of colmap-edges"):
+        check_output_path(tmp_path / "photos", [], overwrite=True)
+    with pytest.raises(ColmapEdgesError, match="--overwrite"):
+        check_output_path(tmp_path / "photos", [], overwrite=False)
+    (tmp_path / "empty").mkdir()
+    check_output_path(tmp_path / "empty", [], overwrite=False)
+
+
+def write_output(folder, name, text):
+    """Write an output of one file, and its report."""
+    (folder / name).write_text(text)
+    report = {"versions": {"colmap-edges": "0.1.0"}, "files": file_sizes(folder)}
+    (folder / "report.json").write_text(json.dumps(report))
+
+
+def test_earlier_output_stays_until_the_new_one_is_complete(tmp_path):
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        write_output(folder, "a", "first")
+    with pytest.raises(RuntimeError), new_folder(output, overwrite=True) as folder:
+        (folder / "a").write_text("second")
+        raise RuntimeError
+    assert (output / "a").read_text() == "first"
+    with new_folder(output, overwrite=True) as folder:
+        write_output(folder, "b", "third")
+    assert sorted(p.name for p in output.iterdir()) == ["b", "report.json"]
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_second_run_into_one_output_is_refused(tmp_path):
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        (folder / "a").write_text("mine")
+        with pytest.raises(ColmapEdgesError, match="another run"), new_folder(output):
+            pass
+        assert (folder / "a").read_text() == "mine"
+    assert (output / "a").read_text() == "mine"
+
+
+def test_leftovers_of_a_killed_run_are_cleaned(tmp_path):
+    output = tmp_path / "out"
+    script = (
+        "import sys, time; from pathlib import Path\n"
+        "from colmap_edges.output import new_folder\n"
+        "with new_folder(Path(sys.argv[1])) as folder:\n"
+        "    (folder / 'half').mkdir(); (folder / 'half' / 'a').write_text('x')\n"
+        "    print('ready', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, str(output)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "ready\n"
+    process.kill()
+    process.communicate()
+    assert not output.exists()
+    with new_folder(output) as folder:
+        assert not any(folder.iterdir())
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_output_moved_aside_by_a_killed_run_comes_back(tmp_path):
+    output = tmp_path / "out"
+    with new_folder(output) as folder:
+        write_output(folder, "a", "old")
+    script = (
+        "import os, sys; from pathlib import Path\n"
+        "from colmap_edges.output import new_folder\n"
+        "rename = Path.rename\n"
+        "def rename_once(path, target):\n"
+        "    rename(path, target); os._exit(9)\n"
+        "Path.rename = rename_once\n"
+        "with new_folder(Path(sys.argv[1]), overwrite=True) as folder:\n"
+        "    (folder / 'a').write_text('new')\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(output)], timeout=60)
+    assert killed.returncode == 9
+    assert not output.exists()
+    # It is back before the next run asks whether it may be replaced.
+    with pytest.raises(ColmapEdgesError, match="--overwrite"), new_folder(output):
+        pass
+    assert (output / "a").read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_edges_are_drawn_where_they_are_seen(scene, scene_model):
+    edges = scenes.true_edges(scene_model, scene, spacing=0.1)
+    view = scene_model.views[3]
+    image = np.zeros((view.height, view.width, 3), np.uint8)
+    picture = draw_edges(image, 3, scene_model, edges)
+    rows, columns = np.nonzero(picture.max(axis=2) > 100)
+    projected = np.concatenate([view.project(scenes.resample(c, 0.005))[0] for c in scene.curves])
+    drawn = np.column_stack([columns, rows]) + 0.5
+    assert len(drawn) > 300
+    assert cKDTree(projected).query(drawn)[0].max() < 2.5
+
+
+@pytest.mark.parametrize("output_type", ["BIN", "TXT"])
+def test_write_stage_writes_model_and_edges(scene_model, scene_edges, tmp_path, output_type):
+    stages = Stages()
+    options = PipelineOptions(output_type=output_type)
+    extended = write_stage(scene_model, scene_edges, tmp_path, options, stages)
+    suffix = output_type.lower()
+    assert (tmp_path / "sparse" / f"points3D.{suffix}").is_file()
+    written = load_model(tmp_path / "sparse")
+    np.testing.assert_array_equal(written.point3D_ids, extended.point3D_ids)
+    np.testing.assert_allclose(written.points3D_xyz, extended.points3D_xyz, rtol=1e-14)
+    np.testing.assert_array_equal(written.points3D_rgb, extended.points3D_rgb)
+    np.testing.assert_array_equal(written.track_offsets, extended.track_offsets)
+    records = json.loads((tmp_path / "edges.json").read_text())["edges"]
+    ids = [i for record in records for i in record["point3D_ids"]]
+    found = written.points3D_xyz[np.searchsorted(written.point3D_ids, ids)]
+    np.testing.assert_allclose(found, scene_edges.points, rtol=1e-14)
+    assert stages.records()[0]["counts"]["edge_points"] == scene_edges.num_points
+
+
+@pytest.fixture(scope="module")
+def meshed(scene_paths, tmp_path_factory):
+    """Output of `mesh` on the scene, and its report."""
+    output = tmp_path_factory.mktemp("mesh") / "out"
+    return output, run("mesh", paths_of(scene_paths, output), PipelineOptions(num_threads=1))
+
+
+def test_mesh_writes_every_file(meshed, scene_model):
+    output, report = meshed
+    edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
+    others = {"mesh.ply", "report.html", "report.json", "sparse"}
+    assert {path.name for path in output.iterdir()} == edges | others
+    names = ["read", "detect", "trace", "write", "mesh", "report"]
+    assert [stage["name"] for stage in report["stages"]] == names
+    edge_points = report["stages"][3]["counts"]["edge_points"]
+    written = load_model(output / "sparse")
+    assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
+
+
+def test_tracing_advances_with_every_view(scene_paths, tmp_path):
+    steps = []
+    paths = paths_of(scene_paths, tmp_path / "out")
+    options = PipelineOptions(report=False)
+    run("reconstruct", paths, options, progress=lambda *step: steps.append(step))
+    traced = [step[1:] for step in steps if step[0] == "trace"]
+    assert traced == [(done, 40) for done in [*range(41), 40]]  # two rounds of twice ten views
+
+
+def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):
+    written = load_model(meshed[0] / "sparse")
+    points = written.points3D_xyz[len(scene_model.point3D_ids) :]
+    # At 4 units' distance a pixel is 0.0076 units.
+    assert np.mean(scene.distances(points) < 0.015) > 0.95
+    well_seen = scene.samples[scene.sample_views >= 5]
+    assert np.mean(cKDTree(points).query(well_seen)[0] < 0.04) > 0.8
+
+
+def test_mesh_is_the_same_on_any_number_of_threads(meshed, scene_paths, tmp_path, hash_folder):
+    run("mesh", paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3))
+    digests = [hash_folder(output) for output in (meshed[0], tmp_path / "out")]
+    for name in ("report.json", "report.html"):  # they hold times
+        assert all(digest.pop(name) for digest in digests)
+    assert digests[0] == digests[1]
+
+
+def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
+    options = PipelineOptions(use_edges=False, report=False)
+    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    assert [stage["name"] for stage in report["stages"]] == ["read", "mesh"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
+
+
+def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_paths):
+    count = scene.reconstruction.num_points3D()
+    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
+    assert scene.reconstruction.num_points3D() == count
+    assert result.reconstruction.num_points3D() == count + len(result.point3D_ids)
+    written = load_model(meshed[0] / "sparse")
+    np.testing.assert_allclose(written.points3D_xyz[count:], result.edges.points, rtol=1e-14)
+    assert np.median(result.residuals_px) < 0.5
+    assert [stage["name"] for stage in result.stages] == ["detect", "trace"]
+    mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
+    with_edge_points = colmap_edges.mesh(result.reconstruction)
+    assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0
+
+
+def test_every_public_name_can_be_imported():
+    for name in colmap_edges.__all__:
+        assert getattr(colmap_edges, name)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = colmap_edges.no_such_name
+
+
+@pytest.mark.parametrize("method", ["chains", "paper"])
+def test_colors_are_nearly_colmaps_own(scene, scene_paths, method):
+    # Ours are interpolated along chains between colours of 8 bits.
+    options = PipelineOptions(tracing=TracingOptions(method=method))
+    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0], options)
+    extended = result.reconstruction
+    ours = np.array([extended.points3D[i].color for i in result.point3D_ids])
+    np.testing.assert_array_equal(ours, result.edges.colors)
+    extended.extract_colors_for_all_images(str(scene_paths[0]))
+    theirs = np.array([extended.points3D[i].color for i in result.point3D_ids])
+    apart = np.abs(ours.astype(int) - theirs).max(axis=1)
+    assert np.median(apart) == 0
+    assert (np.percentile(apart, [90, 99]) <= [2, 5]).all()
+
+
+def test_threads_default_to_the_allowed_cores():
+    cores = len(os.sched_getaffinity(0))
+    assert thread_count(PipelineOptions(num_threads=3)) == 3
+    assert thread_count(PipelineOptions()) == cores
+    assert thread_count(PipelineOptions(num_threads=50_000)) == 4 * cores
+
+
+def test_report_holds_nothing_but_json():
+    stages = Stages()
+    with stages.stage("read") as stage:
+        stage.counts = {
+            "whole": np.float64(3),
+            "broken": np.array([0.5, np.nan, np.inf]),
+            "inner": {"none": float("-inf"), "word": "nan", "pair": (1, np.int64(2))},
+        }
+    (record,) = stages.records()
+    assert record["counts"] == {
+        "whole": 3,
+        "broken": [0.5, None, None],
+        "inner": {"none": None, "word": "nan", "pair": [1, 2]},
+    }
+    json.dumps(record, allow_nan=False)
+
+
+def test_without_edges_before_a_backdrop_the_points_are_meshed(scene_paths, tmp_path):
+    options = PipelineOptions(report=False, tracing=TracingOptions(min_observations=100))
+    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    found = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    assert found["trace"]["edges"] == 0
+    assert found["mesh"]["faces"] > 100
+    assert any("--Tracing.min_observations" in finding["remedy"] for finding in report["findings"])
+
+
+def test_threads_that_the_system_does_not_give_are_done_without():
+    """Of thousands of threads a few get their stack in the memory that there is."""
+    script = (
+        "import resource, numpy as np\n"
+        "from colmap_edges.meshing import mesh_points\n"
+        "from colmap_edges.options import MeshingOptions\n"
+        "points = np.random.default_rng(0).normal(size=(3000, 3))\n"
+        "rays = np.arange(3001), np.zeros(3000, np.int32), np.full((1, 3), 9.0)\n"
+        "few = mesh_points(points, *rays, MeshingOptions(), num_threads=1)\n"
+        "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 400_000_000,) * 2)\n"
+        "many = mesh_points(points, *rays, MeshingOptions(), num_threads=5000)\n"
+        "print(np.array_equal(few.faces, many.faces), len(few.faces) > 100)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "True True\n", done.stderr

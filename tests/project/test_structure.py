@@ -1,0 +1,81 @@
+"""The structure that docs/architecture.md tells is that of the code."""
+
+import importlib
+import re
+import runpy
+import subprocess
+import sys
+
+import pytest
+from project import ROOT
+
+
+@pytest.fixture(scope="module")
+def architecture():
+    return runpy.run_path(str(ROOT / "scripts" / "document_architecture.py"))
+
+
+def test_imports_go_one_way():
+    command = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    done = subprocess.run(
+        [sys.executable, "-c", command, "--no-cache"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+    assert "0 broken" in done.stdout
+
+
+def test_few_modules_stand_beside_the_folders(architecture):
+    beside = [path.name for path in architecture["PACKAGE"].glob("*.py")]
+    assert len(beside) <= 8, beside
+
+
+def test_modules_are_short(architecture):
+    lengths = {
+        module: len(path.read_text().splitlines())
+        for module, path in architecture["module_paths"]().items()
+    }
+    assert {module: length for module, length in lengths.items() if length > 400} == {}
+
+
+def test_libraries_are_imported_where_they_may_be(architecture):
+    allowed = {name: set(modules) for name, modules in architecture["LIBRARIES"].items()}
+    assert architecture["libraries"]() == allowed
+
+
+def test_cores_know_no_python():
+    cores = [
+        path
+        for folder in ("colmap_edges/kernels", "meshing")
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".h", ".cc") and "bindings" not in path.name and path.name != "arrays.h"
+    ]
+    assert len(cores) > 25
+    for path in cores:
+        included = re.findall(r'#include [<"]([^>"]+)', path.read_text())
+        python = [name for name in included if re.match(r"nanobind|Python\.h|.*bindings", name)]
+        assert python + [name for name in included if name.endswith("arrays.h")] == [], path
+
+
+def test_page_is_as_the_code(architecture):
+    written = architecture["TARGET"].read_text()
+    assert architecture["page"](written) == written
+
+
+def test_names_on_the_page_exist(architecture):
+    modules = architecture["module_paths"]()
+    told = set(re.findall(r"`([a-z_0-9.]+\.\w+)`", architecture["TARGET"].read_text()))
+    pairs = [(module, name) for module, _, name in (each.rpartition(".") for each in told)]
+    pairs = [
+        (module, name)
+        for module, name in pairs
+        if module in modules and f"{module}.{name}" not in modules
+    ]
+    assert len(pairs) > 15
+    for module, name in pairs:
+        assert hasattr(importlib.import_module(f"colmap_edges.{module}"), name), (module, name)
+
+
+def test_first_line_tells_the_one_job(architecture):
+    for path in architecture["module_paths"]().values():
+        line = architecture["first_line"](path)
+        assert re.fullmatch(r".{8,}[.:]", line), path

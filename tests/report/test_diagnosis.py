@@ -1,0 +1,230 @@
+import pytest
+
+from colmap_edges.options import EdgeGraphOptions, MeshingOptions, PipelineOptions, TracingOptions
+from colmap_edges.report.diagnosis import diagnose, funnel
+
+READ = {"images_with_poses": 10, "images_without_poses": 0, "points3D": 500}
+DETECT = {"images": 10, "images_without_edges": 0, "chain_pixels": 9000, "edge_pixels": 9000}
+CHAINS = {
+    "views": 10,
+    "views_without_neighbors": 0,
+    "samples": 1000,
+    "samples_with_depth": 700,
+    "samples_confirmed": 600,
+    "samples_in_runs": 500,
+    "points_traced": 400,
+    "points_observed_enough": 300,
+    "points_of_curves": 250,
+}
+PAPER = {
+    "pepcs": {"pepcs_from_sfm_points": 800, "pepcs_from_pecs": 200},
+    "starts": {"accepted": 100, "on_known_edge": 300, "too_few_views": 600},
+    "outliers": {"min_views": 4, "points_before": 900, "points_after": 800},
+}
+WRITE = {"median_residual_px": 0.2}
+PAPER_OPTIONS = PipelineOptions(tracing=TracingOptions(method="paper"))
+
+
+def stages(read=(), detect=(), trace=(), write=(), mesh=(), details=CHAINS, edges=40):
+    """Records of a run in which all went well but for what is given."""
+    traced = {"edges": edges, "edge_points": 5 * edges, "details": {**details, **dict(trace)}}
+    return [
+        {"name": "read", "counts": {**READ, **dict(read)}},
+        {"name": "detect", "counts": {**DETECT, **dict(detect)}},
+        {"name": "trace", "counts": traced},
+        {"name": "write", "counts": {**WRITE, **dict(write)}},
+        {"name": "mesh", "counts": {"faces": 900, **dict(mesh)}},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "details"), [(PipelineOptions(), CHAINS), (PAPER_OPTIONS, PAPER)]
+)
+def test_nothing_to_say_when_all_went_well(options, details):
+    assert diagnose(stages(details=details), options) == []
+
+
+@pytest.mark.parametrize(
+    ("lost", "text", "remedy"),
+    [
+        ({"read": {"images_with_poses": 2}}, "must be seen in 3", "take more images"),
+        ({"read": {"points3D_too_far": 7}}, "7 of 507 SfM points are at infinity", "tri_angle"),
+        (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
+            "no edge was detected in any of 10 images where masks do not hide it",
+            "look at the masks",
+        ),
+        (
+            {"detect": {"images_masked": 9}, "edges": 0},
+            "no 3D edge came out of what masks leave of 9 of 10 images",
+            "invert them",
+        ),
+        ({"mesh": {"faces": 0}}, "the mesh is empty", "--Meshing.background_weight 0"),
+        ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
+        ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
+        (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0}},
+            "no edge was detected in any of 10 images",
+            "--Detection.min_chain_length_px",
+        ),
+        (
+            {"detect": {"damaged": ["a.jpg", "b.jpg", "c.jpg", "d.jpg"]}},
+            "4 of 10 images could not be read and were left out: a.jpg, b.jpg, c.jpg, ...",
+            "replace the damaged files",
+        ),
+        ({"detect": {"images_without_edges": 2}}, "2 of 10 images have no edge", "blurred"),
+        (
+            {"trace": {"views_without_neighbors": 10}},
+            "no two images look at the same part",
+            "--ViewSelection.max_angle_deg",
+        ),
+        (
+            {"trace": {"views_without_neighbors": 3}},
+            "3 of 10 images overlap with no other",
+            "--ViewSelection.max_angle_deg",
+        ),
+        (
+            {"trace": {"samples_with_depth": 20, "samples_confirmed": 19, "samples_in_runs": 18}},
+            "98 % of 1,000 samples on 2D edges found no depth",
+            "--ChainDepth.max_disagreement_px (now 1.2)",
+        ),
+        (
+            {"trace": {"samples_confirmed": 70, "samples_in_runs": 60}},
+            "90 % of 700 depths were not found again",
+            "--Tracing.max_cross_check_px (now 3)",
+        ),
+        ({"trace": {"samples_in_runs": 60}}, "90 % of 600", "--Tracing.min_agreeing_views"),
+        (
+            {"trace": {"points_observed_enough": 40}},
+            "90 % of 400 traced edge points",
+            "--Tracing.min_observations (now 3)",
+        ),
+        (
+            {"trace": {"points_of_curves": 30}},
+            "90 % of 300 edge points have uncertain depths",
+            "--Tracing.max_false_edges (now 1)",
+        ),
+        ({"edges": 0}, "no 3D edge came out", "--Tracing.min_curve_points"),
+        ({"write": {"median_residual_px": 1.4}}, "miss their observations by 1.40 px", "adjuster"),
+    ],
+)
+def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
+    (finding,) = diagnose(stages(**lost), PipelineOptions())
+    assert text in finding.text
+    assert remedy in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("meshing", "counts", "text", "remedy"),
+    [
+        (
+            {"long_facet_factor": 1e-9},
+            {"boundary_facets": 900, "long_facets_dropped": 900},
+            "900 of 900 triangles have a side longer than 1e-09 distances",
+            "--Meshing.long_facet_factor, or set it to 0",
+        ),
+        (
+            {"min_component_faces": 1000},
+            {"boundary_facets": 900, "component_faces_dropped": 890, "long_facets_dropped": 10},
+            "890 of 900 triangles are in connected components of fewer than 1,000",
+            "lower --Meshing.min_component_faces",
+        ),
+        (
+            {"quality_weight": 900.0},
+            {"points": 50, "boundary_facets": 0},
+            "lines of sight to 50 points",
+            "lower --Meshing.quality_weight (now 900)",
+        ),
+        (
+            {"method": "carve", "vote_threshold": 5000.0},
+            {"points": 50, "boundary_facets": 0},
+            "no surface parts free space from solid",
+            "lower --Meshing.vote_threshold (now 5000)",
+        ),
+    ],
+)
+def test_an_empty_mesh_has_its_reason(meshing, counts, text, remedy):
+    options = PipelineOptions(meshing=MeshingOptions(**meshing))
+    mesh = {"name": "mesh", "counts": {"vertices": 0, "faces": 0, "details": counts}}
+    (finding,) = diagnose([*stages(), mesh], options)
+    assert text in finding.text
+    assert remedy in finding.remedy
+
+
+def test_two_images_are_not_advised_what_cannot_help():
+    options = PipelineOptions(tracing=TracingOptions(min_observations=5))
+    for posed, remedy in ((2, "take more images"), (4, "or set --Tracing.min_observations 4")):
+        (finding,) = diagnose(stages(read={"images_with_poses": posed}), options)
+        assert "must be seen in 5" in finding.text
+        assert finding.remedy.endswith(remedy)
+    two = stages(read={"images_with_poses": 2}, trace={"samples_with_depth": 0}, edges=0)
+    (finding,) = diagnose(two, PipelineOptions())
+    assert "must be seen in 3" in finding.text
+
+
+def test_dropped_by_regular_length():
+    options = PipelineOptions(edge_graph=EdgeGraphOptions(filter_regular_length=True))
+    (finding,) = diagnose(stages(detect={"edge_pixels": 900}), options)
+    assert finding.text.startswith("90 % of edge pixels were dropped")
+    assert "filter_regular_length 0" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("trace", "text", "remedy"),
+    [
+        ({"pepcs": {}}, "no 2D edge is near an SfM point", "--Matching.max_point_distance_px"),
+        (
+            {"starts": {"accepted": 1, "no_valid_selection": 900, "too_few_views": 50}},
+            "no valid selection",
+            "--Following.max_error_px",
+        ),
+        (
+            {"starts": {"accepted": 1, "no_valid_selection": 50, "too_few_views": 900}},
+            "too few views",
+            "overlapping",
+        ),
+        (
+            {"outliers": {"min_views": 5, "points_before": 900, "points_after": 90}},
+            "90 % of 900 edge points are seen in fewer than 5 views",
+            "--Visibility.min_views (now 4)",
+        ),
+    ],
+)
+def test_losses_of_the_papers_tracing(trace, text, remedy):
+    (finding,) = diagnose(stages(details=PAPER, trace=trace), PAPER_OPTIONS)
+    assert text in finding.text
+    assert remedy in finding.remedy
+
+
+def test_flags_that_are_named_exist():
+    from dataclasses import fields
+
+    from colmap_edges.cli.flags import make_flags
+
+    known = {flag.opts[0] for flag in make_flags({f.name for f in fields(PipelineOptions)})}
+    runs = [
+        stages(read={"images_with_poses": 2, "points3D": 0}),
+        stages(detect={"images_without_edges": 10, "edge_pixels": 0}),
+        stages(trace={"samples_with_depth": 1, "samples_confirmed": 0, "points_traced": 900}),
+        stages(trace={"samples_confirmed": 3, "views_without_neighbors": 3}),
+        stages(trace={"samples_in_runs": 1}, edges=0),
+        [{"name": "mesh", "counts": {"faces": 0, "long_facets_dropped": 1, "boundary_facets": 1}}],
+        [{"name": "mesh", "counts": {"faces": 0, "boundary_facets": 1}}],
+        [{"name": "mesh", "counts": {"faces": 0}}],
+    ]
+    words = " ".join(f.remedy for run in runs for f in diagnose(run, PipelineOptions())).split()
+    named = {word.strip(",.;()") for word in words if word.startswith("--")}
+    assert len(named) >= 6
+    assert named <= known
+
+
+def test_funnel_gives_shares_of_like_counts():
+    steps = {step.name: step for step in funnel(stages(), PipelineOptions())}
+    assert steps["samples with a depth that views agree on"].share == pytest.approx(0.7)
+    assert steps["points observed in enough views"].share == pytest.approx(0.75)
+    assert steps["2D edge pixels"].share is None
+    assert steps["3D edges"].count == 40
+
+
+def test_no_funnel_without_tracing():
+    assert funnel(stages()[:2], PipelineOptions()) == []

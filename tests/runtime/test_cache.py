@@ -1,0 +1,314 @@
+"""The cache: what is found again is what was made, and only when nothing it depends on changed."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from io import BytesIO
+
+import cv2
+import numpy as np
+import pytest
+
+from colmap_edges.core.edges3d import arrays_of_edges, edges_from_arrays
+from colmap_edges.errors import ColmapEdgesError, OptionError
+from colmap_edges.options import DetectionOptions, MeshingOptions, PipelineOptions, TracingOptions
+from colmap_edges.pipeline.paths import Paths
+from colmap_edges.pipeline.run import run
+from colmap_edges.runtime import cache as cache_module
+from colmap_edges.runtime.cache import Cache, key_of, seal
+
+pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+ARRAYS = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros(0, bool), "c": np.array("text")}
+
+
+@pytest.fixture(scope="module")
+def reference(small, tmp_path_factory):
+    """An output made without a cache."""
+    return mesh(small, tmp_path_factory.mktemp("reference") / "out")[0]
+
+
+def mesh(scene, output, cache=None, **options):
+    """Output folder and, by stage, the counts of a run."""
+    paths = Paths(image_path=scene[0], input_path=scene[1], output_path=output, cache_path=cache)
+    report = run("mesh", paths, PipelineOptions(num_threads=2, **options), overwrite=True)
+    return output, {stage["name"]: stage["counts"] for stage in report["stages"]}
+
+
+def reused(counts):
+    """Images and edges that were found in the cache."""
+    return counts["detect"]["images_reused"], counts["trace"]["edges_reused"]
+
+
+def test_entries_come_back_as_they_were(tmp_path):
+    cache = Cache(tmp_path / "new" / "cache")
+    assert cache.load("kind", "key") is None
+    assert cache.save("kind", "key", ARRAYS)
+    found = cache.load("kind", "key")
+    assert list(found) == list(ARRAYS)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+    assert cache.load("kind", "other") is None
+    assert not any(cache.unfinished.iterdir())
+
+
+def test_damaged_entries_are_not_found(tmp_path, caplog):
+    cache, rng = Cache(tmp_path), np.random.default_rng(0)
+    cache.save("kind", "key", ARRAYS)
+    path = cache.path("kind", "key")
+    whole = path.read_bytes()
+    damaged = [whole[:n] for n in (0, 5, 32, len(whole) // 2, len(whole) - 1)]
+    for at in rng.integers(0, len(whole), 200):
+        flipped = bytearray(whole)
+        flipped[at] ^= 1 << rng.integers(8)
+        damaged.append(bytes(flipped))
+    for data in damaged:
+        path.write_bytes(data)
+        assert cache.load("kind", "key") is None
+    assert len(caplog.records) == len(damaged)
+    assert "is damaged; it is made again" in caplog.text
+    # An entry under another's name is none, however whole.
+    path.write_bytes(whole)
+    cache.path("kind", "kez").parent.mkdir(exist_ok=True)
+    shutil.copy(path, cache.path("kind", "kez"))
+    assert cache.load("kind", "kez") is None
+    assert cache.load("kind", "key") is not None
+
+
+def test_pickles_are_not_loaded(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    packed = BytesIO()
+    np.savez(packed, a=np.array([Trap()], object), allow_pickle=True)
+    cache = Cache(tmp_path / "cache")
+    path = cache.path("kind", "key")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(seal("kind", "key", packed.getbuffer()) + packed.getvalue())
+    assert cache.load("kind", "key") is None
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_keys_tell_all_parts_apart(monkeypatch):
+    parts = [
+        (),
+        (b"ab", b"c"),
+        (b"a", b"bc"),
+        ("ab", "c"),
+        (np.zeros(4),),
+        (np.zeros((2, 2)),),
+        (np.zeros(8, np.float32),),
+        (DetectionOptions(),),
+        (DetectionOptions(min_chain_length_px=13),),
+    ]
+    keys = [key_of(*part) for part in parts]
+    assert len(set(keys)) == len(keys)
+    assert key_of(*parts[1]) == keys[1]
+    monkeypatch.setattr(cache_module, "code_version", lambda: "other")
+    assert key_of(*parts[1]) not in keys
+
+
+def test_only_forgotten_files_are_removed(tmp_path):
+    unfinished = Cache(tmp_path).unfinished
+    old, new, others = unfinished / ("0" * 32), unfinished / ("1" * 32), unfinished / "draft.txt"
+    for path in (old, new, others):
+        path.write_bytes(b"half")
+    for path in (old, others):
+        os.utime(path, (time.time() - 2 * cache_module.FORGOTTEN_S,) * 2)
+    Cache(tmp_path)
+    assert sorted(unfinished.iterdir()) == [new, others]
+
+
+def test_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ColmapEdgesError, match="cannot use cache"):
+        Cache(tmp_path / "file" / "cache")
+
+
+def test_a_cache_of_another_user_is_read(public, other_user, caplog):
+    """Entries that may be read but not touched are found; those that may not be read are not."""
+    cache = Cache(public / "cache")
+    for key in ("open", "closed"):
+        assert cache.save("kind", key, ARRAYS)
+    for path in [cache.folder, *cache.folder.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    cache.path("kind", "closed").chmod(0o600)
+    for folder in (None, cache.unfinished):
+        if folder:  # as a user keeps it who cleans up
+            folder.rmdir()
+        with other_user():
+            theirs = Cache(cache.folder)
+            found = theirs.load("kind", "open")
+            assert theirs.load("kind", "closed") is None
+            assert theirs.load("kind", "missing") is None
+            assert not theirs.save("kind", "new", ARRAYS)
+        np.testing.assert_array_equal(found["a"], ARRAYS["a"])
+    assert "cannot read cache entry" in caplog.text
+    assert "missing" not in caplog.text
+    cache.folder.chmod(0o700)
+    with other_user(), pytest.raises(ColmapEdgesError, match=r"cannot use .*ermission denied"):
+        Cache(cache.folder)
+
+
+def test_a_cache_of_another_user_saves_work(small, public, other_user, tmp_path):
+    counts = mesh(small, tmp_path / "first", public / "cache")[1]
+    images, sparse = (shutil.copytree(path, public / path.name) for path in small)
+    (public / "out").mkdir()
+    (public / "out").chmod(0o777)
+    with other_user():
+        found = mesh((images, sparse), public / "out" / "edges", public / "cache")[1]
+    assert reused(found) == (6, counts["trace"]["edges"])
+
+
+def test_edges_come_back_with_their_outlines(scene_edges):
+    from dataclasses import replace
+
+    edges = replace(scene_edges, outlines=scene_edges)
+    back = edges_from_arrays(arrays_of_edges(edges))
+    assert edges_from_arrays(arrays_of_edges(scene_edges)).outlines is None
+    for name, array in vars(scene_edges).items():
+        if name != "outlines":
+            np.testing.assert_array_equal(array, getattr(back, name))
+            np.testing.assert_array_equal(array, getattr(back.outlines, name))
+
+
+def test_second_run_reuses_and_gives_the_same(small, reference, tmp_path, hash_output):
+    first, made = mesh(small, tmp_path / "first", tmp_path / "cache")
+    again, found = mesh(small, tmp_path / "again", tmp_path / "cache")
+    assert reused(made) == (0, 0)
+    assert reused(found) == (6, found["trace"]["edges"])
+    assert found["trace"]["edges"] > 0
+    expected = hash_output(reference)
+    assert hash_output(first) == hash_output(again) == expected
+    for name in ("detect", "trace"):
+        left_out = ("images_reused", "edges_reused")
+        without = [{k: v for k, v in c[name].items() if k not in left_out} for c in (made, found)]
+        assert without[0] == without[1]
+
+
+def test_what_changed_is_made_again(small, tmp_path):
+    images, cache = tmp_path / "images", tmp_path / "cache"
+    shutil.copytree(small[0], images)
+    scene, output = (images, small[1]), tmp_path / "out"
+    edges = mesh(scene, output, cache)[1]["trace"]["edges"]
+    meshing = MeshingOptions(quality_weight=0.5)
+    assert reused(mesh(scene, output, cache, meshing=meshing, mesh_type="OBJ")[1]) == (6, edges)
+    tracing = TracingOptions(point_spacing_px=5)
+    assert reused(mesh(scene, output, cache, tracing=tracing)[1]) == (6, 0)
+    assert reused(mesh(scene, output, cache, random_seed=1)[1]) == (6, 0)
+    detection = DetectionOptions(min_chain_length_px=14)
+    assert reused(mesh(scene, output, cache, detection=detection)[1]) == (0, 0)
+    path = sorted(images.iterdir())[2]
+    cv2.imwrite(str(path), cv2.imread(str(path))[:, ::-1])
+    assert reused(mesh(scene, output, cache)[1]) == (5, 0)
+
+
+def test_poses_refined_on_edges_are_traced_once(small, tmp_path, hash_output):
+    outputs = [mesh(small, tmp_path / name, tmp_path / "cache", refine_poses=True) for name in "ab"]
+    for name in ("trace", "trace again"):
+        if name in outputs[1][1]:
+            assert outputs[1][1][name]["edges_reused"] == outputs[0][1][name]["edges"] > 0
+    assert hash_output(outputs[0][0]) == hash_output(outputs[1][0])
+
+
+def test_damaged_images_are_left_out_again(small, tmp_path, hash_output):
+    images = tmp_path / "images"
+    shutil.copytree(small[0], images)
+    sorted(images.iterdir())[1].write_bytes(b"no image")
+    plain = mesh((images, small[1]), tmp_path / "plain")[0]
+    for name, expected in (("first", 0), ("again", 5)):
+        output, counts = mesh((images, small[1]), tmp_path / name, tmp_path / "cache")
+        assert counts["detect"]["images_damaged"] == 1
+        assert counts["detect"]["images_reused"] == expected
+        assert hash_output(output) == hash_output(plain)
+
+
+def test_damaged_entries_are_made_again(small, reference, tmp_path, hash_output):
+    cache = tmp_path / "cache"
+    mesh(small, tmp_path / "out", cache)
+    entries = sorted(cache.rglob("*.entry"))
+    assert len(entries) == 7
+    sizes = [path.stat().st_size for path in entries]
+    for path in entries[::2]:
+        path.write_bytes(path.read_bytes()[:-100])
+    output, counts = mesh(small, tmp_path / "out", cache)
+    assert hash_output(output) == hash_output(reference)
+    assert reused(counts)[0] < 6
+    assert [path.stat().st_size for path in entries] == sizes
+    assert reused(mesh(small, tmp_path / "out", cache)[1]) == (6, counts["trace"]["edges"])
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(
+    small, reference, tmp_path, hash_output, caplog
+):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    (cache / "edge_graphs").touch()  # where a folder should be
+    output, counts = mesh(small, tmp_path / "out", cache)
+    assert caplog.text.count("cannot write cache entry") == 1  # not one an image
+    assert hash_output(output) == hash_output(reference)
+    assert reused(counts) == (0, 0)
+
+
+def test_output_within_the_cache_is_refused(small, tmp_path):
+    (tmp_path / "cache").mkdir()
+    with pytest.raises(ColmapEdgesError, match="choose a folder apart"):
+        mesh(small, tmp_path / "cache" / "out", tmp_path / "cache")
+
+
+def test_a_scheduler_needs_a_cache(small, tmp_path):
+    paths = Paths(image_path=small[0], input_path=small[1], output_path=tmp_path / "out")
+    with pytest.raises(OptionError, match="cache_path"):
+        run("mesh", paths, PipelineOptions(), scheduler="tcp://127.0.0.1:1")
+
+
+def command(scene, output, cache):
+    """The command that meshes a scene with a cache."""
+    flags = ["--image_path", scene[0], "--input_path", scene[1], "--output_path", output]
+    flags += ["--cache_path", cache, "--num_threads", 1, "--overwrite"]
+    return [sys.executable, "-m", "colmap_edges", "mesh", *map(str, flags)]
+
+
+def test_two_runs_at_once_share_a_cache(small, reference, tmp_path, hash_output):
+    outputs = [tmp_path / name for name in "ab"]
+    runs = [subprocess.Popen(command(small, o, tmp_path / "cache")) for o in outputs]
+    assert [process.wait(timeout=120) for process in runs] == [0, 0]
+    for output in outputs:
+        assert hash_output(output) == hash_output(reference)
+
+
+def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_output, caplog, soak):
+    cache, rng = tmp_path / "cache", np.random.default_rng(0)
+    for _ in range(20 if soak else 2):
+        process = subprocess.Popen(command(small, tmp_path / "killed", cache))
+        while process.poll() is None and not (cache / "edge_graphs").exists():
+            time.sleep(0.002)
+        time.sleep(rng.uniform(0, 0.3))
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=60)
+        left = len(list(cache.rglob("*.entry")))
+        output, counts = mesh(small, tmp_path / "out", cache)
+        assert "damaged" not in caplog.text
+        assert hash_output(output) == hash_output(reference)
+        assert reused(counts)[0] == min(left, 6)
+        shutil.rmtree(cache)
+
+
+def test_the_report_says_what_was_reused(small, tmp_path):
+    for _ in range(2):
+        done = subprocess.run(
+            command(small, tmp_path / "out", tmp_path / "cache"),
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=120,
+        )
+    assert "6 images reused" in done.stdout
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["paths"]["cache_path"] == str(tmp_path / "cache")
