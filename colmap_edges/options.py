@@ -381,7 +381,7 @@ class SamplingOptions(Options):
     """Fine sampling of 3D edges to edge points."""
 
     spacing_px: float = option(
-        2.0, "Distance between edge points, in pixels of the sharpest view", within=(0.25, 100)
+        2.0, "Distance between edge points, in pixels of the sharpest view", within=(0.5, 100)
     )
 
 

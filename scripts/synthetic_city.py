@@ -35,9 +35,10 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.edge_graph import build_edge_graph
-from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.export.edges import write_json, write_ply
 from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.read import model_counts
 from colmap_edges.pipeline.trace import trace_stage
 from colmap_edges.runtime.executors import open_workers, run_all
@@ -308,24 +309,24 @@ def reconstruct_city(city: City, folder: Path, options: PipelineOptions) -> Stag
     with stages.stage("make edge graphs") as stage:
         graphs, num_pixels = make_graphs(city, model, options)
         stage.counts = {"edge_pixels": num_pixels}
-    edges = trace_stage(model, graphs, options, stages)
+    edges = trace_stage(model, Detection(graphs=graphs), options, stages)
     with stages.stage("write") as stage:
         write_results(model, edges, folder)
     return stages
 
 
-def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[GraphStore, int]:
+def make_graphs(city: City, model: Model, options: PipelineOptions) -> tuple[Graphs, int]:
     """The edge graph of each view of the city, and the number of their pixels."""
-    store = GraphStore(len(model.views), options.max_graph_memory_gb * 1e9 / 2)
+    graphs = Graphs(options.max_graph_memory_gb * 1e9 / 2)
 
     def make(index: int) -> int:
         view = model.views[index]
         graph, _ = build_edge_graph(see_city(city, view), view, options.edge_graph)
-        store.add(index, graph)
+        graphs.put(index, graph)
         return len(graph.points)
 
     with open_workers(options) as workers:
-        return store, sum(run_all(workers.images, ((make, (v,)) for v in range(len(model.views)))))
+        return graphs, sum(run_all(workers.images, ((make, (v,)) for v in range(len(model.views)))))
 
 
 def write_results(model: Model, edges: Edges3D, folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -26,14 +26,28 @@ def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
     )
 
 
+class IndexedGraphs(Protocol):
+    """Edge graphs of all views, and the same as the kernels search them."""
+
+    @property
+    def num_views(self) -> int:
+        """Number of views."""
+
+    def graph(self, view: int) -> EdgeGraph:
+        """The edge graph of a view."""
+
+    def index(self, view: int) -> _kernels.EdgeView:
+        """The same as the kernels search it."""
+
+
 def look_up(
-    graphs: Sequence[EdgeGraph], track_views: Int32Array, positions: FloatArray
+    given: IndexedGraphs, track_views: Int32Array, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Image pixels (T, 2) and colours (T, 3) at (T,) positions on the chains of (T,) views."""
     pixels, colors = np.zeros((len(positions), 2)), np.zeros((len(positions), 3))
-    for view, rows in enumerate(rows_by_view(track_views, len(graphs))):
+    for view, rows in enumerate(rows_by_view(track_views, given.num_views)):
         if len(rows):
-            graph = graphs[view]
+            graph = given.graph(view)
             pixels[rows], colors[rows] = at_positions(
                 graph, positions[rows], graph.points, graph.colors
             )

@@ -13,18 +13,18 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.view import View
-from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.edges2d.graphs import CacheBackend, Graphs
 from colmap_edges.edges2d.image_graphs import (
     DetectedEdges,
     ImageCounts,
     ImageRecord,
     ImageWork,
     Visitor,
-    load_graph,
     work_in_cache,
     work_on_image,
 )
 from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.images.background import Backdrop
 from colmap_edges.images.files import encoded, path_of_image, single_threaded_opencv
 from colmap_edges.options import PipelineOptions
 from colmap_edges.report.overlay import draw_edge_graph
@@ -32,6 +32,21 @@ from colmap_edges.runtime.executors import Workers, open_workers, run_all
 from colmap_edges.runtime.stages import Stage, Stages
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detection:
+    """What was detected in the images of all views.
+
+    Attributes:
+        graphs: the 2D edge graph of each view.
+        keys: (V,) keys of the graphs in the cache; none without a cache.
+        backdrops: (V,) what each image shows of the background.
+    """
+
+    graphs: Graphs
+    keys: tuple[str, ...] = ()
+    backdrops: tuple[Backdrop, ...] = ()
 
 
 def detect_stage(
@@ -42,7 +57,7 @@ def detect_stage(
     visitor: Visitor | None = None,
     workers: Workers | None = None,
     mask_path: Path | None = None,
-) -> GraphStore:
+) -> Detection:
     """Detect the 2D edge graph of every view, in the views' order.
 
     As many images are in memory at once as there are threads. Damaged images are left out: they
@@ -64,7 +79,7 @@ def detect_stage(
         visitor=visitor,
     )
     with stages.stage("detect", len(model.views)) as stage, single_threaded_opencv():
-        store, records = find_graphs(work, model.views, options, workers, stage)
+        graphs, records = find_graphs(work, model.views, options, workers, stage)
         damaged = {i: r.damage for i, r in enumerate(records) if r.damage}
         report_damaged(damaged, len(records))
         names = [model.views[index].name for index in damaged]
@@ -74,7 +89,11 @@ def detect_stage(
             stage.counts["images_masked"] = sum(record.masked for record in records)
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
-    return store
+    return Detection(
+        graphs=graphs,
+        keys=tuple(record.key for record in records if record.key),
+        backdrops=tuple(record.backdrop for record in records),
+    )
 
 
 def find_graphs(
@@ -83,30 +102,28 @@ def find_graphs(
     options: PipelineOptions,
     workers: Workers,
     stage: Stage,
-) -> tuple[GraphStore, list[ImageRecord]]:
+) -> tuple[Graphs, list[ImageRecord]]:
     """Have the work on every image done; the graphs, and what is said of each image."""
     # Tracing holds the same graphs in the kernels' form too, which takes as much again.
     max_bytes = options.max_graph_memory_gb * 1e9 / 2
-    cache = workers.cache
-    if workers.remote and cache:
-        store = GraphStore(len(views), max_bytes, lambda i: load_graph(cache, store.keys[i]))
+    if workers.remote and workers.cache:
         calls = [(work_in_cache, (work, i, view)) for i, view in enumerate(views)]
         records = run_all(workers.images, calls, stage.advance)
+        keys = {i: record.key for i, record in enumerate(records)}
+        graphs = Graphs(max_bytes, CacheBackend(workers.cache, keys))
     else:
-        store = GraphStore(len(views), max_bytes)
+        graphs = Graphs(max_bytes)
 
         def put(index: int, view: View) -> ImageRecord:
             graph, record = work_on_image(work, index, view)
-            store.add(index, graph)
+            graphs.put(index, graph)
             return record
 
         records = run_all(workers.images, ((put, pair) for pair in enumerate(views)), stage.advance)
     for index, record in enumerate(records):
         if work.visitor and record.visited is not None:
             work.visitor.collect(index, record.visited)
-    store.keys = [record.key for record in records if record.key]
-    store.backdrops = [record.backdrop for record in records]
-    return store, records
+    return graphs, records
 
 
 def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[str, Any]:

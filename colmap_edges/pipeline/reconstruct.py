@@ -81,8 +81,8 @@ def reconstruct(
     check_pictures(model, image_path, mask_path, options)
     model = enlarged(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
-        graphs = detect_stage(model, image_path, options, stages, None, workers, mask_path)
-        model, edges = edge_stages(model, graphs, options, stages, workers)
+        detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
+        model, edges = edge_stages(model, detection, options, stages, workers)
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)
     return EdgeReconstruction(
@@ -90,7 +90,7 @@ def reconstruct(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=find_background(model, graphs.backdrops, options.masks_are_background, edges),
+        background=find_background(model, detection.backdrops, options.masks_are_background, edges),
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )

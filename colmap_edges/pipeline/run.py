@@ -108,18 +108,18 @@ def run_edges(
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
     taker = PictureTaker(len(model.views)) if wanted else None
-    graphs = detect_stage(model, images, options, stages, taker, workers, masks)
+    detection = detect_stage(model, images, options, stages, taker, workers, masks)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
     given = model
-    model, edges = edge_stages(model, graphs, options, stages, workers)
+    model, edges = edge_stages(model, detection, options, stages, workers)
     if model is not given:
         viewer.show_model(model)
     viewer.show_edges(edges, len(model.views))
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        mesh = mesh_stage(model, edges, extended, folder, options, stages, graphs.backdrops)
+        mesh = mesh_stage(model, edges, extended, folder, options, stages, detection.backdrops)
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)

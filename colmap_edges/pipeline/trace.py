@@ -13,9 +13,9 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.core.edges3d import Edges3D, arrays_of_edges, edges_from_arrays
 from colmap_edges.declared_options import derived
-from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.graph_store import GraphStore
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.cache import key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
@@ -39,7 +39,7 @@ NOT_OF_TRACING = {
 
 def edge_stages(
     model: Model,
-    graphs: Sequence[EdgeGraph],
+    detection: Detection,
     options: PipelineOptions,
     stages: Stages,
     workers: Workers | None = None,
@@ -50,12 +50,12 @@ def edge_stages(
         The model that the edges belong to, and the edges.
     """
     if not options.refine_poses:
-        return model, trace_stage(model, graphs, options, stages, workers=workers)
+        return model, trace_stage(model, detection, options, stages, workers=workers)
     first = options_for_poses(options)
-    edges = trace_stage(model, graphs, first, stages, workers=workers)
-    refined = refine_stage(model, edges, graphs, options, stages)
+    edges = trace_stage(model, detection, first, stages, workers=workers)
+    refined = refine_stage(model, edges, detection, options, stages)
     if refined is not model or first != options:
-        edges = trace_stage(refined, graphs, options, stages, "trace again", workers)
+        edges = trace_stage(refined, detection, options, stages, "trace again", workers)
     return refined, edges
 
 
@@ -81,7 +81,7 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
 def refine_stage(
     model: Model,
     edges: Edges3D,
-    graphs: Sequence[EdgeGraph],
+    detection: Detection,
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
@@ -89,7 +89,7 @@ def refine_stage(
     from colmap_edges.poses.refine import edge_normals, refine_poses
 
     with stages.stage("refine poses") as stage:
-        normals = edge_normals(model, edges, graphs)
+        normals = edge_normals(model, edges, detection.graphs)
         refined, stats = refine_poses(model, edges, normals, options.bundle_adjustment)
         stage.counts = plain_counts(stats)
     return refined
@@ -97,7 +97,7 @@ def refine_stage(
 
 def trace_stage(
     model: Model,
-    graphs: Sequence[EdgeGraph],
+    detection: Detection,
     options: PipelineOptions,
     stages: Stages,
     name: str = "trace",
@@ -106,15 +106,15 @@ def trace_stage(
     """Reconstruct 3D edges from the 2D edge graphs, unless the cache has them."""
     if workers is None:
         with open_workers(options) as workers:
-            return trace_stage(model, graphs, options, stages, name, workers)
-    keys = graphs.keys if isinstance(graphs, GraphStore) else []
-    cache = workers.cache if keys else None
-    key = key_of_edges(model, keys, options) if cache else ""
-    steps = 1 if options.tracing.method == "paper" else 2 * len(graphs) * options.tracing.num_rounds
+            return trace_stage(model, detection, options, stages, name, workers)
+    cache = workers.cache if detection.keys else None
+    key = key_of_edges(model, detection.keys, options) if cache else ""
+    passes = 2 * len(model.views) * options.tracing.num_rounds
+    steps = 1 if options.tracing.method == "paper" else passes
     with stages.stage(name, steps) as stage:
         entry = cache.load("edges", key) if cache else None
         if entry is None:
-            edges, stats = trace(model, graphs, options, stage.advance, workers)
+            edges, stats = trace(model, detection.graphs, options, stage.advance, workers)
             details = plain_counts(stats)
             if cache:
                 text = np.array(json.dumps(details))
@@ -131,7 +131,7 @@ def trace_stage(
 
 def trace(
     model: Model,
-    graphs: Sequence[EdgeGraph],
+    graphs: Graphs,
     options: PipelineOptions,
     advance: Callable[[], None],
     workers: Workers,
@@ -148,9 +148,9 @@ def trace(
     return trace_edges(model, graphs, options, threads, advance, workers)
 
 
-def key_of_edges(model: Model, graph_keys: list[str], options: PipelineOptions) -> str:
+def key_of_edges(model: Model, graph_keys: Sequence[str], options: PipelineOptions) -> str:
     """The key of traced edges: of the graphs, the poses, the SfM points and the options."""
     groups = {name: group for name, group in asdict(options).items() if name not in NOT_OF_TRACING}
     poses = np.array([[*view.rotation.ravel(), *view.translation] for view in model.views])
     tracks = (model.track_offsets, model.track_views, model.track_points2D)
-    return key_of("edges", graph_keys, groups, poses, model.points3D_xyz, *tracks)
+    return key_of("edges", list(graph_keys), groups, poses, model.points3D_xyz, *tracks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,22 +13,22 @@ from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import rows_by_view
-from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, Rows, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize, no_prior
 
 
-def edge_normals(model: Model, edges: Edges3D, graphs: Sequence[EdgeGraph]) -> FloatArray:
+def edge_normals(model: Model, edges: Edges3D, graphs: Graphs) -> FloatArray:
     """(T, 2) unit normals, in ideal pixels, of the chains that observe the edge points."""
     normals = np.zeros((len(edges.track_views), 2))
     for index, rows in enumerate(rows_by_view(edges.track_views, len(model.views))):
         if len(rows) == 0:
             continue
         ideal = model.views[index].ideal_from_image(edges.track_points2D[rows])
-        graph = graphs[index]
+        graph = graphs.load(index)
         nearest = cKDTree(graph.ideal).query(ideal)[1].astype(np.float64)
         edge_view = make_edge_view(graph, model.views[index])
         tangents = _kernels.chain_points(edge_view, nearest)[1]

@@ -144,7 +144,7 @@ def test_graphs_of_enlarged_views(scene_model, scene_paths):
     """The graph is in pixels of the image, its ideal pixels in those of the enlarged one."""
     view = scene_model.views[0]
     twice = replace(scene_model, views=(replace(view, scale=2.0),))
-    [graph] = detect_stage(twice, scene_paths[0], PipelineOptions(), Stages())
+    graph = detect_stage(twice, scene_paths[0], PipelineOptions(), Stages()).graphs.load(0)
     image = detect_chains(gray_of(read_image(view, scene_paths[0])), OPTIONS).points
     np.testing.assert_allclose(graph.ideal, 2 * view.ideal_from_image(graph.points), atol=1e-9)
     assert graph.points.max() < max(view.width, view.height)

@@ -141,11 +141,12 @@ def test_no_edges_where_the_mask_is_black(small, tmp_path):
     images = sorted(path.name for path in small[0].iterdir())
     model = load_model(small[1])
     options = PipelineOptions(num_threads=2)
-    free = detect_stage(model, small[0], options, Stages())
+    free = detect_stage(model, small[0], options, Stages()).graphs
     stages = Stages()
-    masked = detect_stage(model, small[0], options, stages, mask_path=masks)
+    masked = detect_stage(model, small[0], options, stages, mask_path=masks).graphs
     assert stages.records()[0]["counts"]["images_masked"] == len(images[::2])
-    for view, before, after in zip(model.views, free, masked, strict=True):
+    for index, view in enumerate(model.views):
+        before, after = free.load(index), masked.load(index)
         left = before.points[:, 0] < 120 - MARGIN_PX
         assert left.any()
         if images.index(view.name) % 2:
@@ -160,10 +161,10 @@ def test_one_mask_hides_the_same_part_of_all_images(small, tmp_path):
     """Where the rig, a watermark or the time is in every image."""
     cv2.imwrite(str(tmp_path / "mask.png"), BLACK_LEFT)
     model = load_model(small[1])
-    graphs = detect_stage(
-        model, small[0], PipelineOptions(), Stages(), mask_path=tmp_path / "mask.png"
-    )
-    assert min(graph.points[:, 0].min() for graph in graphs) >= 120 - MARGIN_PX - CORNER_PX
+    mask_path = tmp_path / "mask.png"
+    graphs = detect_stage(model, small[0], PipelineOptions(), Stages(), mask_path=mask_path).graphs
+    lefts = [graphs.load(view).points[:, 0].min() for view in range(len(model.views))]
+    assert min(lefts) >= 120 - MARGIN_PX - CORNER_PX
 
 
 def test_a_run_with_masks(small, tmp_path):

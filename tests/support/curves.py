@@ -15,6 +15,9 @@ from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graphs import Graphs
+from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
+from colmap_edges.edges3d.chains.view_selection import Neighborhood
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
@@ -169,6 +172,15 @@ def model_of(views, points=None, observed=None) -> Model:
         unposed_names=(),
         reconstruction=None,
     )
+
+
+def tracing_input(views, graphs) -> TracingInput:
+    """Views that are all compared with each other, with their graphs."""
+    others = [np.delete(np.arange(len(views)), view) for view in range(len(views))]
+    near = Neighborhood(
+        neighbors=tuple(others), later_neighbors=tuple(others), witnesses=tuple(others), ranges=()
+    )
+    return make_input(model_of(views), Graphs.of(graphs), near)
 
 
 def no_edges() -> Edges3D:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,9 +10,9 @@ import numpy as np
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D, mean_colors
-from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
@@ -21,8 +20,7 @@ from colmap_edges.options import PipelineOptions
 
 
 def link(
-    graphs: Sequence[EdgeGraph],
-    edge_views: Sequence[Any],
+    given: TracingInput,
     kept: Sorted,
     options: PipelineOptions,
     num_threads: int,
@@ -30,8 +28,7 @@ def link(
     """Link what is kept to edges and outlines.
 
     Args:
-        graphs: the edge graph of each view.
-        edge_views: the same in the kernels' form.
+        given: the views with their whole edge graphs.
         kept: the pieces, at positions on these graphs.
         options: how pieces are linked, and how they must be observed in between.
         num_threads: threads to use; the result does not depend on it.
@@ -41,11 +38,11 @@ def link(
     """
 
     def linked(pieces: Edges3D) -> Edges3D:
-        goes_on = partial(are_observed, pieces, edge_views, options, num_threads)
+        goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    pieces, outlines = make_edges(graphs, kept.edges), make_edges(graphs, kept.outlines)
-    edges = meet_at_corners(linked(pieces), graphs, edge_views, options, num_threads)
+    pieces, outlines = make_edges(given, kept.edges), make_edges(given, kept.outlines)
+    edges = meet_at_corners(linked(pieces), given, options, num_threads)
     if outlines.num_edges:
         edges = replace(edges, outlines=linked(outlines))
     return edges, {
@@ -55,7 +52,7 @@ def link(
     }
 
 
-def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
+def make_edges(given: TracingInput, parts: list[Traced]) -> Edges3D:
     """Put the curves of all drivers together as 3D edges with tracks."""
     points, sigmas, lengths, track_lengths, track_views, track_positions = [], [], [], [], [], []
     for part in parts:
@@ -67,7 +64,7 @@ def make_edges(graphs: Sequence[EdgeGraph], parts: list[Traced]) -> Edges3D:
         track_positions.append(part.positions.data)
     views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
     positions = np.concatenate([np.zeros(0), *track_positions])
-    pixels, colors = look_up(graphs, views, positions)
+    pixels, colors = look_up(given, views, positions)
     track_offsets = offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths]))
     num_edges = int(sum(len(length) for length in lengths))
     return Edges3D(

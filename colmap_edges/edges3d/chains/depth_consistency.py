@@ -10,11 +10,11 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, owners_of
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.chains.depths import ChainDepths
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
 
 
 def count_agreeing_views(
-    views: Sequence[View],
-    graphs: Sequence[EdgeGraph],
+    given: TracingInput,
     depths: Sequence[ChainDepths],
     source: int,
     max_disagreement_px: float,
@@ -26,13 +26,13 @@ def count_agreeing_views(
     """
     own = depths[source]
     owners = owners_of(own.support_offsets)
-    points = world_points(views[source], graphs[source], own)
+    points = world_points(given.views[source], given.graph(source), own)
     counts = np.zeros(len(own.samples), np.int32)
-    for other in np.unique(own.support_views):
+    for other in np.unique(own.support_views).tolist():
         used = own.support_views == other
         rows = owners[used]
-        inverse, sigmas = depths_at(graphs[other], depths[other], own.support_positions[used])
-        local = views[other].cam_from_world(points[rows])[:, 2]
+        inverse, sigmas = depths_at(given.graph(other), depths[other], own.support_positions[used])
+        local = given.views[other].cam_from_world(points[rows])[:, 2]
         expected = 1 / np.where(local > 0, local, np.nan)
         scale = expected / own.inverse_depths[rows]
         allowed = max_disagreement_px * np.hypot(sigmas, own.sigmas[rows] * scale)

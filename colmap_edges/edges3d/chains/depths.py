@@ -25,6 +25,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods, estimate
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.chains.view_selection import DepthRange
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ChainDepthOptions
@@ -88,40 +89,35 @@ def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
 
 
 def compute_chain_depths(
-    source: int,
-    neighbors: IntArray,
-    edge_views: Sequence[_kernels.EdgeView],
-    graph: EdgeGraph,
+    given: TracingInput,
+    view: int,
     depth_range: DepthRange,
-    sides: SideLikelihoods,
     options: ChainDepthOptions,
     num_threads: int,
 ) -> ChainDepths:
-    """Find the depths along the chains of view `source` by its neighbours.
+    """Find the depths along the chains of a view by its neighbours.
 
     Args:
-        source: index of the view.
-        neighbors: (K,) indices of the views compared with it.
-        edge_views: all views in the kernels' form.
-        graph: the source's edge graph.
-        depth_range: the inverse depths that the source sees.
-        sides: what the gray beside an edge says of a match.
+        given: the views with their graphs and neighbours, and what the gray beside edges says.
+        view: index of the view.
+        depth_range: the inverse depths that it sees.
         options: sampling, agreement and continuity.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The S samples on the source's chains with the depths found and the crossings that agree.
+        The S samples on the view's chains with the depths found and the crossings that agree.
     """
+    graph, neighbors = given.graph(view), given.neighbors[view]
     samples, offsets = sample_chains(graph, options.sample_step_px)
     found = _kernels.chain_depths(
-        edge_views[source],
-        [edge_views[n] for n in neighbors],
+        given.index(view),
+        [given.index(neighbor) for neighbor in neighbors.tolist()],
         samples,
         offsets,
         depth_range.at(graph.ideal[samples]),
         steps=float(options.sample_step_px),
         max_disagreement_px=options.max_disagreement_px,
-        side_likelihoods=sides.table,
+        side_likelihoods=given.sides.table,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
@@ -144,11 +140,10 @@ def compute_chain_depths(
 
 
 def learn_side_likelihoods(
-    neighbors: tuple[IntArray, ...],
-    edge_views: Sequence[_kernels.EdgeView],
-    graphs: Sequence[EdgeGraph],
-    ranges: tuple[DepthRange, ...],
+    given: TracingInput,
+    ranges: Sequence[DepthRange],
     options: ChainDepthOptions,
+    random_seed: int,
     num_threads: int,
 ) -> SideLikelihoods:
     """How the sides of one edge differ between views, and how those of different edges do.
@@ -156,35 +151,26 @@ def learn_side_likelihoods(
     Depths that geometry alone makes sure tell it, for a few samples of a few views.
 
     Args:
-        neighbors: V arrays (K,) of the views each view is compared with.
-        edge_views: the V views in the kernels' form.
-        graphs: their edge graphs.
-        ranges: the inverse depths that each sees.
+        given: the V views with their graphs and neighbours.
+        ranges: (V,) the inverse depths that each sees.
         options: as for `compute_chain_depths`.
+        random_seed: of the pairs by chance.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         What sides say of a match: nothing where too few depths are sure.
     """
     few = derived(options, sample_step_px=4 * options.sample_step_px)
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(random_seed)
     same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
-    for view in np.linspace(0, len(graphs) - 1, np.clip(len(graphs) // 8, 2, 6)).astype(int):
-        depths = compute_chain_depths(
-            view,
-            neighbors[view],
-            edge_views,
-            graphs[view],
-            ranges[view],
-            NOTHING_LEARNED,
-            few,
-            num_threads,
-        )
+    count = len(given.views)
+    for view in np.linspace(0, count - 1, np.clip(count // 8, 2, 6)).astype(int).tolist():
+        depths = compute_chain_depths(given, view, ranges[view], few, num_threads)
         owners = owners_of(depths.support_offsets)
         sure = depths.scores[owners] >= sure_score(depths)
-        own = graphs[view].sides[depths.samples[owners]].astype(int)
-        for other in np.unique(depths.support_views):
-            rows, theirs = sure & (depths.support_views == other), graphs[other].sides
+        own = given.graph(view).sides[depths.samples[owners]].astype(int)
+        for other in np.unique(depths.support_views).tolist():
+            rows, theirs = sure & (depths.support_views == other), given.graph(other).sides
             same.append(np.abs(own[rows] - theirs[depths.support_positions[rows].astype(int)]))
             elsewhere = random.integers(0, len(theirs), (CHANCE_PAIRS, int(rows.sum())))
             chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))

@@ -1,12 +1,12 @@
 """2D edge graphs -> 3D edges: depths along chains, checked, joined to curves and refined.
 
 Views drive in turn. What a driver's curves cover in the other views is marked, so that each edge
-of the scene is traced once, by the view that sees it best (paper: 3D edge reconstruction).
+of the given is traced once, by the view that sees it best (paper: 3D edge reconstruction).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,20 +14,17 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View, lift
 from colmap_edges.declared_options import derived
-from colmap_edges.edges2d.cached_graphs import NUM_KEPT
-from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.graph_store import Recent
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
 from colmap_edges.edges3d.chains.assembly import link
 from colmap_edges.edges3d.chains.coverage import (
-    Scene,
     in_whole_graphs,
-    make_scene,
     mark_covered,
+    nothing_covered,
     what_remains,
     without_repeats,
 )
@@ -41,7 +38,8 @@ from colmap_edges.edges3d.chains.depths import (
 )
 from colmap_edges.edges3d.chains.filtering import Limits, Traced, lasting_points, sort_out
 from colmap_edges.edges3d.chains.refinement import refine_curves
-from colmap_edges.edges3d.chains.view_selection import DepthRange, Neighborhood, select_views
+from colmap_edges.edges3d.chains.tracing_input import NUM_KEPT, TracingInput, make_input
+from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import ChainDepthOptions, PipelineOptions
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.runtime.scheduling import Schedule, local_order
@@ -49,7 +47,7 @@ from colmap_edges.runtime.scheduling import Schedule, local_order
 
 def trace_edges(
     model: Model,
-    graphs: Sequence[EdgeGraph],
+    graphs: Graphs,
     options: PipelineOptions,
     num_threads: int,
     advance: Callable[[], None] = lambda: None,
@@ -73,7 +71,7 @@ def trace_edges(
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     options = in_enlarged_pixels(options, model.scale)
     near = select_views(model, options.view_selection)
-    whole = with_side_likelihoods(make_scene(model, graphs, near), near, options, num_threads)
+    whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, None, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
@@ -87,9 +85,9 @@ def trace_edges(
         stats = {name: stats[name] + more[name] for name in stats}
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     kept, repeated = without_repeats(whole, kept, options.tracing)
-    edges, linked = link(graphs, whole.edge_views, kept, options, num_threads)
+    edges, linked = link(whole, kept, options, num_threads)
     about = {
-        "views": len(graphs),
+        "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
         "max_side_difference": whole.sides.limit,
     }
@@ -97,22 +95,17 @@ def trace_edges(
 
 
 def with_side_likelihoods(
-    scene: Scene, near: Neighborhood, options: PipelineOptions, num_threads: int
-) -> Scene:
-    """The scene with what its views tell of the sides of edges."""
+    given: TracingInput, near: Neighborhood, options: PipelineOptions, num_threads: int
+) -> TracingInput:
+    """The given with what its views tell of the sides of edges."""
     learned = learn_side_likelihoods(
-        near.neighbors,
-        scene.edge_views,
-        scene.graphs,
-        near.ranges,
-        options.chain_depth,
-        num_threads,
+        given, near.ranges, options.chain_depth, options.random_seed, num_threads
     )
-    return replace(scene, sides=learned)
+    return replace(given, sides=learned)
 
 
 def trace_round(
-    scene: Scene,
+    given: TracingInput,
     near: Neighborhood,
     options: PipelineOptions,
     limits: Limits | None,
@@ -123,17 +116,15 @@ def trace_round(
 
     `limits` are what edges may have, where it is known.
     """
-    order = local_order(scene.neighbors)
-    depths = find_depths(scene, near, order, options.chain_depth, workers, advance)
+    order = local_order([given.neighbors[view] for view in range(len(given.views))])
+    depths = find_depths(given, near, order, options.chain_depth, workers, advance)
     agreeing = {
-        v: count_agreeing_views(
-            scene.views, scene.graphs, depths, v, options.tracing.max_cross_check_px
-        )
-        for v in order.tolist()
+        view: count_agreeing_views(given, depths, view, options.tracing.max_cross_check_px)
+        for view in order.tolist()
     }
-    counts = [agreeing[v] for v in range(len(order))]
+    counts = [agreeing[view] for view in range(len(order))]
     depths = [without_supports(found) for found in depths]
-    traced, in_runs = trace_views(scene, depths, counts, options, limits, workers, advance)
+    traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
 
 
@@ -164,7 +155,7 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
 
 
 def find_depths(
-    scene: Scene,
+    given: TracingInput,
     near: Neighborhood,
     order: IntArray,
     options: ChainDepthOptions,
@@ -175,36 +166,16 @@ def find_depths(
 
     def calls() -> Iterator[Call]:
         for view in order.tolist():
-            part = scene.part(view, scene.neighbors[view], workers)
+            part = given.part(view, given.neighbors[view], workers)
             depth_range, threads = near.ranges[view], workers.threads_per_view
-            yield depths_of_view, (part, view, depth_range, options, threads)
+            yield compute_chain_depths, (part, view, depth_range, options, threads)
 
     found = run_all(workers.views, calls(), advance)
     return [found[place] for place in np.argsort(order)]
 
 
-def depths_of_view(
-    scene: Scene,
-    view: int,
-    depth_range: DepthRange,
-    options: ChainDepthOptions,
-    num_threads: int,
-) -> ChainDepths:
-    """Depths along the chains of one view, by its neighbours."""
-    return compute_chain_depths(
-        view,
-        scene.neighbors[view],
-        scene.edge_views,
-        scene.graphs[view],
-        depth_range,
-        scene.sides,
-        options,
-        num_threads,
-    )
-
-
 def trace_views(
-    scene: Scene,
+    given: TracingInput,
     depths: list[ChainDepths],
     agreeing: list[Int32Array],
     options: PipelineOptions,
@@ -219,15 +190,16 @@ def trace_views(
     Returns:
         The curves of each view that has any, and how many samples are in sure runs.
     """
-    views = scene.views
+    views = [given.views[view] for view in range(len(depths))]
     worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
     order = np.argsort([-worth for worth in worths], kind="stable")
     traced: dict[int, Traced] = {}
+    covered = nothing_covered(given.polyline_offsets)
     in_runs = np.zeros(len(order), np.int64)
 
     def call(view: int) -> Call:
-        part = scene.part(view, scene.witnesses[view], workers)
-        found, threads = (depths[view], agreeing[view]), workers.threads_per_view
+        part = given.part(view, given.observing_views[view], workers)
+        found, threads = (covered[view], depths[view], agreeing[view]), workers.threads_per_view
         return curves_traced, (part, view, *found, options, threads)
 
     def finish(view: int, result: tuple[Traced | None, int]) -> None:
@@ -237,44 +209,46 @@ def trace_views(
             # What will not last covers nothing, so that what is there can still be found.
             lasting = lasting_points(found, options.tracing, limits)
             mark_covered(
-                scene.covered,
-                scene.polyline_offsets,
+                covered,
+                given.polyline_offsets,
                 found.views,
                 found.positions[lasting],
                 options.tracing.point_spacing_px,
             )
         advance()
 
-    num_kept = scene.edge_views.num_kept if isinstance(scene.edge_views, Recent) else len(order)
-    schedule = Schedule(order, scene.witnesses, NUM_KEPT if workers.remote else num_kept)
+    num_kept = NUM_KEPT if workers.remote else given.indexes.num_kept
+    needed = [given.observing_views[view] for view in range(len(order))]
+    schedule = Schedule(order, needed, num_kept)
     run_scheduled(workers, schedule, call, finish)
     return [traced[view] for view in order.tolist() if view in traced], int(in_runs.sum())
 
 
 def curves_traced(
-    scene: Scene,
+    given: TracingInput,
     view: int,
+    covered: BoolArray,
     depths: ChainDepths,
     agreeing: Int32Array,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Traced | None, int]:
-    """Curves of one view on what is not covered yet, refined and observed; None without any.
+    """Curves of one view where none of its (N,) points is covered, refined and observed.
 
     Returns:
-        The curves, and how many samples are in sure runs.
+        The curves, None without any, and how many samples are in sure runs.
     """
     curves, in_runs = find_curves(
-        scene.graphs[view],
-        scene.edge_views[view],
-        scene.covered[view],
+        given.graph(view),
+        given.index(view),
+        covered,
         depths,
         agreeing,
         options.tracing,
     )
     if len(curves.indices) == 0:
         return None, in_runs
-    return trace_view(scene, view, curves, options, num_threads), in_runs
+    return trace_view(given, view, curves, options, num_threads), in_runs
 
 
 def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
@@ -302,19 +276,19 @@ def count_samples(
 
 
 def trace_view(
-    scene: Scene,
+    given: TracingInput,
     view: int,
     curves: Curves,
     options: PipelineOptions,
     num_threads: int,
 ) -> Traced:
     """Refine the curves of one driver and find their observations."""
-    witnesses = scene.witnesses[view]
-    driver = scene.views[view]
-    views = [scene.views[w] for w in witnesses]
-    edge_views = [scene.edge_views[w] for w in witnesses]
+    witnesses = given.observing_views[view]
+    driver = given.views[view]
+    views = [given.views[other] for other in witnesses.tolist()]
+    edge_views = [given.index(other) for other in witnesses.tolist()]
     refined = refine_curves(
-        driver, scene.edge_views[view], curves, edge_views, options.refinement, num_threads
+        driver, given.index(view), curves, edge_views, options.refinement, num_threads
     )
     observed = np.isfinite(refined.positions).sum(axis=1)
     distances = np.nansum(np.abs(refined.residuals), axis=1)

@@ -7,7 +7,6 @@ there, each is led to the meeting point (the least squares one of three edges an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,8 +24,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.core.polylines import end_points
-from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.edge_index import look_up, positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
 from colmap_edges.edges3d.linking.joining import (
     SHORT_GAP,
     Ends,
@@ -36,7 +34,6 @@ from colmap_edges.edges3d.linking.joining import (
     views_near,
     with_nodes,
 )
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 FIT_POINTS = 8  # next to the last one that tell the line of an end
@@ -104,8 +101,7 @@ class Lines:
 
 def meet_at_corners(
     edges: Edges3D,
-    graphs: Sequence[EdgeGraph],
-    edge_views: Sequence[_kernels.EdgeView],
+    given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
 ) -> Edges3D:
@@ -113,8 +109,7 @@ def meet_at_corners(
 
     Args:
         edges: linked edges.
-        graphs: the edge graph of each view.
-        edge_views: the same in the kernels' form.
+        given: the edge graphs of all views.
         options: how far a corner may be, and how near to a chain and by how many views it is
             observed.
         num_threads: threads to use; the result does not depend on it.
@@ -126,13 +121,13 @@ def meet_at_corners(
         return edges
     lines = fit_lines(edges)
     corners = find_corners(edges, lines, options.linking)
-    asked = views_near(edges, corners.members[:, None], len(edge_views))
-    views, positions, rows = observe(corners, lines.ends, asked, edge_views, options, num_threads)
+    asked = views_near(edges, corners.members[:, None], given.num_views)
+    views, positions, rows = observe(corners, lines.ends, asked, given, options, num_threads)
     counts = np.bincount(rows, minlength=len(corners.members))
     num_asked = np.bincount(asked.indices, minlength=len(corners.members))
     least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
     met = corners.select(counts >= least)
-    pixels, colors = look_up(graphs, views, positions)
+    pixels, colors = look_up(given, views, positions)
     longer = with_points(edges, met, corners.members[rows], views, pixels, colors)
     return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
 
@@ -254,7 +249,7 @@ def observe(
     corners: Corners,
     ends: Ends,
     asked: csc_array,
-    edge_views: Sequence[_kernels.EdgeView],
+    given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Int32Array, FloatArray, IntArray]:
@@ -276,7 +271,7 @@ def observe(
     found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
     for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
         rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
-        near = partial(positions_near, edge_views[view], radius, num_threads)
+        near = partial(positions_near, given.index(view), radius, num_threads)
         on_way = near(places[rows], along[rows], cosine)
         at_corner = near(points[rows, None], outward[rows, None], 0.0)[:, 0]
         seen = (at_corner >= 0) & ((on_way >= 0).all(axis=1) | ~far[rows])

@@ -6,16 +6,13 @@ line, as the sides of windows in a row do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.edge_index import positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
 from colmap_edges.edges3d.linking.joining import Ends, views_near
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
 PLACES = np.array([0.25, 0.5, 0.75])  # along a gap, at which an edge must be observed
@@ -24,7 +21,7 @@ RADIUS_RATIO = 1.5  # what lies in between is known less well than edge points a
 
 def are_observed(
     edges: Edges3D,
-    edge_views: Sequence[_kernels.EdgeView],
+    given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
     ends: Ends,
@@ -35,7 +32,7 @@ def are_observed(
 
     Args:
         edges: the pieces.
-        edge_views: all views in the kernels' form.
+        given: the edge graphs of all views.
         options: how near to a chain and how parallel to it an edge is observed, and how many
             views are enough.
         num_threads: threads to use; the result does not depend on it.
@@ -47,14 +44,14 @@ def are_observed(
         (n,) whether they do.
     """
     points, tangents = curves_between(ends, a, b)
-    asked = views_near(edges, np.column_stack([a, b]), len(edge_views))
+    asked = views_near(edges, np.column_stack([a, b]), given.num_views)
     radius = RADIUS_RATIO * options.refinement.max_residual_px
     cosine = float(np.cos(np.radians(options.linking.max_join_angle_deg)))
     counts = np.zeros(len(a), np.int64)
     for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
         rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
         positions = positions_near(
-            edge_views[view], radius, num_threads, points[rows], tangents[rows], cosine
+            given.index(view), radius, num_threads, points[rows], tangents[rows], cosine
         )
         counts[rows] += (positions >= 0).all(axis=1)
     enough: BoolArray = counts >= options.tracing.min_observations

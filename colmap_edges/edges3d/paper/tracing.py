@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import (
     Pepcs,
     join_pepcs,
@@ -29,24 +28,22 @@ logger = logging.getLogger(__name__)
 
 
 def trace_edges_paper(
-    model: Model, graphs: Sequence[EdgeGraph], options: PipelineOptions, num_threads: int = 1
+    model: Model, graphs: Graphs, options: PipelineOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, Any]]:
     """Reconstruct 3D edges as the paper does.
 
     Args:
         model: posed views and SfM points.
-        graphs: the edge graph of each view, in the model's order.
+        graphs: the edge graph of each view.
         options: the groups matching, correspondence, following, visibility and sampling hold
             every parameter of the paper.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
         3D edges sampled to edge points with tracks, and counts in, kept and dropped by reason.
-
-    Raises:
-        ValueError: when graphs and views differ in number.
     """
-    field = build_edge_field(model.views, graphs)
+    whole = [graphs.load(view) for view in range(len(model.views))]
+    field = build_edge_field(model.views, whole)
     pepcs, stats = generate_pepcs(model, field, options, num_threads)
     edges, stats["starts"] = follow_edges(field, pepcs, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}

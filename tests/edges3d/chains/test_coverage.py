@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.edges2d.edge_graph import keep_points
 from colmap_edges.edges2d.edge_index import at_positions
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.coverage import (
-    make_scene,
     mark_covered,
     positions_among_all,
     what_remains,
@@ -22,6 +22,7 @@ from colmap_edges.edges3d.chains.coverage import (
 )
 from colmap_edges.edges3d.chains.filtering import Limits, Sorted, Traced
 from colmap_edges.edges3d.chains.tracing import trace_edges
+from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
 from colmap_edges.options import PipelineOptions, TracingOptions
 
@@ -41,7 +42,9 @@ def graphs_of_views(seeing):
 def points_before(num_rounds, seeing=(3, 5, 7)):
     """Edges of the scene, and which of their points are on the line before the fence."""
     options = PipelineOptions(tracing=TracingOptions(num_rounds=num_rounds))
-    edges, stats = trace_edges(known.model_of(VIEWS), graphs_of_views(seeing), options, 1)
+    edges, stats = trace_edges(
+        known.model_of(VIEWS), Graphs.of(graphs_of_views(seeing)), options, 1
+    )
     true = BEFORE(np.linspace(0, 1, 4000))
     return edges, cKDTree(true).query(edges.points)[0] < 0.01, stats
 
@@ -66,7 +69,7 @@ def test_second_round_finds_what_few_views_see_among_much():
 
 def test_second_round_stands_alone_where_the_first_finds_nothing():
     tracing = TracingOptions(min_agreeing_views=3)  # of two others at most
-    model, graphs = known.model_of(VIEWS[3:6]), graphs_of_views(())[3:6]
+    model, graphs = known.model_of(VIEWS[3:6]), Graphs.of(graphs_of_views(())[3:6])
     nothing, _ = trace_edges(
         model, graphs, PipelineOptions(tracing=replace(tracing, num_rounds=1)), 1
     )
@@ -117,7 +120,7 @@ def along(chain, views, points, driver_observes=True):
 def fence():
     model = known.model_of(VIEWS)
     near = select_views(model, PipelineOptions().view_selection)
-    return make_scene(model, graphs_of_views(()), near)
+    return make_input(model, Graphs.of(graphs_of_views(())), near)
 
 
 LIMITS = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)

@@ -8,14 +8,12 @@ from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.view import lift
-from colmap_edges.edges2d.edge_index import make_edge_view
 from colmap_edges.edges3d.chains.depth_consistency import (
     count_agreeing_views,
     depths_at,
     world_points,
 )
 from colmap_edges.edges3d.chains.depths import ChainDepths, compute_chain_depths
-from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED
 from colmap_edges.edges3d.chains.view_selection import DepthRange
 from colmap_edges.options import ChainDepthOptions
 
@@ -103,7 +101,7 @@ def test_samples_without_depth_have_no_point():
 
 @pytest.fixture(scope="module")
 def traced():
-    """Views, graphs and depths of three lines that every view sees."""
+    """Views with their graphs, and depths, of three lines that every view sees."""
     views = known.ring(5, arc_deg=50)
     truth = [
         known.line((-0.8, -0.6, 0), (-0.5, 0.8, 0.2)),
@@ -111,21 +109,16 @@ def traced():
         known.line((-0.2, -0.8, 0), (0.1, 0.7, 0.5)),
     ]
     graphs = [known.graph_of(view, truth, [1, -1, 1]) for view in views]
-    edge_views = [make_edge_view(g, v) for g, v in zip(graphs, views, strict=True)]
-    depths = [
-        compute_chain_depths(
-            v, np.delete(np.arange(5), v), edge_views, graphs[v], RANGE,
-            NOTHING_LEARNED, ChainDepthOptions(), 1,
-        )
-        for v in range(5)
-    ]  # fmt: skip
-    return views, graphs, depths
+    given = known.tracing_input(views, graphs)
+    return given, [
+        compute_chain_depths(given, view, RANGE, ChainDepthOptions(), 1) for view in range(5)
+    ]
 
 
 def test_true_depths_agree_in_all_views(traced):
-    views, graphs, depths = traced
+    given, depths = traced
     for view in range(5):
-        counts = count_agreeing_views(views, graphs, depths, view, 3.0)
+        counts = count_agreeing_views(given, depths, view, 3.0)
         assert counts.shape == depths[view].samples.shape
         assert counts.max() == 4
         assert (counts[depths[view].found] >= 3).mean() > 0.9
@@ -134,28 +127,28 @@ def test_true_depths_agree_in_all_views(traced):
 
 
 def test_view_with_other_depths_does_not_agree(traced):
-    views, graphs, depths = traced
+    given, depths = traced
     wrong = replace(depths[2], inverse_depths=1.3 * depths[2].inverse_depths)
     spoiled = [*depths[:2], wrong, *depths[3:]]
-    counts = count_agreeing_views(views, graphs, spoiled, 0, 3.0)
+    counts = count_agreeing_views(given, spoiled, 0, 3.0)
     assert counts.max() == 3
     assert (counts[depths[0].found] == 3).mean() > 0.9
-    assert count_agreeing_views(views, graphs, spoiled, 2, 3.0).max() == 0
+    assert count_agreeing_views(given, spoiled, 2, 3.0).max() == 0
 
 
 def test_allowance_is_in_pixels(traced):
     """Depths wrong by six of their sigmas, each of which is what a pixel changes."""
-    views, graphs, depths = traced
+    given, depths = traced
     moved = replace(depths[2], inverse_depths=depths[2].inverse_depths + 6 * depths[2].sigmas)
     spoiled = [*depths[:2], moved, *depths[3:]]
-    strict = count_agreeing_views(views, graphs, spoiled, 0, 3.0)
-    loose = count_agreeing_views(views, graphs, spoiled, 0, 9.0)
+    strict = count_agreeing_views(given, spoiled, 0, 3.0)
+    loose = count_agreeing_views(given, spoiled, 0, 9.0)
     assert strict.max() == 3
     assert (loose[depths[0].found] == 4).mean() > 0.9
 
 
 def test_missing_depths_do_not_agree(traced):
-    views, graphs, depths = traced
+    given, depths = traced
     none = np.zeros(len(depths[1].samples) + 1, np.int64)
     blind = replace(
         depths[1],
@@ -163,8 +156,8 @@ def test_missing_depths_do_not_agree(traced):
         support_views=depths[1].support_views[:0],
         support_positions=depths[1].support_positions[:0],
     )
-    counts = count_agreeing_views(views, graphs, [depths[0], blind, *depths[2:]], 0, 3.0)
+    counts = count_agreeing_views(given, [depths[0], blind, *depths[2:]], 0, 3.0)
     assert counts.max() == 3
     assert (counts[depths[0].found] == 3).mean() > 0.9
-    nothing = count_agreeing_views(views, graphs, [depths[0], blind, *depths[2:]], 1, 3.0)
+    nothing = count_agreeing_views(given, [depths[0], blind, *depths[2:]], 1, 3.0)
     assert nothing.tolist() == [0] * len(depths[1].samples)

@@ -4,7 +4,7 @@ import curves as known
 import numpy as np
 import pytest
 
-from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.depths import learn_side_likelihoods
 from colmap_edges.edges3d.chains.side_similarity import (
     BINS,
@@ -13,6 +13,7 @@ from colmap_edges.edges3d.chains.side_similarity import (
     estimate,
     histogram,
 )
+from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
 from colmap_edges.options import ChainDepthOptions, ViewSelectionOptions
 
@@ -96,11 +97,10 @@ def learned_from(noise, num_lines):
         graph = known.graph_of(view, [known.line(*each) for each in ends])
         sides = own[graph.polyline_ids] + rng.normal(0, noise, (len(graph.points), 2))
         graphs.append(replace(graph, sides=np.clip(sides, 0, 255).astype(np.uint8)))
-    edge_views = [make_edge_view(g, v) for g, v in zip(graphs, views, strict=True)]
-    near = select_views(known.model_of(views), ViewSelectionOptions())
-    return learn_side_likelihoods(
-        near.neighbors, edge_views, graphs, near.ranges, ChainDepthOptions(), 1
-    )
+    model = known.model_of(views)
+    near = select_views(model, ViewSelectionOptions())
+    given = make_input(model, Graphs.of(graphs), near)
+    return learn_side_likelihoods(given, near.ranges, ChainDepthOptions(), 0, 1)
 
 
 def test_what_sides_say_is_learned_from_the_views():

@@ -6,7 +6,6 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.edge_index import make_edge_view
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
@@ -53,10 +52,10 @@ def short_of(axis, missing, corner=CORNER):
 def met(pieces, chains, num_threads=1, observing=range(6), closed=False, **linking):
     """The edges in views with such chains each, led to their corners."""
     graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
-    edge_views = [make_edge_view(*of) for of in zip(graphs, VIEWS, strict=True)]
+    given = known.tracing_input(VIEWS, graphs)
     options = PipelineOptions(linking=LinkingOptions(**linking))
     edges = edges_of(pieces, observing, closed)
-    return meet_at_corners(edges, graphs, edge_views, options, num_threads)
+    return meet_at_corners(edges, given, options, num_threads)
 
 
 def all_arms():
@@ -161,7 +160,12 @@ def test_edges_of_two_points_and_closed_ones_are_left_alone():
 
 
 def test_no_edges_stay_none():
-    assert meet_at_corners(known.no_edges(), [], [], PipelineOptions(), 1).num_edges == 0
+    assert (
+        meet_at_corners(
+            known.no_edges(), known.tracing_input((), []), PipelineOptions(), 1
+        ).num_edges
+        == 0
+    )
 
 
 def test_the_order_of_edges_does_not_matter():

@@ -8,7 +8,6 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.edge_index import make_edge_view
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import PipelineOptions
@@ -46,11 +45,10 @@ def pieces_of(curve, views):
 
 def num_linked(curve, chains, observing=range(6), num_threads=1):
     """Edges left of two pieces, in views with such chains."""
-    edge_views = [
-        make_edge_view(known.graph_of(v, of), v) for v, of in zip(VIEWS, chains, strict=True)
-    ]
+    graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
+    given = known.tracing_input(VIEWS, graphs)
     pieces, options = pieces_of(curve, list(observing)), PipelineOptions()
-    goes_on = partial(are_observed, pieces, edge_views, options, num_threads)
+    goes_on = partial(are_observed, pieces, given, options, num_threads)
     return link_edges(pieces, options.linking, goes_on).num_edges
 
 

@@ -15,6 +15,7 @@ from curve_scenes import (
 from curves import model_of
 from scipy.spatial import cKDTree
 
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import Pepcs
 from colmap_edges.edges3d.paper.edge_field import ChainPositions, build_edge_field
 from colmap_edges.edges3d.paper.following import OUTCOMES, follow_edges
@@ -49,7 +50,7 @@ def traced(curves, strategy, num_threads=1, noise_px=0.0, seed=0):
     points = np.concatenate([curve.points[100::200] for curve in curves])
     model = model_of(VIEWS, points)
     options = PipelineOptions(correspondence=CorrespondenceOptions(strategy=strategy))
-    edges, stats = trace_edges_paper(model, graphs, options, num_threads)
+    edges, stats = trace_edges_paper(model, Graphs.of(graphs), options, num_threads)
     return edges, stats
 
 
@@ -221,7 +222,7 @@ def test_result_does_not_depend_on_threads():
 
 def test_nothing_in_gives_nothing_out():
     graphs = [graph_of(view, []) for view in VIEWS]
-    edges, stats = trace_edges_paper(model_of(VIEWS), graphs, PipelineOptions(), 1)
+    edges, stats = trace_edges_paper(model_of(VIEWS), Graphs.of(graphs), PipelineOptions(), 1)
     assert edges.num_edges == 0
     assert edges.num_points == 0
     assert stats["starts"]["accepted"] == 0

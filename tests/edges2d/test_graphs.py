@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
+
 import curves as known
 import numpy as np
 import pytest
 
 from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.graph_store import GraphStore, Recent, graph_bytes
+from colmap_edges.edges2d.graphs import Graphs, Kept, graph_bytes
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
@@ -18,13 +20,6 @@ CURVES = [known.circle((0, 0, 0), 0.8), known.line((-1, -0.5, 0), (1, 0.4, 0.3))
 
 def graphs_of_views() -> list[EdgeGraph]:
     return [known.graph_of(view, CURVES) for view in VIEWS]
-
-
-def stored(graphs: list[EdgeGraph], max_bytes: float) -> GraphStore:
-    store = GraphStore(len(graphs), max_bytes)
-    for index, graph in enumerate(graphs):
-        store.add(index, graph)
-    return store
 
 
 def same(a: EdgeGraph, b: EdgeGraph) -> bool:
@@ -38,55 +33,66 @@ def same(a: EdgeGraph, b: EdgeGraph) -> bool:
 def test_graphs_come_back_and_few_stay():
     graphs = graphs_of_views()
     size = max(graph_bytes(graph) for graph in graphs)
-    store = stored(graphs, 2.5 * size)
-    assert len(store) == len(graphs)
+    store = Graphs.of(graphs, 2.5 * size)
     for index in (0, 6, 3, 3, 1, 0):
-        assert same(graphs[index], store[index])
+        assert same(graphs[index], store.load(index))
         assert store.num_kept <= 3
         assert sum(graph_bytes(g) for g in store.kept.values()) == store.num_bytes <= 2.5 * size
-    assert all(same(a, b) for a, b in zip(graphs, store, strict=True))
-    folder = store.folder
+    assert all(same(graph, store.load(index)) for index, graph in enumerate(graphs))
+    folder = store.backend.folder
     assert len(list(folder.iterdir())) == len(graphs)
     del store
     assert not folder.exists()
 
 
 def test_graphs_that_fit_are_not_written():
-    store = stored(graphs_of_views(), 1e9)
+    store = Graphs.of(graphs_of_views(), 1e9)
     assert store.num_kept == len(VIEWS)
-    assert store.folder is None
-    assert store[2] is store[2]
+    assert store.backend.folder is None
+    assert store.load(2) is store.load(2)
 
 
 def test_one_graph_larger_than_the_memory_is_held():
-    store = stored(graphs_of_views(), 1.0)
+    store = Graphs.of(graphs_of_views(), 1.0)
     assert store.num_kept == 1
-    assert same(store[4], graphs_of_views()[4])
+    assert same(store.load(4), graphs_of_views()[4])
 
 
 def test_edges_do_not_depend_on_what_is_held():
     graphs = graphs_of_views()
     model = known.model_of(VIEWS)
-    expected, _ = trace_edges(model, graphs, PipelineOptions(), 1)
-    found, _ = trace_edges(model, stored(graphs, 1.0), PipelineOptions(), 1)
+    expected, _ = trace_edges(model, Graphs.of(graphs), PipelineOptions(), 1)
+    found, _ = trace_edges(model, Graphs.of(graphs, 1.0), PipelineOptions(), 1)
     assert expected.num_edges > 0
     for name, value in vars(expected).items():
         np.testing.assert_array_equal(value, vars(found)[name])
 
 
-def test_recent_items_are_not_made_again():
+def test_what_is_released_waits_on_disk():
+    graphs = graphs_of_views()
+    store = Graphs.of(graphs)
+    store.release(3)
+    store.release(3)
+    assert store.num_kept == len(graphs) - 1
+    assert len(list(store.backend.folder.iterdir())) == 1
+    assert store.num_bytes == sum(graph_bytes(graph) for graph in store.kept.values())
+    assert same(store.load(3), graphs[3])
+    assert store.num_kept == len(graphs)
+
+
+def test_what_is_kept_is_not_made_again():
     made = []
 
-    def make(index: int) -> int:
-        made.append(index)
-        return 10 * index
+    def make(key: int) -> int:
+        made.append(key)
+        return 10 * key
 
-    items = Recent(make, 5, num_kept=2)
-    assert [items[i] for i in (0, 1, 0, 2, 0, 1)] == [0, 10, 0, 20, 0, 10]
+    kept = Kept(2)
+    found = [kept.get(key, lambda key=key: make(key)) for key in (0, 1, 0, 2, 0, 1)]
+    assert found == [0, 10, 0, 20, 0, 10]
     assert made == [0, 1, 2, 1]
-    assert list(items) == [0, 10, 20, 30, 40]
-    with pytest.raises(IndexError):
-        items[5]
+    sent = pickle.loads(pickle.dumps(kept))
+    assert (sent.num_kept, len(sent.things)) == (2, 0)
 
 
 def test_no_space_is_said(monkeypatch):
@@ -95,4 +101,4 @@ def test_no_space_is_said(monkeypatch):
 
     monkeypatch.setattr(np, "save", full)
     with pytest.raises(ColmapEdgesError, match=r"No space left.*TMPDIR"):
-        stored(graphs_of_views(), 1.0)
+        Graphs.of(graphs_of_views(), 1.0)

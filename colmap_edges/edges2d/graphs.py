@@ -1,0 +1,200 @@
+"""The 2D edge graphs of all views: loaded when asked for, those not used lately wait elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from threading import Lock
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.image_graphs import load_graph
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.cache import Cache
+from colmap_edges.runtime.memory import return_freed_memory
+
+T = TypeVar("T")
+
+TRIM_EVERY = 64  # graphs released from memory
+
+
+class Backend(Protocol):
+    """Where graphs wait that are not in memory."""
+
+    def write(self, view: int, graph: EdgeGraph) -> None:
+        """Keep the graph of a view, unless it is there already."""
+
+    def read(self, view: int) -> EdgeGraph:
+        """Give the graph of a view."""
+
+
+class DiskBackend:
+    """A temporary folder (in TMPDIR), made when first written to; it goes with this object."""
+
+    def __init__(self) -> None:
+        """Make nothing yet."""
+        self.folder: Path | None = None
+        self.written: set[int] = set()
+
+    def path(self, view: int) -> Path:
+        """Where the graph of a view waits."""
+        if self.folder is None:
+            self.folder = Path(tempfile.mkdtemp(prefix="colmap-edges-"))
+            weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        return self.folder / f"{view}.npy"
+
+    def write(self, view: int, graph: EdgeGraph) -> None:
+        """Write the arrays of a graph one after the other.
+
+        Raises:
+            ColmapEdgesError: when the disk is full.
+        """
+        if view in self.written:
+            return
+        path = self.path(view)
+        try:
+            with path.open("wb") as file:
+                for entry in fields(graph):
+                    np.save(file, getattr(graph, entry.name))
+        except OSError as error:
+            raise ColmapEdgesError(
+                f"cannot keep edge graphs in {path.parent} ({error.strerror}); free space there, "
+                "set TMPDIR to another folder, or raise max_graph_memory_gb"
+            ) from error
+        self.written.add(view)
+
+    def read(self, view: int) -> EdgeGraph:
+        """Read what was written."""
+        with self.path(view).open("rb") as file:
+            return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
+
+
+@dataclass(frozen=True)
+class CacheBackend:
+    """The cache, which has all graphs already; the workers of a cluster read it, too.
+
+    Attributes:
+        cache: the cache.
+        keys: key of each view's graph.
+    """
+
+    cache: Cache
+    keys: Mapping[int, str]
+
+    def write(self, view: int, graph: EdgeGraph) -> None:
+        """Nothing is to be done."""
+
+    def read(self, view: int) -> EdgeGraph:
+        """Read a graph that an image's task has left."""
+        return load_graph(self.cache, self.keys[view])
+
+    def part(self, views: Iterable[int]) -> CacheBackend:
+        """The same for some views only, to be sent to a worker."""
+        return CacheBackend(self.cache, {view: self.keys[view] for view in views})
+
+
+class Graphs:
+    """The edge graphs of all views; at most so many bytes of them are held in memory.
+
+    Any thread may put graphs and load them.
+    """
+
+    def __init__(self, max_bytes: float = np.inf, backend: Backend | None = None) -> None:
+        """Hold nothing yet.
+
+        Args:
+            max_bytes: of graphs that stay in memory.
+            backend: where the others wait; a temporary folder when not given.
+        """
+        self.max_bytes, self.backend = max_bytes, backend or DiskBackend()
+        self.num_bytes = 0
+        self.num_released = 0
+        self.kept: OrderedDict[int, EdgeGraph] = OrderedDict()
+        self.lock = Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How graphs go to another process: by their backend."""
+        return Graphs, (self.max_bytes, self.backend)
+
+    @classmethod
+    def of(cls, graphs: Sequence[EdgeGraph], max_bytes: float = np.inf) -> Graphs:
+        """The given graphs, one a view."""
+        made = cls(max_bytes)
+        for view, graph in enumerate(graphs):
+            made.put(view, graph)
+        return made
+
+    @property
+    def num_kept(self) -> int:
+        """Number of graphs in memory; all when they fit."""
+        return len(self.kept)
+
+    def put(self, view: int, graph: EdgeGraph) -> None:
+        """Take the graph of a view."""
+        with self.lock:
+            self._keep(view, graph)
+
+    def load(self, view: int) -> EdgeGraph:
+        """The graph of a view, from memory or the backend."""
+        with self.lock:
+            if view not in self.kept:
+                self._keep(view, self.backend.read(view))
+            self.kept.move_to_end(view)
+            return self.kept[view]
+
+    def release(self, view: int) -> None:
+        """Have the graph of a view wait in the backend."""
+        with self.lock:
+            self._release(view)
+
+    def _keep(self, view: int, graph: EdgeGraph) -> None:
+        # Those longest not used make room; one stays whatever its size.
+        self.kept[view] = graph
+        self.num_bytes += graph_bytes(graph)
+        while self.num_bytes > self.max_bytes and len(self.kept) > 1:
+            self._release(next(iter(self.kept)))
+
+    def _release(self, view: int) -> None:
+        graph = self.kept.pop(view, None)
+        if graph is None:
+            return
+        self.backend.write(view, graph)
+        self.num_bytes -= graph_bytes(graph)
+        self.num_released += 1
+        if self.num_released % TRIM_EVERY == 0:
+            del graph
+            return_freed_memory()
+
+
+def graph_bytes(graph: EdgeGraph) -> int:
+    """Bytes of a graph's arrays, with the polyline of each point, which is made when asked for."""
+    return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph)) + 8 * len(graph.points)
+
+
+class Kept(Generic[T]):
+    """What was made lately, by key; sent to another process it arrives empty."""
+
+    def __init__(self, num_kept: int) -> None:
+        """Keep nothing yet, and `num_kept` things at most."""
+        self.num_kept = num_kept
+        self.things: OrderedDict[Hashable, T] = OrderedDict()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent."""
+        return Kept, (self.num_kept,)
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What belongs to `key`; `make` makes it, the same each time."""
+        if key not in self.things:
+            self.things[key] = make()
+            if len(self.things) > self.num_kept:
+                self.things.popitem(last=False)
+        self.things.move_to_end(key)
+        return self.things[key]

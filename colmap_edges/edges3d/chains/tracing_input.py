@@ -1,0 +1,134 @@
+"""What tracing looks at: views with their edge graphs, and who sees what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import BoolArray, IntArray
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.edge_graph import EdgeGraph, keep_points
+from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.graphs import CacheBackend, Graphs, Kept
+from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods
+from colmap_edges.edges3d.chains.view_selection import Neighborhood
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.executors import Workers
+
+T = TypeVar("T")
+ByView = Sequence[T] | Mapping[int, T]  # of all views, or of those that a task needs
+
+NUM_KEPT = 64  # indexes that a worker keeps for its next tasks: more than a view is compared with
+# On a cluster's worker, by graph and pose: tasks on views near each other need the same ones.
+KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracingInput:
+    """The views with their edge graphs, or what remains of them, and who sees what.
+
+    Attributes:
+        views: the posed views.
+        graphs: their whole edge graphs.
+        neighbors: per view those that its depths come from.
+        observing_views: per view those in which its edges are looked for.
+        polyline_offsets: those of the graphs that are traced, which are always in memory.
+        sides: what the gray beside an edge says of a match.
+        free: per view the points of the whole graph that are traced; None when all are.
+        parts: graphs of those points.
+        indexes: what the kernels search.
+        is_sent: whether this went to a cluster's worker.
+    """
+
+    views: ByView[View]
+    graphs: Graphs
+    neighbors: ByView[IntArray]
+    observing_views: ByView[IntArray]
+    polyline_offsets: ByView[IntArray]
+    sides: SideLikelihoods = NOTHING_LEARNED
+    free: ByView[BoolArray] | None = None
+    parts: Kept[EdgeGraph]
+    indexes: Kept[Any]
+    is_sent: bool = False
+
+    @property
+    def num_views(self) -> int:
+        """Number of views, or of those that a task was sent."""
+        return len(self.views)
+
+    def graph(self, view: int) -> EdgeGraph:
+        """The edge graph of a view, or what remains of it."""
+        if self.free is None:
+            return self.graphs.load(view)
+        free = self.free[view]
+        return self.parts.get(view, lambda: keep_points(self.graphs.load(view), free))
+
+    def index(self, view: int) -> _kernels.EdgeView:
+        """The same as the kernels search it."""
+        if not (self.is_sent and self.free is None):
+            return self.indexes.get(view, lambda: self.make_index(view))
+        pose = np.column_stack([self.views[view].rotation, self.views[view].translation])
+        backend = self.graphs.backend
+        assert isinstance(backend, CacheBackend)
+        identity = (backend.cache.folder, backend.keys[view], pose.tobytes())
+        return KEPT_BY_WORKER.get(identity, lambda: self.make_index(view))
+
+    def make_index(self, view: int) -> _kernels.EdgeView:
+        """Make the kernels' form of a view's edge graph."""
+        return make_edge_view(self.graph(view), self.views[view])
+
+    def part(self, view: int, others: IntArray, workers: Workers) -> TracingInput:
+        """What a task on a view and others needs: all, or what a worker elsewhere is sent."""
+        backend = self.graphs.backend
+        if not (workers.remote and isinstance(backend, CacheBackend)):
+            return self
+        places = [view, *others.tolist()]
+        return replace(
+            self,
+            views=chosen(self.views, places),
+            graphs=Graphs(0, backend.part(places)),
+            neighbors=chosen(self.neighbors, [view]),
+            observing_views=chosen(self.observing_views, [view]),
+            polyline_offsets={},
+            free=None if self.free is None else chosen(self.free, places),
+            parts=Kept(len(places)),
+            indexes=Kept(len(places)),
+            is_sent=True,
+        )
+
+
+def chosen(items: ByView[T], views: Sequence[int]) -> dict[int, T]:
+    """The items of some views."""
+    return {view: items[view] for view in views}
+
+
+def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput:
+    """What tracing looks at first; as many indexes are kept as graphs."""
+    offsets = [graphs.load(view).polyline_offsets for view in range(len(model.views))]
+    num_kept = max(graphs.num_kept, 1)
+    return TracingInput(
+        views=model.views,
+        graphs=graphs,
+        neighbors=near.neighbors,
+        observing_views=near.witnesses,
+        polyline_offsets=offsets,
+        parts=Kept(num_kept),
+        indexes=Kept(num_kept),
+    )
+
+
+def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
+    """The same views with only some points of their whole graphs.
+
+    Args:
+        whole: all of the graphs.
+        free: per view the points that remain.
+    """
+    num_kept = max(whole.graphs.num_kept, 1)
+    rest = replace(whole, free=free, parts=Kept(num_kept), indexes=Kept(num_kept))
+    offsets = [rest.graph(view).polyline_offsets for view in range(len(free))]
+    return replace(rest, polyline_offsets=offsets)
