@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +113,14 @@ def _distances(pixels: FloatArray, chains: FloatArray) -> FloatArray:
     return np.asarray(distance, dtype=np.float64)
 
 
+def without_poses(model: Model, views: Sequence[View]) -> Any:
+    """A copy of the model's pycolmap.Reconstruction with the frames of some views unregistered."""
+    result = copy.deepcopy(model.reconstruction)
+    for frame_id in sorted({result.images[view.image_id].frame_id for view in views}):
+        result.deregister_frame(frame_id)
+    return result
+
+
 def left_out_view_errors(
     input_path: Path,
     image_path: Path,
@@ -141,10 +150,7 @@ def left_out_view_errors(
             f"{input_path}: {len(model.views)} images are too few to leave every {every}th out"
         )
     options = options or PipelineOptions()
-    reconstruction = model.reconstruction
-    for view in unused:
-        frame_id = reconstruction.images[view.image_id].frame_id
-        reconstruction.deregister_frame(frame_id)
+    reconstruction = without_poses(model, unused)
     result = reconstruct(reconstruction, image_path, options)
     found, scale = result.edges, result.stages[0]["counts"]["image_scale"]
     used = model_from_reconstruction(reconstruction)

@@ -6,8 +6,9 @@ import miniature
 import numpy as np
 import pytest
 import trimesh
+import valid
 
-from colmap_edges.colmap.model import load_model
+from colmap_edges.colmap.model import frames_of_views, load_model, model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import benchmark, held_out, tables
 from colmap_edges.evaluation import run as evaluation
@@ -227,11 +228,32 @@ def test_an_output_folder_is_judged(root, sparse, run_path):
 
 
 @pytest.mark.usefixtures("mesher")
-def test_edges_are_found_in_an_image_left_out(root, sparse):
+def test_edges_are_found_in_an_image_left_out(root, sparse, monkeypatch):
     options = PipelineOptions(detection=DetectionOptions(min_blur_px=0.0))
-    images = root / "Rectified" / "scan6"
+    images, model = root / "Rectified" / "scan6", load_model(sparse)
+    before = numbers_of(model.reconstruction)
+    monkeypatch.setattr(held_out, "load_model", lambda _: model)
     [view] = held_out.left_out_view_errors(sparse, images, 9, options=options)
     assert view.within_2_px > 0.8 > 2 * view.chance_2_px
+    assert numbers_of(model.reconstruction) == before
+
+
+def numbers_of(reconstruction):
+    counts = (reconstruction.num_reg_images(), reconstruction.num_points3D())
+    return *counts, reconstruction.compute_num_observations()
+
+
+def test_images_of_one_frame_are_left_out_together():
+    whole = valid.rigged()
+    before, model = numbers_of(whole), model_from_reconstruction(whole)
+    frames = frames_of_views(model)
+    chosen = [view for view, frame in zip(model.views, frames, strict=True) if frame == frames[0]]
+    assert len(chosen) == 2
+    left = model_from_reconstruction(held_out.without_poses(model, chosen))
+    assert {view.name for view in left.views} == {
+        view.name for view, frame in zip(model.views, frames, strict=True) if frame != frames[0]
+    }
+    assert numbers_of(whole) == before
 
 
 def test_enlarged_images_show_more_of_what_is_there(root, sparse):
