@@ -22,9 +22,8 @@ def main() -> None:
     arguments = parser.parse_args()
     scene = make_terrain(arguments.num_points, arguments.rays_per_point, arguments.num_cameras)
     print_memory("scene made")
-    options = MeshingOptions(num_threads=arguments.num_threads)
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    mesh = mesh_points(*scene, options)
+    mesh = mesh_points(*scene, MeshingOptions(), num_threads=arguments.num_threads)
     seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - begin_cpu
     for name, value in mesh.stats.items():
         print(f"{name:28} {value:.6g}")
