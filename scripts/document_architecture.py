@@ -41,6 +41,7 @@ LIBRARIES = {
     ),
     "networkx": ("edges3d.paper.matching",),
     "plotly": ("report.page",),
+    "plyfile": ("evaluation.readers.ply",),
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),
     "click": (
         "cli.errors",

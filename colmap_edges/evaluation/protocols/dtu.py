@@ -204,7 +204,7 @@ def load_points(path: Path) -> FloatArray:
     Raises:
         ColmapEdgesError: The file is not a PLY with x, y, z.
     """
-    vertices = read_ply(path, ("vertex",)).get("vertex")
+    vertices = read_ply(path).get("vertex")
     return columns(vertices, ("x", "y", "z"), path).astype(np.float64)
 
 

@@ -46,7 +46,7 @@ def load_curves(path: Path) -> Curves:
             raise ColmapEdgesError(f"{path} holds no array {', '.join(sorted(missing))}")
         points, segments = data["points"], data["edges"]
     else:
-        elements = read_ply(path, ("vertex", "edge"))
+        elements = read_ply(path)
         points = columns(elements.get("vertex"), ("x", "y", "z"), path)
         segments = np.empty((0, 2), dtype=np.int64)
         if len(elements.get("edge", ())):
