@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
-"""Prints how long functions are, by language, and fails where one is over `MAX_LINES`.
+"""Prints how long functions and the package are, and fails where a function is over `MAX_LINES`.
 
-Lines count from the name to the end, decorators left out, docstrings and comments counted.
+Lines of a function count from its name to its end, decorators left out; docstrings and comments
+count everywhere, blank lines too. Of the package, without tests: its lines by language, its options
+and its constants.
 """
 
 import ast
+import re
 import statistics
 import sys
 from collections.abc import Iterator
@@ -17,6 +20,9 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("colmap_edges", "meshing", "scripts", "tests")
 LANGUAGES = {".py": "Python", ".cc": "C++", ".h": "C++", ".js": "JavaScript"}
 MAX_LINES = 60
+PACKAGE = ("colmap_edges", "meshing")
+TESTS = ("tests.cc",)
+CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]+")
 
 
 class Function(NamedTuple):
@@ -52,8 +58,51 @@ def functions_by_language(root: Path = ROOT) -> dict[str, list[Function]]:
     return {name: sorted(found, reverse=True) for name, found in functions.items()}
 
 
+def package_lines(root: Path = ROOT) -> dict[str, int]:
+    """Lines of the package by language."""
+    lines = dict.fromkeys(LANGUAGES.values(), 0)
+    for path in sorted(path for folder in PACKAGE for path in (root / folder).rglob("*")):
+        if path.suffix in LANGUAGES and path.name not in TESTS:
+            lines[LANGUAGES[path.suffix]] += len(path.read_text(encoding="utf-8").splitlines())
+    return lines
+
+
+def count_options(root: Path = ROOT) -> int:
+    """Options of all groups: the fields that options.py declares by `option`."""
+    tree = ast.parse((root / "colmap_edges" / "options.py").read_text(encoding="utf-8"))
+    groups = (node for node in tree.body if isinstance(node, ast.ClassDef))
+    values = (
+        line.value for group in groups for line in group.body if isinstance(line, ast.AnnAssign)
+    )
+    return sum(isinstance(v, ast.Call) and ast.unparse(v.func) == "option" for v in values)
+
+
+def module_constants(path: Path) -> list[str]:
+    """Upper-case names that a module of Python gives a value, not within functions or classes."""
+    targets: list[ast.expr] = []
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign):
+            targets += node.targets
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets.append(node.target)
+    names = (name.id for each in targets for name in ast.walk(each) if isinstance(name, ast.Name))
+    return [name for name in names if CONSTANT.fullmatch(name)]
+
+
+def print_package() -> None:
+    """Print how large the package is, and how much there is to turn in it."""
+    lines = package_lines()
+    print(f"The package: {lines['Python']} lines of Python, {lines['C++']} of C++")
+    modules = sorted((ROOT / "colmap_edges").rglob("*.py"))
+    constants = [len(module_constants(path)) for path in modules]
+    print(
+        f"Options: {count_options()}; module constants: {sum(constants)} "
+        f"in {sum(map(bool, constants))} modules"
+    )
+
+
 def main() -> None:
-    """Print the table and what is too long."""
+    """Print the figures and what is too long."""
     too_long = []
     for language, functions in functions_by_language().items():
         lengths = [function.lines for function in functions]
@@ -62,6 +111,7 @@ def main() -> None:
             f"longest {lengths[0]} ({functions[0].name})"
         )
         too_long += [function for function in functions if function.lines > MAX_LINES]
+    print_package()
     for function in too_long:
         print(f"{function.path}:{function.start}: {function.name} has {function.lines} lines")
     sys.exit(bool(too_long))

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import numpy as np
 import trimesh
-from cad_objects.shading import CREASE, make_model, render
+from cad_objects.shading import CREASE, NUM_VIEWS, SIZE, make_model, render
 from cad_objects.solids import OBJECTS, in_unit_box
 
 
@@ -25,7 +25,9 @@ from cad_objects.solids import OBJECTS, in_unit_box
     default=list(OBJECTS),
     help="Objects to make; default: all.",
 )
-def main(output_path: Path, names: tuple[str, ...]) -> None:
+@click.option("--num_views", type=click.IntRange(2), default=NUM_VIEWS, show_default=True)
+@click.option("--size", type=click.IntRange(16), default=SIZE, show_default=True, help="Pixels.")
+def main(output_path: Path, names: tuple[str, ...], num_views: int, size: int) -> None:
     for name in names:
         mesh = mesh_of(name)
         folder = output_path / name
@@ -33,7 +35,7 @@ def main(output_path: Path, names: tuple[str, ...]) -> None:
         mesh.export(folder / "surface.ply")
         points, edges = sharp_curves(mesh)
         np.savez_compressed(folder / "curves.npz", points=points, edges=edges)
-        model = make_model()
+        model = make_model(num_views, size)
         model.write(folder / "sparse")
         render(mesh, model, folder / "images")
         click.echo(f"{name}: {len(mesh.faces)} triangles, {len(edges)} sharp edges")

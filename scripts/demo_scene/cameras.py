@@ -24,6 +24,28 @@ class TrueCamera:
         return -self.cam_from_world[:, :3].T @ self.cam_from_world[:, 3]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """Size and focal length of the true pinhole cameras, pixels; `scale` 1 is full size."""
+
+    scale: float = 1.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return width and height, cut to whole pixels as Blender does."""
+        return int(WIDTH * self.scale), int(HEIGHT * self.scale)
+
+    @property
+    def focal(self) -> float:
+        """Return the focal length."""
+        return FOCAL * self.size[0] / WIDTH
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Return the principal point."""
+        return self.size[0] / 2, self.size[1] / 2
+
+
 def make_cameras() -> list[TrueCamera]:
     """Return two arcs of views around the scene and a few closer, higher and tilted ones."""
     middle = (0.0, 0.0, 0.6)
@@ -64,13 +86,13 @@ def look_at(
     return TrueCamera(name=name, cam_from_world=np.column_stack([rotation, -rotation @ centre]))
 
 
-def write_cameras(path: Path, cameras: list[TrueCamera]) -> None:
+def write_cameras(path: Path, cameras: list[TrueCamera], intrinsics: Intrinsics) -> None:
     """Write intrinsics and poses as JSON."""
     data = {
         "model": "PINHOLE",
-        "width": WIDTH,
-        "height": HEIGHT,
-        "params": [FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2],
+        "width": intrinsics.size[0],
+        "height": intrinsics.size[1],
+        "params": [intrinsics.focal, intrinsics.focal, *intrinsics.centre],
         "cam_from_world": {c.name: c.cam_from_world.tolist() for c in cameras},
     }
     path.write_text(json.dumps(data, indent=1) + "\n")

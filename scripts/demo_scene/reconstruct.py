@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from demo_scene.cameras import FOCAL, HEIGHT, WIDTH, TrueCamera
+from demo_scene.cameras import Intrinsics, TrueCamera
 
 SEED = 1
 CAMERA_MODEL = "SIMPLE_RADIAL"
@@ -16,7 +16,10 @@ PEAK_THRESHOLD = 0.0025  # under COLMAP's 0.0067: the blotches are faint so as n
 
 
 def reconstruct(
-    images: Path, cameras: list[TrueCamera], database: Path | None = None
+    images: Path,
+    cameras: list[TrueCamera],
+    intrinsics: Intrinsics,
+    database: Path | None = None,
 ) -> pycolmap.Reconstruction:
     """Return COLMAP's model of the images, aligned by a similarity to the true centres.
 
@@ -25,7 +28,7 @@ def reconstruct(
     pycolmap.set_random_seed(SEED)
     with tempfile.TemporaryDirectory() as temporary:
         database = database or Path(temporary) / "database.db"
-        match(database, images)
+        match(database, images, [camera.name for camera in cameras], intrinsics)
         model = map_incrementally(database, images, Path(temporary))
     if model.num_reg_images() != len(cameras):
         raise RuntimeError(f"only {model.num_reg_images()} of {len(cameras)} images registered")
@@ -33,11 +36,11 @@ def reconstruct(
     return model
 
 
-def match(database: Path, images: Path) -> None:
+def match(database: Path, images: Path, names: list[str], intrinsics: Intrinsics) -> None:
     """Extract SIFT features and match all pairs of images, on one thread to be repeatable."""
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = CAMERA_MODEL
-    reader.camera_params = f"{FOCAL},{WIDTH / 2},{HEIGHT / 2},0"
+    reader.camera_params = ",".join(map(str, (intrinsics.focal, *intrinsics.centre, 0)))
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = 1, False
     extraction.sift.peak_threshold = PEAK_THRESHOLD
@@ -46,6 +49,7 @@ def match(database: Path, images: Path) -> None:
     pycolmap.extract_features(
         database,
         images,
+        image_names=names,
         camera_mode=pycolmap.CameraMode.SINGLE,
         reader_options=reader,
         extraction_options=extraction,
@@ -81,7 +85,9 @@ def align(model: pycolmap.Reconstruction, cameras: list[TrueCamera]) -> None:
     model.transform(similarity)
 
 
-def summary(model: pycolmap.Reconstruction, cameras: list[TrueCamera]) -> str:
+def summary(
+    model: pycolmap.Reconstruction, cameras: list[TrueCamera], intrinsics: Intrinsics
+) -> str:
     """Describe the size of the model and how far it lies from the truth."""
     truth = {camera.name: camera for camera in cameras}
     offset, shift = [], []
@@ -90,7 +96,7 @@ def summary(model: pycolmap.Reconstruction, cameras: list[TrueCamera]) -> str:
         true = truth[image.name]
         offset.append(np.linalg.norm(image.projection_center() - true.centre()))
         local = points @ true.cam_from_world[:, :3].T + true.cam_from_world[:, 3]
-        expected = FOCAL * local[:, :2] / local[:, 2:] + (WIDTH / 2, HEIGHT / 2)
+        expected = intrinsics.focal * local[:, :2] / local[:, 2:] + intrinsics.centre
         found = model.cameras[image.camera_id].img_from_cam(image.cam_from_world() * points)
         shift.append(np.linalg.norm(found - expected, axis=1))
     camera = next(iter(model.cameras.values()))

@@ -48,8 +48,10 @@ def test_views_look_at_the_origin_from_all_around():
 def test_images_show_a_box_where_the_camera_sees_it():
     mesh = trimesh.creation.box((0.6, 0.8, 1))
     smooth = trimesh.graph.smooth_shade(mesh, angle=CREASE)
-    pose = make_model().images[20].cam_from_world()
-    light = brightness(smooth, RayMeshIntersector(smooth), pose)
+    model = make_model()
+    image = model.images[20]
+    light = brightness(smooth, RayMeshIntersector(smooth), image)
+    pose = image.cam_from_world()
     local = mesh.vertices @ pose.rotation.matrix().T + pose.translation
     corners = FOCAL * local[:, :2] / local[:, 2:] + SIZE / 2
     rows, columns = np.nonzero(light < 1 - 1e-6)
