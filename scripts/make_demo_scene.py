@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Make the demo scene: its surface, true curves, true cameras, images and sparse model.
 
 Needs, in an environment of its own with Python 3.11 (Blender's wheel has no other):

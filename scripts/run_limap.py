@@ -13,19 +13,17 @@ import argparse
 from pathlib import Path
 
 import cv2
-import limap.geometry
-import limap.scene
-import limap.sfm
 import numpy as np
 import pycolmap
 
 
-def detect(path: Path, count: int) -> list[limap.geometry.Line2d]:
+def detect(path: Path, count: int) -> np.ndarray:
+    """(N, 4) ends of the longest segments of an image, COLMAP's pixels."""
     gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    found = cv2.createLineSegmentDetector().detect(gray)[0].reshape(-1, 4).astype(float)
-    lengths = np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1])
-    longest = found[np.argsort(-lengths)[:count]] + 0.5
-    return [limap.geometry.Line2d(ends[:2], ends[2:]) for ends in longest]
+    found = cv2.createLineSegmentDetector().detect(gray)[0]
+    segments = np.zeros((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
+    lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
+    return segments[np.argsort(-lengths)[:count]] + 0.5
 
 
 def neighbors(reconstruction: pycolmap.Reconstruction, count: int) -> dict[int, list[int]]:
@@ -62,6 +60,10 @@ def main() -> None:
     parser.add_argument("--num_neighbors", type=int, default=6)
     arguments = parser.parse_args()
 
+    import limap.geometry
+    import limap.scene
+    import limap.sfm
+
     arguments.output_path.mkdir(parents=True, exist_ok=True)
     image_path, input_path = undistorted(
         arguments.image_path, arguments.input_path, arguments.output_path / "undistorted"
@@ -70,7 +72,10 @@ def main() -> None:
     database_path = arguments.output_path / "structures.db"
     limap.scene.create_structure_db(database_path)
     lines = {
-        i: detect(image_path / image.name, arguments.max_segments)
+        i: [
+            limap.geometry.Line2d(ends[:2], ends[2:])
+            for ends in detect(image_path / image.name, arguments.max_segments)
+        ]
         for i, image in reconstruction.images.items()
     }
     with limap.scene.StructureDatabase.open(database_path) as database:

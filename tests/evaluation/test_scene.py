@@ -1,13 +1,11 @@
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pycolmap
 import pytest
 import trimesh
-from project import ROOT
+from project import run_script
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.evaluation.metrics import curves, depth, edges, visible_curves
@@ -228,24 +226,16 @@ def test_edges_are_read_from_ply(tmp_path):
     assert found.points[2].tolist() == [4, 5, 6]
 
 
-def run_script(name, *arguments):
-    command = [sys.executable, str(ROOT / "scripts" / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
 def test_scripts_write_figures_and_report_bad_input(model_path, tmp_path):
     plane(1.0).export(tmp_path / "mesh.ply")
     write_edges(tmp_path / "edges.ply", [(0, 0, 0), (1, 0, 0)], [(0, 1)])
     paths = ("--mesh_path", tmp_path / "mesh.ply", "--input_path", model_path)
-    done = run_script("evaluate_scene.py", *paths, "--output_path", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    run_script("evaluate_scene.py", *paths, "--output_path", tmp_path / "out")
     record = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert record["points_depth"]["absolute"]["mae"] == pytest.approx(1, abs=1e-5)
     sparse = ("--edges_path", tmp_path / "edges.ply", "--sparse_path", model_path)
     done = run_script("evaluate_edges.py", *sparse, "--reference_path", tmp_path / "edges.ply")
-    assert done.returncode == 0, done.stderr
     assert "| 0.005 | 1 | 1 | 1 |" in done.stdout
-    done = run_script("evaluate_scene.py", *paths[:2], "--input_path", tmp_path)
-    assert done.returncode == 1
+    done = run_script("evaluate_scene.py", *paths[:2], "--input_path", tmp_path, code=1)
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1

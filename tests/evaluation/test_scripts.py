@@ -1,14 +1,12 @@
 """The scripts that make tables, from images on, on the miniature."""
 
 import json
-import subprocess
-import sys
 
 import miniature
 import numpy as np
 import pytest
 import trimesh
-from project import ROOT
+from project import run_script
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.evaluation.metrics import depth
@@ -20,13 +18,6 @@ pytestmark = pytest.mark.usefixtures("mesher")
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
     return miniature.write(tmp_path_factory.mktemp("data"), cameras=7)
-
-
-def run(script, *arguments, code=0):
-    command = [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stderr
-    return done
 
 
 def write_line3dpp(sparse, path):
@@ -43,7 +34,7 @@ def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path)
     command = ("evaluate_dtu.py", "--input_path", root, "--output_path", tmp_path / "out")
     command += ("--scans", 6, "--scans", 23, "--methods", "SfM", "--methods", "edges")
     command += ("--peers", f"Line3D++={tmp_path}/lines_{{scan}}.txt")
-    done = run(*command)
+    done = run_script(*command)
     assert "- DTU-023, SfM: " in done.stdout
     results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     methods = results["DTU-006"]["methods"]
@@ -53,7 +44,7 @@ def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path)
         assert record["dtu"]["overall"] < 2
     assert methods["Line3D++"]["points"]["mae"] < 0.3  # between samples 0.5 mm apart
     assert methods["Line3D++"]["points"]["count"] > 10
-    again = run(*command)
+    again = run_script(*command)
     assert again.stdout.count("done before") == 3
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == results
 
@@ -62,11 +53,11 @@ def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path)
 def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout, script):
     images = root / "Rectified" / "scan6"
     paths = ("--image_path", images, "--input_path", sparse, "--output_path", tmp_path / "scan6")
-    run("export_layout.py", "--layout", layout, *paths)
+    run_script("export_layout.py", "--layout", layout, *paths)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     name = "--input_path" if layout == "neus" else "--image_path"
     command = (f"evaluate_{script}.py", name, tmp_path / "scan6", "--methods", "SfM")
-    run(*command, "--reference_path", reference, "--output_path", tmp_path / "out")
+    run_script(*command, "--reference_path", reference, "--output_path", tmp_path / "out")
     (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
     assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
     assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
@@ -77,8 +68,8 @@ def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
     """The start is true; whatever adjusts it moves it by little."""
     images = root / "Rectified" / "scan6"
     model = ("--image_path", images, "--input_path", sparse)
-    run("export_layout.py", "--layout", "strecha", *model, "--output_path", tmp_path)
-    done = run("evaluate_poses.py", "--camera_path", tmp_path, *model)
+    run_script("export_layout.py", "--layout", "strecha", *model, "--output_path", tmp_path)
+    done = run_script("evaluate_poses.py", "--camera_path", tmp_path, *model)
     rows = [line.split(" | ") for line in done.stdout.splitlines()[2:]]
     assert [row[3] for row in rows] == [
         *("start", "SfM points (COLMAP)", "SfM points (COLMAP, Cauchy)", "SfM and edge points")
@@ -86,7 +77,9 @@ def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
     centres = [float(row[4]) for row in rows]
     assert centres[0] < 1e-9
     assert max(centres) < 0.5
-    done = run("evaluate_poses.py", "--camera_path", tmp_path, "--image_path", images, code=2)
+    done = run_script(
+        "evaluate_poses.py", "--camera_path", tmp_path, "--image_path", images, code=2
+    )
     assert "--camera_path needs --image_path and --input_path" in done.stderr
 
 
@@ -108,7 +101,7 @@ def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
     command += ("--input_path", sparse, "--reference_path", tmp_path / "curves.npz")
     command += ("--surface_path", tmp_path / "surface.ply")
     command += ("--reference_depth_path", tmp_path / "depths", "--output_path", tmp_path / "e.json")
-    assert "SfM points on the true surface" in run(*command).stdout
+    assert "SfM points on the true surface" in run_script(*command).stdout
     record = json.loads((tmp_path / "e.json").read_text())
     assert "reprojection" not in record
     (row, _) = record["curves"]["scores"]
@@ -125,6 +118,6 @@ def test_bad_input_is_one_line(tmp_path):
         ("evaluate_dtu.py", "--input_path", tmp_path, "--output_path", tmp_path / "out"),
         ("evaluate_strecha.py", "--image_path", tmp_path, "--output_path", tmp_path / "out"),
     ):
-        done = run(*command, code=1)
+        done = run_script(*command, code=1)
         assert done.stderr.startswith("error: ")
         assert done.stderr.count("\n") == 1

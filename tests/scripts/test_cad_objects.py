@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
+import pycolmap
 import pytest
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
@@ -12,6 +14,8 @@ pytest.importorskip("manifold3d", reason="the objects are made with manifold3d")
 from cad_objects.shading import CREASE, FOCAL, SIZE, brightness, make_model
 from cad_objects.solids import OBJECTS
 from make_cad_objects import mesh_of, sharp_curves
+from project import run_script
+from scipy.spatial import cKDTree
 
 
 def lengths_of(points, edges):
@@ -60,3 +64,25 @@ def test_images_show_a_box_where_the_camera_sees_it():
     np.testing.assert_array_equal([columns.max(), rows.max()], np.floor(corners.max(axis=0)))
     inside = light[light < 1 - 1e-6]
     assert len(np.unique(np.round(inside, 3))) >= 3  # its faces differ
+
+
+def test_objects_are_written_small(tmp_path):
+    name = next(iter(OBJECTS))
+    small = ("--names", name, "--num_views", 3, "--size", 48)
+    run_script("make_cad_objects.py", "--output_path", tmp_path, *small)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    folder = tmp_path / name
+    model = pycolmap.Reconstruction(folder / "sparse")
+    mesh = trimesh.load(folder / "surface.ply", process=False)
+    with np.load(folder / "curves.npz") as curves:
+        points, edges = curves["points"], curves["edges"]
+    assert len(model.images) == 3 and len(edges) > 10
+    for image in model.images.values():
+        picture = cv2.imread(str(folder / "images" / image.name), cv2.IMREAD_GRAYSCALE)
+        assert picture.shape == (image.camera.height, image.camera.width) == (48, 48)
+        pixels = image.camera.img_from_cam(image.cam_from_world() * mesh.vertices)
+        rows, columns = np.nonzero(picture < 240)
+        assert abs(columns.min() - pixels[:, 0].min()) < 2
+        assert abs(rows.max() + 1 - pixels[:, 1].max()) < 2
+    assert edges.max() < len(points)
+    assert cKDTree(mesh.vertices).query(points)[0].max() < 1e-6

@@ -1,0 +1,120 @@
+"""The scripts that make the demo scene and compare its meshes, on little of it."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+import scenes
+import trimesh
+from project import DEMO, SCRIPTS, run_script
+
+from colmap_edges.pipeline.paths import Paths
+
+SCALE = ("--num_views", 4, "--scale_percent", 50)
+
+
+def lengths_of(curves):
+    return np.linalg.norm(np.diff(curves["points"][curves["edges"]], axis=1), axis=2)
+
+
+def test_geometry_is_that_of_the_demo(tmp_path):
+    pytest.importorskip("manifold3d", reason="the bodies are made with manifold3d")
+    arguments = ("--output_path", tmp_path, "--stages", "geometry", *SCALE)
+    run_script("make_demo_scene.py", *arguments)
+    made, kept = (trimesh.load(path / "surface.ply", process=False) for path in (tmp_path, DEMO))
+    assert made.is_watertight
+    np.testing.assert_allclose(made.bounds, kept.bounds, atol=1e-5)
+    assert made.volume == pytest.approx(kept.volume, rel=1e-4)
+    with np.load(tmp_path / "curves.npz") as new, np.load(DEMO / "curves.npz") as old:
+        assert lengths_of(new).sum() == pytest.approx(lengths_of(old).sum(), rel=1e-3)
+    cameras, full = (
+        json.loads((path / "true_cameras.json").read_text()) for path in (tmp_path, DEMO)
+    )
+    assert (cameras["width"], cameras["height"]) == (512, 384)
+    assert cameras["params"] == [value / 2 for value in full["params"]]
+    names = [f"view{i:02d}.jpg" for i in range(4)]
+    assert list(cameras["cam_from_world"]) == names
+    for name in names:
+        np.testing.assert_allclose(cameras["cam_from_world"][name], full["cam_from_world"][name])
+
+
+def test_sparse_model_of_few_small_images(tmp_path):
+    pytest.importorskip("manifold3d", reason="the bodies are made with manifold3d")
+    (tmp_path / "images").mkdir()
+    for index in range(5):  # one more than is asked for
+        image = cv2.imread(str(DEMO / "images" / f"view{index:02d}.jpg"))
+        small = cv2.resize(image, (512, 384), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(tmp_path / "images" / f"view{index:02d}.jpg"), small)
+    arguments = ("--output_path", tmp_path, "--stages", "sparse", *SCALE)
+    done = run_script("make_demo_scene.py", *arguments)
+    assert done.stdout.startswith("4 images, ")
+    model, kept = (pycolmap.Reconstruction(path / "sparse") for path in (tmp_path, DEMO))
+    (camera,) = model.cameras.values()
+    assert camera.focal_length == pytest.approx(550, rel=0.05)
+    assert model.num_points3D() > 50
+    centres = {image.name: image.projection_center() for image in kept.images.values()}
+    for image in model.images.values():  # as far from where they look as 12 m
+        assert np.linalg.norm(image.projection_center() - centres[image.name]) < 0.3
+
+
+def test_images_are_rendered(tmp_path):
+    python = os.environ.get("BLENDER_PYTHON", sys.executable)
+    found = subprocess.run([python, "-c", "import bpy, manifold3d"], capture_output=True)
+    if found.returncode:
+        pytest.skip("Blender's Python module is not there (set BLENDER_PYTHON)")
+    arguments = ("--stages", "images", "--num_views", "2", "--scale_percent", "25")
+    command = [python, SCRIPTS / "make_demo_scene.py", "--output_path", tmp_path, *arguments]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    subprocess.run([*command, "--samples", "4"], env=environment, capture_output=True, check=True)
+    names = sorted(path.name for path in (tmp_path / "images").iterdir())
+    assert names == ["view00.jpg", "view01.jpg"]
+    for name in names:
+        made, kept = (cv2.imread(str(path / "images" / name), 0) for path in (tmp_path, DEMO))
+        assert made.shape == (192, 256)
+        small = cv2.resize(kept, (256, 192), interpolation=cv2.INTER_AREA)
+        assert np.median(np.abs(made.astype(float) - small)) < 8
+
+
+def surface_of_scene():
+    """The faces of the synthetic scene's bodies as triangles."""
+    corners, triangles = [], []
+    for face in (face for body in scenes.solids() for face in body):
+        first, count = sum(map(len, corners)), len(face.corners)
+        triangles += [(first, first + i, first + i + 1) for i in range(1, count - 1)]
+        corners.append(face.corners)
+    return trimesh.Trimesh(np.concatenate(corners), triangles, process=False)
+
+
+@pytest.mark.pipeline
+def test_meshes_are_compared_with_the_true_surface(small, tmp_path):
+    pytest.importorskip("colmap_edges._mesher", reason="the CGAL mesher is not built")
+    from colmap_edges.options import PipelineOptions
+    from colmap_edges.pipeline.run import run
+
+    demo, output = tmp_path / "demo", tmp_path / "output"
+    shutil.copytree(small[0], demo / "images")
+    shutil.copytree(small[1], demo / "sparse")
+    surface_of_scene().export(demo / "surface.ply")
+    output.mkdir()
+    for name, use_edges in (("without_edges", False), ("with_edges", True)):
+        paths = Paths(image_path=small[0], input_path=small[1], output_path=output / name)
+        run("mesh", paths, PipelineOptions(use_edges=use_edges, num_threads=1))
+    lines = run_script("compare_demo.py", demo, output).stdout.splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:4]]
+    heads = ["depth error in all views", "mae", "rmse", "median", "p90", "coverage"]
+    assert rows[0] == heads
+    assert [row[0] for row in rows[2:]] == ["without edges", "with edges"]
+    without, with_edges = ([float(cell) for cell in row[1:]] for row in rows[2:])
+    assert with_edges[0] < without[0]  # of solids that are edges and little else
+    assert 0 < with_edges[2] < 0.02
+    pictures = sorted(output.glob("*.jpg"))
+    assert len(pictures) == len(lines) - 4 >= 4
+    height, width = cv2.imread(str(next(demo.glob("images/*")))).shape[:2]
+    for path in pictures:
+        assert cv2.imread(str(path)).shape == (2 * height, 2 * width, 3)

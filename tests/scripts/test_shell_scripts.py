@@ -1,0 +1,106 @@
+"""Scripts of the shell: they parse, what they name exists, bad arguments are told.
+
+What installs packages or runs for minutes is not run here; continuous integration does that.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from project import ROOT, SCRIPTS, run_script
+
+from colmap_edges.cli.flags import load_toml
+
+NAMES = (
+    *("build", "demo", "memcheck", "reproduce_results", "sanitize", "setup", "soak", "test"),
+    "test_lower_bounds",
+)
+# A path from the project's folder on, not the rest of a longer one as in "$build/package/...".
+NAMED = re.compile(r"(?<![\w$/}\"])(?:\.ci|colmap_edges|docs|meshing|scripts|tests)/[\w./-]+")
+PYTEST_OPTION = re.compile(r"-m pytest .*?--([a-z]+)\b")
+PROJECT = load_toml(ROOT / "pyproject.toml")["project"]
+
+
+def commands_of(name: str) -> str:
+    """A script without its comments and with lines that go on joined."""
+    text = (SCRIPTS / name).read_text(encoding="utf-8").replace("\\\n", " ")
+    return "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scripts_parse(name):
+    done = subprocess.run(["bash", "-n", SCRIPTS / name], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "set -euo pipefail" in commands_of(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_scripts_name_exists(name):
+    named = NAMED.findall(commands_of(name))
+    assert [path for path in named if not (ROOT / path.rstrip(".")).exists()] == []
+
+
+def test_names_are_found():
+    counts = {name: len(NAMED.findall(commands_of(name))) for name in NAMES}
+    assert counts["sanitize"] >= 12
+    assert counts["soak"] >= 7
+    assert counts["reproduce_results"] >= 8
+    assert min(counts[name] for name in ("demo", "memcheck", "test", "test_lower_bounds")) >= 1
+
+
+def test_extras_that_are_installed_exist():
+    for name in NAMES:
+        for extras in re.findall(r"\.\[([\w,]+)\]", commands_of(name)):
+            assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
+
+
+def test_options_of_the_suite_exist(pytestconfig):
+    found = [option for name in NAMES for option in PYTEST_OPTION.findall(commands_of(name))]
+    assert found == ["soak"]
+    for option in found:
+        assert pytestconfig.getoption(option) is not None
+
+
+def test_lowest_versions_are_those_of_the_project():
+    (program,) = re.findall(
+        r"<<'PYTHON'\n(.*?)\nPYTHON\n", (SCRIPTS / "test_lower_bounds").read_text(), re.DOTALL
+    )
+    library = "tomllib" if sys.version_info >= (3, 11) else "tomli"
+    done = subprocess.run(
+        [sys.executable, "-c", program.replace("import tomli", f"import {library} as tomli")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    lowest = done.stdout.split()
+    wanted = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["evaluation"]]
+    assert len(lowest) == len(wanted) + 1  # nanobind builds
+    assert {"numpy==1.26.*", "rich==13.0.*", "nanobind==2.2.*"} <= set(lowest)
+
+
+def test_a_sanitizer_that_is_none_is_told():
+    done = run_script("sanitize", sys.executable, "none", code=2)
+    assert done.stderr == "no such kind: none\n"
+
+
+def test_memcheck_asks_for_valgrind(tmp_path):
+    for program in ("bash", "dirname"):
+        (tmp_path / program).symlink_to(Path(shutil.which(program)).resolve())
+    done = subprocess.run(
+        [tmp_path / "bash", SCRIPTS / "memcheck"],
+        env=os.environ | {"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (1, "run: apt-get install valgrind\n")
+
+
+def test_reproduce_results_tells_its_arguments():
+    done = run_script("reproduce_results", code=2)
+    assert "scripts/reproduce_results DATA OUT [PYTHON]" in done.stderr
+    assert "#" not in done.stderr
