@@ -79,5 +79,5 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object written by this package."""
     try:
         return dict(json.loads(read_text(path)))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ColmapEdgesError(f"cannot read {path}: {error}") from error

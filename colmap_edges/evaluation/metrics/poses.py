@@ -61,7 +61,7 @@ def load_true_cameras(path: Path) -> TrueCameras:
     """
     try:
         return TrueCameras(**json.loads(read_text(path)))
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise ColmapEdgesError(f"{path} holds no true cameras ({error})") from error
 
 

@@ -11,6 +11,7 @@ from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.arrays import entries_of, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.readers.peers import DAMAGE
 from colmap_edges.runtime.input_files import read_text
 
 
@@ -33,7 +34,7 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
         names = {view.name: index for index, view in enumerate(model.views)}
         views = np.array([names[view.name] for view in written.views], dtype=np.int32)
         counts = np.diff(written.track_offsets)[rows]
-    except (OSError, ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
+    except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{run_path} holds no edges that fit its model: {error}") from error
     taken = entries_of(written.track_offsets, rows)
     return Edges3D(

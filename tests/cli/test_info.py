@@ -1,0 +1,106 @@
+"""What `colmap-edges info` says, of models and reports made by hand."""
+
+import json
+
+import numpy as np
+import pycolmap
+import pytest
+
+from colmap_edges.cli.info import count_lines, describe, describe_model, report_lines
+from colmap_edges.colmap.model import model_from_reconstruction
+from colmap_edges.errors import ColmapEdgesError
+
+REPORT = {
+    "command": "reconstruct",
+    "stages": [
+        {"name": "read", "wall_s": 0.5, "peak_mb": 100.0, "counts": {"images_with_poses": 3}},
+        {
+            "name": "trace",
+            "wall_s": 2.0,
+            "peak_mb": 200.5,
+            "counts": {"edges": 7, "dropped": {"by_chance": 1}},
+        },
+    ],
+}
+
+
+def reconstruction(track_lengths=(2, 3, 3), unposed=1):
+    """Three posed images of two cameras, some without a pose, points seen by so many images."""
+    made = pycolmap.Reconstruction()
+    for camera_id, width in ((1, 640), (2, 320)):
+        camera = pycolmap.Camera.create_from_model_name(camera_id, "PINHOLE", 500.0, width, 240)
+        made.add_camera_with_trivial_rig(camera)
+    for image_id in range(1, 4):
+        image = pycolmap.Image(f"{image_id}.png", [], 1 if image_id < 3 else 2, image_id)
+        points2D = [pycolmap.Point2D(np.array([10.0, 10.0 + i])) for i in range(3)]
+        image.points2D = pycolmap.Point2DList(points2D)
+        made.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    for row, length in enumerate(track_lengths):
+        elements = [pycolmap.TrackElement(image_id, row) for image_id in range(1, length + 1)]
+        made.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(elements), np.zeros(3, np.uint8))
+    for image_id in range(4, 4 + unposed):
+        made.add_image_with_trivial_frame(pycolmap.Image(f"{image_id}.png", [], 1, image_id))
+    return made
+
+
+def test_a_model_in_four_lines(tmp_path):
+    expected = [
+        "cameras: 2 (PINHOLE 320x240, PINHOLE 640x240)",
+        "images: 3 with poses, 1 without",
+        "points3D: 3, 8 observations",
+        "track length: median 3, longest 3",
+    ]
+    assert describe_model(model_from_reconstruction(reconstruction())).split("\n") == expected
+    reconstruction().write_binary(tmp_path)  # which leaves out images without poses
+    expected[1] = "images: 3 with poses, 0 without"
+    assert describe(tmp_path).split("\n") == expected
+
+
+def test_a_model_without_points_has_no_track_length():
+    lines = describe_model(model_from_reconstruction(reconstruction((), unposed=0))).split("\n")
+    assert lines[1:] == ["images: 3 with poses, 0 without", "points3D: 0, 0 observations"]
+
+
+def test_a_report_stage_by_stage():
+    assert report_lines(REPORT) == [
+        "output of colmap-edges reconstruct",
+        "read: 0.5 s, 100.0 MB",
+        "  images with poses: 3",
+        "trace: 2.0 s, 200.5 MB",
+        "  edges: 7",
+        "  dropped:",
+        "    by chance: 1",
+    ]
+
+
+def test_counts_of_nothing():
+    assert count_lines({}, "  ") == []
+    assert count_lines({"a_b": {}}, "") == ["a b:"]
+
+
+def test_an_output_with_and_without_a_model(tmp_path):
+    (tmp_path / "report.json").write_text(json.dumps(REPORT))
+    assert describe(tmp_path).split("\n") == report_lines(REPORT)
+    (tmp_path / "sparse").mkdir()
+    reconstruction().write_binary(tmp_path / "sparse")
+    lines = describe(tmp_path).split("\n")
+    assert lines[:7] == report_lines(REPORT)
+    assert lines[7:9] == ["sparse:", "  cameras: 2 (PINHOLE 320x240, PINHOLE 640x240)"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "[1]", "{}", "null", '{"command": "mesh"}', "[" * 100_000]
+    + [json.dumps(REPORT | {"stages": stages}) for stages in (3, [3], [{}], [{"name": "read"}])]
+    + [json.dumps(REPORT | {"stages": [REPORT["stages"][0] | {"counts": [1]}]})],
+)
+def test_a_damaged_report_is_one_line(tmp_path, text):
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(ColmapEdgesError, match=r"report\.json") as caught:
+        describe(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_of_neither_is_told(tmp_path):
+    with pytest.raises(ColmapEdgesError, match="no readable COLMAP model"):
+        describe(tmp_path)
