@@ -42,6 +42,13 @@ def test_libraries_are_imported_where_they_may_be(architecture):
     assert architecture["libraries"]() == allowed
 
 
+def test_no_test_imports_another():
+    """What tests share is in tests/support or a conftest."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        imported = re.findall(r"^\s*(?:from|import) (\S+)", path.read_text(), re.MULTILINE)
+        assert [name for name in imported if re.search(r"(^|\.)test_|^tests\b", name)] == [], path
+
+
 def test_cores_know_no_python():
     cores = [
         path
