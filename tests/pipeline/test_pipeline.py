@@ -204,7 +204,7 @@ def test_leftovers_of_a_killed_run_are_cleaned(tmp_path):
     output = tmp_path / "out"
     script = (
         "import sys, time; from pathlib import Path\n"
-        "from colmap_edges.output import new_folder\n"
+        "from colmap_edges.runtime.output import new_folder\n"
         "with new_folder(Path(sys.argv[1])) as folder:\n"
         "    (folder / 'half').mkdir(); (folder / 'half' / 'a').write_text('x')\n"
         "    print('ready', flush=True); time.sleep(60)\n"
@@ -227,7 +227,7 @@ def test_output_moved_aside_by_a_killed_run_comes_back(tmp_path):
         write_output(folder, "a", "old")
     script = (
         "import os, sys; from pathlib import Path\n"
-        "from colmap_edges.output import new_folder\n"
+        "from colmap_edges.runtime.output import new_folder\n"
         "rename = Path.rename\n"
         "def rename_once(path, target):\n"
         "    rename(path, target); os._exit(9)\n"

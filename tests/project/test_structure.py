@@ -9,6 +9,8 @@ import sys
 import pytest
 from project import ROOT
 
+import colmap_edges
+
 
 @pytest.fixture(scope="module")
 def architecture():
@@ -80,6 +82,21 @@ def test_names_on_the_page_exist(architecture):
     assert len(pairs) > 15
     for module, name in pairs:
         assert hasattr(importlib.import_module(f"colmap_edges.{module}"), name), (module, name)
+
+
+def test_modules_that_text_names_exist(architecture):
+    """Programs and flags in strings, comments and pages: nothing else notices when modules move."""
+    modules = {*architecture["module_paths"](), "_mesher", "kernels._kernels"}
+    paths = [p for d in ("colmap_edges", "docs", "scripts", "tests") for p in (ROOT / d).rglob("*")]
+    paths = [p for p in paths if p.suffix in (".py", ".md") or p.parent == ROOT / "scripts"]
+    count = 0
+    for path in (p for p in paths if p.is_file()):
+        for name in re.findall(r"\b(?:from|import|-m|`) ?colmap_edges\.([\w.]+)", path.read_text()):
+            name, parent = name.rstrip("."), name.rstrip(".").rpartition(".")[0]
+            known = name in modules or parent in modules or hasattr(colmap_edges, name)
+            assert known or name == "no_such_name", (path, name)
+            count += 1
+    assert count > 500
 
 
 def test_first_line_tells_the_one_job(architecture):

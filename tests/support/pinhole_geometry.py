@@ -1,7 +1,7 @@
 """Epipolar lines, triangulation and distances of posed pinhole views: pure numpy.
 
-Pixels are *ideal* (see `colmap_edges.model.View`). References for the kernels, which hold faster
-versions of the same.
+Pixels are *ideal* (see `colmap_edges.core.view.View`). References for the kernels, which hold
+faster versions of the same.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from colmap_edges.core.arrays import FloatArray
 
 
 class PinholeView(Protocol):
-    """What geometry needs of a view; `colmap_edges.model.View` has it."""
+    """What geometry needs of a view; `colmap_edges.core.view.View` has it."""
 
     @property
     def rotation(self) -> FloatArray:
