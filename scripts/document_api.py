@@ -33,6 +33,11 @@ PUBLIC = (
         "colmap_edges.export.edges",
     ),
     (
+        "core.observations",
+        ("Observations", "ChainObservations"),
+        "colmap_edges.core.observations",
+    ),
+    (
         "colmap.triangulation",
         ("PosedImage", "posed_image", "triangulate"),
         "colmap_edges.colmap.triangulation",

@@ -309,7 +309,7 @@ def reconstruct_city(city: City, folder: Path, options: PipelineOptions) -> Stag
     with stages.stage("make edge graphs") as stage:
         graphs, num_pixels = make_graphs(city, model, options)
         stage.counts = {"edge_pixels": num_pixels}
-    edges = trace_stage(model, Detection(graphs=graphs), options, stages)
+    edges = trace_stage(model, Detection(graphs=graphs), options, stages).edges
     with stages.stage("write") as stage:
         write_results(model, edges, folder)
     return stages

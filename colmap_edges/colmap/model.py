@@ -263,8 +263,8 @@ def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
 
     NaN where the point lies behind the camera.
     """
-    points = edges.points[edges.track_points]
-    return track_residuals(model.views, points, edges.track_views, edges.track_points2D)
+    points = edges.points[edges.observations.points]
+    return track_residuals(model.views, points, edges.observations.views, edges.observations.pixels)
 
 
 def frames_of_views(model: Model) -> IntArray:

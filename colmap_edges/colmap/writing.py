@@ -145,8 +145,8 @@ def new_points(
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
     if residuals is None:
         residuals = observation_residuals(model, edges)
-    lengths = np.diff(edges.track_offsets)
-    sums = np.bincount(edges.track_points, residuals, edges.num_points)
+    observed = edges.observations
+    sums = np.bincount(observed.points, residuals, edges.num_points)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     known = (model.point3D_ids, model.far_point3D_ids)
     first_id = 1 + int(max(ids.max(initial=0) for ids in known))
@@ -154,22 +154,23 @@ def new_points(
         ids=first_id + np.arange(edges.num_points, dtype=np.int64),
         xyz=edges.points,
         rgb=edges.colors,
-        errors=sums / np.maximum(lengths, 1),
-        track_offsets=edges.track_offsets,
-        track_image_ids=image_ids[edges.track_views],
-        track_points2D=edges.track_points2D,
+        errors=sums / np.maximum(observed.counts, 1),
+        track_offsets=observed.offsets,
+        track_image_ids=image_ids[observed.views],
+        track_points2D=observed.pixels,
     )
 
 
 def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
     """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
-    offsets = model.track_offsets[-1] + edges.track_offsets[1:]
+    observed = edges.observations
+    offsets = model.track_offsets[-1] + observed.offsets[1:]
     return replace(
         model,
         points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
         point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
         points3D_rgb=np.concatenate([model.points3D_rgb, edges.colors]),
         track_offsets=np.concatenate([model.track_offsets, offsets]),
-        track_views=np.concatenate([model.track_views, edges.track_views]),
-        track_points2D=np.concatenate([model.track_points2D, edges.track_points2D]),
+        track_views=np.concatenate([model.track_views, observed.views]),
+        track_points2D=np.concatenate([model.track_points2D, observed.pixels]),
     )

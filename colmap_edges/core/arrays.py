@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
+Record = TypeVar("Record")
 Picture = NDArray[np.uint8]  # (H, W) gray values or (H, W, 3) colours
 
 
@@ -58,3 +60,23 @@ def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
 def ranks_of(lengths: IntArray) -> IntArray:
     """Place of each entry within its row, for rows of n lengths one after the other."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+
+
+def flattened(record: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
+    """The arrays of a dataclass of arrays and of such dataclasses, by dotted name."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for entry in fields(record):
+        value, name = getattr(record, entry.name), prefix + entry.name
+        arrays |= flattened(value, f"{name}.") if is_dataclass(value) else {name: value}
+    return arrays
+
+
+def unflattened(kind: type[Record], arrays: Mapping[str, NDArray[Any]], prefix: str = "") -> Record:
+    """The dataclass that `flattened` took apart."""
+    values = {}
+    for name, of in get_type_hints(kind).items():
+        inner = is_dataclass(of) and isinstance(of, type)
+        values[name] = (
+            unflattened(of, arrays, f"{prefix}{name}.") if inner else arrays[prefix + name]
+        )
+    return kind(**values)

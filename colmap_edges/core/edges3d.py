@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -16,10 +13,9 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
-    entries_of,
-    offsets_of,
     owners_of,
 )
+from colmap_edges.core.observations import Observations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,26 +26,32 @@ class Edges3D:
         points: (N, 3) float64 edge points, world units; those of one edge are contiguous.
         edge_offsets: (E + 1,) int64; edge e is points[edge_offsets[e]:edge_offsets[e + 1]].
         closed: (E,) bool; the last point of a closed edge connects to its first.
-        track_offsets: (N + 1,) int64; observations of point i are track_offsets[i]:[i + 1].
-        track_views: (T,) int32 indices into the model's views; a view at most once a point.
-        track_points2D: (T, 2) float64 observed edge points, image pixels, COLMAP's origin.
+        observations: where views observe the N points: their tracks.
         sigmas: (N,) float64 standard deviation of a point, world units; NaN where unknown.
         end_nodes: (E, 2) int32; edges with the same node id at an end meet there; -1 is none.
         colors: (N, 3) uint8 RGB, the mean of the images where they observe the point.
-        outlines: curves that are no edges, since they move over a body from view to view as its
-            outline and its reflections do, but near its surface: only the mesh uses them.
     """
 
     points: FloatArray
     edge_offsets: IntArray
     closed: BoolArray
-    track_offsets: IntArray
-    track_views: Int32Array
-    track_points2D: FloatArray
+    observations: Observations
     sigmas: FloatArray
     end_nodes: Int32Array
     colors: ByteArray
-    outlines: Edges3D | None = None
+
+    @classmethod
+    def none(cls) -> Edges3D:
+        """No edges."""
+        return cls(
+            points=np.zeros((0, 3)),
+            edge_offsets=np.zeros(1, np.int64),
+            closed=np.zeros(0, bool),
+            observations=Observations.none(),
+            sigmas=np.zeros(0),
+            end_nodes=np.zeros((0, 2), np.int32),
+            colors=np.zeros((0, 3), np.uint8),
+        )
 
     @property
     def num_edges(self) -> int:
@@ -65,11 +67,6 @@ class Edges3D:
     def edge_ids(self) -> IntArray:
         """(N,) edge of each point."""
         return owners_of(self.edge_offsets)
-
-    @cached_property
-    def track_points(self) -> IntArray:
-        """(T,) point of each observation."""
-        return owners_of(self.track_offsets)
 
     @cached_property
     def segments(self) -> Int32Array:
@@ -100,42 +97,36 @@ class Edges3D:
             closed: (E',) which of them are closed.
             end_nodes: (E', 2) their nodes.
         """
-        rows = entries_of(self.track_offsets, order)
         return Edges3D(
             points=self.points[order],
             edge_offsets=edge_offsets,
             closed=closed,
-            track_offsets=offsets_of(np.diff(self.track_offsets)[order]),
-            track_views=self.track_views[rows],
-            track_points2D=self.track_points2D[rows],
+            observations=self.observations.select(order),
             sigmas=self.sigmas[order],
             end_nodes=end_nodes,
             colors=self.colors[order],
         )
 
 
-def mean_colors(values: FloatArray, track_offsets: IntArray) -> ByteArray:
+@dataclass(frozen=True, kw_only=True)
+class TracedEdges:
+    """What tracing makes of the edge graphs of all views.
+
+    Attributes:
+        edges: curves that lie still.
+        contours: view-dependent contours: curves that move over a body from view to view, as its
+            silhouette and its reflections do, but near its surface. They are used for meshing,
+            never written as edges.
+    """
+
+    edges: Edges3D
+    contours: Edges3D
+
+
+def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:
     """(N, 3) colours of points from (T, 3) those of their observations; black without any."""
-    counts = np.diff(track_offsets)
-    points = owners_of(track_offsets)
+    counts = np.diff(offsets)
+    points = owners_of(offsets)
     sums = np.column_stack([np.bincount(points, channel, len(counts)) for channel in values.T])
     colors: ByteArray = np.rint(sums / np.maximum(counts, 1)[:, None]).astype(np.uint8)
     return colors
-
-
-def arrays_of_edges(edges: Edges3D) -> dict[str, NDArray[Any]]:
-    """The arrays of edges and, after "outlines.", of their outlines."""
-    arrays = {entry.name: getattr(edges, entry.name) for entry in fields(edges)}
-    outlines: Edges3D | None = arrays.pop("outlines")
-    if outlines is not None:
-        arrays |= {f"outlines.{name}": a for name, a in arrays_of_edges(outlines).items()}
-    return arrays
-
-
-def edges_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Edges3D:
-    """What `arrays_of_edges` took apart."""
-    own = {name: array for name, array in arrays.items() if not name.startswith("outlines.")}
-    rest = {
-        name.removeprefix("outlines."): array for name, array in arrays.items() if name not in own
-    }
-    return Edges3D(**own, outlines=edges_from_arrays(rest) if rest else None)

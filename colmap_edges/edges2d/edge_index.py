@@ -6,8 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array
-from colmap_edges.core.view import View, rows_by_view
+from colmap_edges.core.arrays import ByteArray, FloatArray
+from colmap_edges.core.observations import ChainObservations, Observations
+from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
@@ -40,18 +41,40 @@ class IndexedGraphs(Protocol):
         """The same as the kernels search it."""
 
 
-def look_up(
-    given: IndexedGraphs, track_views: Int32Array, positions: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Image pixels (T, 2) and colours (T, 3) at (T,) positions on the chains of (T,) views."""
-    pixels, colors = np.zeros((len(positions), 2)), np.zeros((len(positions), 3))
-    for view, rows in enumerate(rows_by_view(track_views, given.num_views)):
-        if len(rows):
-            graph = given.graph(view)
-            pixels[rows], colors[rows] = at_positions(
-                graph, positions[rows], graph.points, graph.colors
-            )
-    return pixels, colors
+def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observations, FloatArray]:
+    """What is seen at places on chains: pixels and normals, and (T, 3) colours.
+
+    Args:
+        given: the edge graphs of all views.
+        observed: the places.
+    """
+    count = len(observed.views)
+    chains, pixels, colors = np.zeros(count, np.int32), np.zeros((count, 2)), np.zeros((count, 3))
+    normals = np.zeros((count, 2), np.float32)
+    for view, rows in observed.by_view():
+        graph, positions = given.graph(view), observed.positions[rows]
+        chains[rows] = graph.polyline_ids[positions.astype(np.int64)]
+        tangents = _kernels.chain_points(given.index(view), np.arange(float(len(graph.points))))[1]
+        pixels[rows], colors[rows], along = at_positions(
+            graph, positions, graph.points, graph.colors, tangents
+        )
+        normals[rows] = across(along)
+    seen = Observations(
+        offsets=observed.offsets,
+        views=observed.views,
+        positions=observed.positions,
+        chains=chains,
+        pixels=pixels,
+        normals=normals,
+    )
+    return seen, colors
+
+
+def across(tangents: FloatArray) -> FloatArray:
+    """(N, 2) unit normals of (N, 2) tangents."""
+    lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
+    normals: FloatArray = tangents[:, ::-1] * (-1, 1) / np.where(lengths > 0, lengths, 1)
+    return normals
 
 
 def at_positions(

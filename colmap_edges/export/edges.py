@@ -183,8 +183,8 @@ def edge_records(
     records = []
     for edge in range(edges.num_edges):
         first, last = edges.edge_offsets[edge : edge + 2]
-        rows = slice(edges.track_offsets[first], edges.track_offsets[last])
-        views = np.unique(edges.track_views[rows])
+        rows = slice(edges.observations.offsets[first], edges.observations.offsets[last])
+        views = np.unique(edges.observations.views[rows])
         records.append(
             {
                 "id": edge,

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import TracedEdges
 from colmap_edges.export.meshes import write_mesh
 from colmap_edges.images.background import Backdrop
 from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.mesher import finished, mesh_with_curves, with_outlines
+from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.silhouettes import find_background
 
 
@@ -26,7 +26,7 @@ def check_mesher() -> None:
 
 def mesh_stage(
     model: Model,
-    edges: Edges3D | None,
+    traced: TracedEdges | None,
     extended: Model,
     folder: Path,
     options: PipelineOptions,
@@ -35,11 +35,11 @@ def mesh_stage(
 ) -> Mesh:
     """Mesh a model's points and edges; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
-        curves = [] if edges is None else with_outlines(edges)
+        curves = [traced.edges, traced.contours] if traced else []
         background = None
-        if edges and backdrops and options.meshing.background_weight:
+        if traced and backdrops and options.meshing.background_weight:
             are_masks = options.masks_are_background
-            background = find_background(model, backdrops, are_masks, edges)
+            background = find_background(model, backdrops, are_masks, traced.edges)
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
         mesh = finished(mesh, extended, options.meshing)

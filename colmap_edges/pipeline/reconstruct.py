@@ -27,6 +27,8 @@ class EdgeReconstruction:
 
     Attributes:
         edges: the 3D edges with their tracks.
+        contours: view-dependent contours (silhouettes of smooth bodies, reflections), for `mesh`;
+            they are no edges and not in `reconstruction`.
         point3D_ids: (N,) ids of the edge points in `reconstruction`.
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
             and SfM points are the input's unless `refine_poses` is set.
@@ -38,6 +40,7 @@ class EdgeReconstruction:
     """
 
     edges: Edges3D
+    contours: Edges3D
     point3D_ids: IntArray
     reconstruction: Any
     residuals_px: FloatArray
@@ -82,11 +85,13 @@ def reconstruct(
     model = enlarged(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
-        model, edges = edge_stages(model, detection, options, stages, workers)
+        model, traced = edge_stages(model, detection, options, stages, workers)
+    edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)
     return EdgeReconstruction(
         edges=edges,
+        contours=traced.contours,
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,

@@ -113,13 +113,14 @@ def run_edges(
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
     given = model
-    model, edges = edge_stages(model, detection, options, stages, workers)
+    model, traced = edge_stages(model, detection, options, stages, workers)
     if model is not given:
         viewer.show_model(model)
+    edges = traced.edges
     viewer.show_edges(edges, len(model.views))
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        mesh = mesh_stage(model, edges, extended, folder, options, stages, detection.backdrops)
+        mesh = mesh_stage(model, traced, extended, folder, options, stages, detection.backdrops)
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)

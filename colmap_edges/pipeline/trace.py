@@ -11,7 +11,8 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
-from colmap_edges.core.edges3d import Edges3D, arrays_of_edges, edges_from_arrays
+from colmap_edges.core.arrays import flattened, unflattened
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.options import PipelineOptions
@@ -43,20 +44,20 @@ def edge_stages(
     options: PipelineOptions,
     stages: Stages,
     workers: Workers | None = None,
-) -> tuple[Model, Edges3D]:
+) -> tuple[Model, TracedEdges]:
     """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
 
     Returns:
-        The model that the edges belong to, and the edges.
+        The model that the edges belong to, and the edges with the view-dependent contours.
     """
     if not options.refine_poses:
         return model, trace_stage(model, detection, options, stages, workers=workers)
     first = options_for_poses(options)
-    edges = trace_stage(model, detection, first, stages, workers=workers)
-    refined = refine_stage(model, edges, detection, options, stages)
+    traced = trace_stage(model, detection, first, stages, workers=workers)
+    refined = refine_stage(model, traced.edges, options, stages)
     if refined is not model or first != options:
-        edges = trace_stage(refined, detection, options, stages, "trace again", workers)
-    return refined, edges
+        traced = trace_stage(refined, detection, options, stages, "trace again", workers)
+    return refined, traced
 
 
 def options_for_poses(options: PipelineOptions) -> PipelineOptions:
@@ -81,16 +82,14 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
 def refine_stage(
     model: Model,
     edges: Edges3D,
-    detection: Detection,
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
     """Refine the poses on SfM points and edges; the model itself where that does not help."""
-    from colmap_edges.poses.refine import edge_normals, refine_poses
+    from colmap_edges.poses.refine import refine_poses
 
     with stages.stage("refine poses") as stage:
-        normals = edge_normals(model, edges, detection.graphs)
-        refined, stats = refine_poses(model, edges, normals, options.bundle_adjustment)
+        refined, stats = refine_poses(model, edges, options.bundle_adjustment)
         stage.counts = plain_counts(stats)
     return refined
 
@@ -102,7 +101,7 @@ def trace_stage(
     stages: Stages,
     name: str = "trace",
     workers: Workers | None = None,
-) -> Edges3D:
+) -> TracedEdges:
     """Reconstruct 3D edges from the 2D edge graphs, unless the cache has them."""
     if workers is None:
         with open_workers(options) as workers:
@@ -114,19 +113,20 @@ def trace_stage(
     with stages.stage(name, steps) as stage:
         entry = cache.load("edges", key) if cache else None
         if entry is None:
-            edges, stats = trace(model, detection.graphs, options, stage.advance, workers)
+            traced, stats = trace(model, detection.graphs, options, stage.advance, workers)
             details = plain_counts(stats)
             if cache:
                 text = np.array(json.dumps(details))
-                cache.save("edges", key, arrays_of_edges(edges) | {"details": text})
+                cache.save("edges", key, flattened(traced) | {"details": text})
         else:
             details = json.loads(str(entry.pop("details")))
-            edges = edges_from_arrays(entry)
+            traced = unflattened(TracedEdges, entry)
+        edges = traced.edges
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
         if cache:
             stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
         stage.counts["details"] = details
-    return edges
+    return traced
 
 
 def trace(
@@ -135,7 +135,7 @@ def trace(
     options: PipelineOptions,
     advance: Callable[[], None],
     workers: Workers,
-) -> tuple[Edges3D, dict[str, Any]]:
+) -> tuple[TracedEdges, dict[str, Any]]:
     """Reconstruct 3D edges by the method that the options name."""
     threads = thread_count(options)
     model = thinned(model, options.random_seed)

@@ -91,24 +91,25 @@ class State:
     points: FloatArray
 
 
-def make_problem(model: Model, edges: Edges3D, normals: FloatArray) -> tuple[Problem, State]:
+def make_problem(model: Model, edges: Edges3D) -> tuple[Problem, State]:
     """Gather the measurements of a model and its edges, and where the adjustment starts.
 
-    Observations that cannot be undistorted or lie behind their view are left out, and points
-    with fewer than two left.
+    Observations that cannot be undistorted, lie behind their view or are on no known chain are
+    left out, and points with fewer than two left.
 
     Args:
         model: posed views and SfM points.
         edges: edge points with their tracks.
-        normals: (T, 2) unit normals of the edges' observations, ideal pixels.
     """
+    observed, first_edge = edges.observations, len(model.track_views)
     points = np.concatenate([model.points3D_xyz, edges.points])
-    lengths = np.concatenate([np.diff(model.track_offsets), np.diff(edges.track_offsets)])
+    lengths = np.concatenate([np.diff(model.track_offsets), observed.counts])
     owners = np.repeat(np.arange(len(points)), lengths)
-    views = np.concatenate([model.track_views, edges.track_views]).astype(np.int64)
-    pixels = ideal_pixels(model, views, [model.track_points2D, edges.track_points2D])
-    is_edge = np.arange(len(owners)) >= len(model.track_views)
+    views = np.concatenate([model.track_views, observed.views]).astype(np.int64)
+    pixels = ideal_pixels(model, views, [model.track_points2D, observed.pixels])
+    is_edge = np.arange(len(owners)) >= first_edge
     usable = np.isfinite(pixels).all(axis=1) & (depths_of(model, views, points[owners]) > 0)
+    usable[first_edge:] &= np.isfinite(observed.normals).all(axis=1)
     usable &= (np.bincount(owners[usable], minlength=len(points)) >= 2)[owners]
     copies = np.where(is_edge, 1, 2)[usable]
     first = np.flatnonzero(usable)
@@ -116,7 +117,7 @@ def make_problem(model: Model, edges: Edges3D, normals: FloatArray) -> tuple[Pro
     directions = np.tile([1.0, 0.0], (len(observations), 1))
     directions[1:][np.diff(observations) == 0] = [0.0, 1.0]
     across = is_edge[observations]
-    directions[across] = normals[observations[across] - len(model.track_views)]
+    directions[across] = observed.normals[observations[across] - first_edge]
     indices, compact = np.unique(owners[observations], return_inverse=True)
     rows = Rows(
         points=compact,

@@ -6,34 +6,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import moved_model
-from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.arrays import BoolArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.view import rows_by_view
-from colmap_edges.edges2d.edge_index import make_edge_view
-from colmap_edges.edges2d.graphs import Graphs
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import EDGE, SFM, Problem, Rows, State, make_problem
 from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize, no_prior
-
-
-def edge_normals(model: Model, edges: Edges3D, graphs: Graphs) -> FloatArray:
-    """(T, 2) unit normals, in ideal pixels, of the chains that observe the edge points."""
-    normals = np.zeros((len(edges.track_views), 2))
-    for index, rows in enumerate(rows_by_view(edges.track_views, len(model.views))):
-        if len(rows) == 0:
-            continue
-        ideal = model.views[index].ideal_from_image(edges.track_points2D[rows])
-        graph = graphs.load(index)
-        nearest = cKDTree(graph.ideal).query(ideal)[1].astype(np.float64)
-        edge_view = make_edge_view(graph, model.views[index])
-        tangents = _kernels.chain_points(edge_view, nearest)[1]
-        normals[rows] = np.column_stack([-tangents[:, 1], tangents[:, 0]])
-    return normals
 
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
@@ -85,7 +65,7 @@ def held_out_costs(
 
 
 def refine_poses(
-    model: Model, edges: Edges3D, normals: FloatArray, options: BundleAdjustmentOptions
+    model: Model, edges: Edges3D, options: BundleAdjustmentOptions
 ) -> tuple[Model, dict[str, Any]]:
     """Refine the poses of a model on its SfM points and its edges.
 
@@ -95,13 +75,12 @@ def refine_poses(
     Args:
         model: posed views and SfM points; not changed.
         edges: 3D edges traced with the model's poses.
-        normals: (T, 2) unit normals of the edges' observations, see `edge_normals`.
         options: robustness and effort.
 
     Returns:
         The model with refined poses and SfM points, or `model` itself, and counts.
     """
-    problem, start = make_problem(model, edges, normals)
+    problem, start = make_problem(model, edges)
     stats: dict[str, Any] = {
         "frames": problem.num_frames,
         "sfm_points": np.count_nonzero(problem.kinds == SFM),

@@ -54,9 +54,9 @@ def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) ->
         (H, W, 3) uint8 BGR.
     """
     canvas = darkened(image)
-    owners = edges.track_points
+    owners = edges.observations.points
     observed = np.zeros(edges.num_points, bool)
-    observed[owners[edges.track_views == view_index]] = True
+    observed[owners[edges.observations.views == view_index]] = True
     segments = edges.segments
     segments = segments[observed[segments].all(axis=1)]
     pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])

@@ -102,9 +102,9 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
 
 def observed_segments(view: View, index: int, edges: Edges3D) -> FloatArray:
     """(S, 2, 2) projections of the segments both of whose points the view observes."""
-    owners = edges.track_points
+    owners = edges.observations.points
     observed = np.zeros(edges.num_points, bool)
-    observed[owners[edges.track_views == index]] = True
+    observed[owners[edges.observations.views == index]] = True
     chosen = edges.segments[observed[edges.segments].all(axis=1)]
     pixels, _ = view.project(edges.points[chosen.ravel()])
     return pixels.reshape(-1, 2, 2)

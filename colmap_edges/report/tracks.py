@@ -19,14 +19,14 @@ FULL = 65535  # of 16 bits: the width or height of an image
 
 def edge_of_observation(edges: Edges3D) -> IntArray:
     """(T,) edge of each observation."""
-    per_point = np.diff(edges.track_offsets)
+    per_point = edges.observations.counts
     edge_of_point = edges.edge_ids
     return np.repeat(edge_of_point, per_point)
 
 
 def views_per_edge(edges: Edges3D, num_views: int) -> IntArray:
     """(E,) number of views that observe any point of each edge."""
-    pairs = np.unique(edge_of_observation(edges) * num_views + edges.track_views)
+    pairs = np.unique(edge_of_observation(edges) * num_views + edges.observations.views)
     return np.bincount(pairs // max(num_views, 1), minlength=edges.num_edges)
 
 
@@ -60,7 +60,7 @@ def edge_data(
         "residual": typed(residual_per_edge(edges, residuals)),
         "points": typed(np.diff(edges.edge_offsets), "i4"),
         "track_offsets": typed(offsets_of(np.bincount(owners, minlength=edges.num_edges)), "i4"),
-        "track_pictures": typed(place[edges.track_views[chosen]], "u2"),
+        "track_pictures": typed(place[edges.observations.views[chosen]], "u2"),
         "track_pixels": typed(pixels, "u2"),
     }
 
@@ -74,10 +74,10 @@ def reprojections(
         (K, 2) pixels as parts of width and height, 65535 being all, and (K,) the observations
         they belong to, thinned evenly to `MAX_REPROJECTIONS`.
     """
-    owners = edges.track_points
+    owners = edges.observations.points
     pixels = np.full((len(owners), 2), np.nan)
     for index in pictured:
-        view, rows = model.views[index], np.flatnonzero(edges.track_views == index)
+        view, rows = model.views[index], np.flatnonzero(edges.observations.views == index)
         projected, _ = view.project(edges.points[owners[rows]])
         pixels[rows] = projected / (view.width, view.height)
     seen = np.flatnonzero(((pixels >= 0) & (pixels <= 1)).all(axis=1))

@@ -48,6 +48,7 @@ def mesh(
     options: MeshingOptions | None = None,
     num_threads: int = 0,
     background: Background | None = None,
+    contours: Edges3D | None = None,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -58,6 +59,7 @@ def mesh(
         options: how to mesh; the defaults suit any model.
         num_threads: threads to use, 0 for all cores; the result does not depend on it.
         background: what its posed images' sight of the background says, as `reconstruct` finds.
+        contours: view-dependent contours, as `reconstruct` finds, which the mesh follows, too.
 
     Raises:
         ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
@@ -67,14 +69,9 @@ def mesh(
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
-    curves = [] if edges is None else with_outlines(edges)
+    curves = [of for of in (edges, contours) if of is not None]
     found = mesh_with_curves(model, curves, options, num_threads, background)
     return finished(found, model, options)
-
-
-def with_outlines(edges: Edges3D) -> list[Edges3D]:
-    """The curves that a mesh follows: edges, then outlines where there are any."""
-    return [edges] if edges.outlines is None else [edges, edges.outlines]
 
 
 def mesh_with_curves(
@@ -86,7 +83,10 @@ def mesh_with_curves(
 ) -> Mesh:
     """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
     seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
-    seen += [SeenPoints(each.points, each.track_offsets, each.track_views) for each in curves]
+    seen += [
+        SeenPoints(each.points, each.observations.offsets, each.observations.views)
+        for each in curves
+    ]
     first, count = len(model.points3D_xyz), sum(len(part.points) for part in seen)
     polylines = Polylines(
         np.arange(first, count, dtype=np.int32),

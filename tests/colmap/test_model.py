@@ -32,9 +32,11 @@ def extended_by_pycolmap(model, edges):
     reconstruction = pycolmap.Reconstruction(model.reconstruction)
     errors = observation_residuals(model, edges)
     for i in range(edges.num_points):
-        rows = slice(edges.track_offsets[i], edges.track_offsets[i + 1])
+        rows = slice(edges.observations.offsets[i], edges.observations.offsets[i + 1])
         track = pycolmap.Track()
-        for v, xy in zip(edges.track_views[rows], edges.track_points2D[rows], strict=True):
+        for v, xy in zip(
+            edges.observations.views[rows], edges.observations.pixels[rows], strict=True
+        ):
             image = reconstruction.images[model.views[v].image_id]
             track.add_element(image.image_id, len(image.points2D))
             image.points2D.append(pycolmap.Point2D(xy))

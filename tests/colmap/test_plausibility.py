@@ -3,12 +3,12 @@
 import numpy as np
 import pycolmap
 import pytest
-from curves import no_edges
 
 from colmap_edges.cli.info import describe
 from colmap_edges.colmap.model import load_model, model_from_reconstruction
 from colmap_edges.colmap.plausibility import MAX_POINT3D_ID, within_reach
 from colmap_edges.colmap.writing import write_model
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.paths import Paths
@@ -182,7 +182,7 @@ def test_the_largest_id_can_be_written_and_read_again(given, tmp_path, scene_edg
     add_point(given[0], MAX_POINT3D_ID)
     model = model_from_reconstruction(given[0])
     (tmp_path / "a").mkdir()
-    write_model(model, no_edges(), tmp_path / "a")
+    write_model(model, Edges3D.none(), tmp_path / "a")
     assert load_model(tmp_path / "a").point3D_ids[-1] == MAX_POINT3D_ID
 
 

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 import colmap_edges
 from colmap_edges.colmap.model import model_from_reconstruction
-from colmap_edges.surfaces.mesher import with_outlines
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -92,14 +91,16 @@ def nearest_px(result, other, views):
     lines = np.concatenate(
         [
             resample(edges.points[a:b], 0.005)
-            for edges in with_outlines(other.edges)  # near the limit a curve may be either
+            for edges in (other.edges, other.contours)  # near the limit a curve may be either
             for a, b in zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], strict=True)
         ]
     )
-    owners = np.repeat(np.arange(result.edges.num_points), np.diff(result.edges.track_offsets))
+    owners = np.repeat(
+        np.arange(result.edges.num_points), np.diff(result.edges.observations.offsets)
+    )
     distances = []
     for index, view in enumerate(views):
-        observed = result.edges.points[owners[result.edges.track_views == index]]
+        observed = result.edges.points[owners[result.edges.observations.views == index]]
         places, targets = (
             np.column_stack([pixels, DEPTH_PX * np.log(depths)])
             for pixels, depths in (view.project(observed), view.project(lines))

@@ -179,10 +179,12 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
         projected = np.array(
             [
                 views[view].project(edges.points[point : point + 1])[0][0]
-                for point, view in zip(edges.track_points, edges.track_views, strict=True)
+                for point, view in zip(
+                    edges.observations.points, edges.observations.views, strict=True
+                )
             ]
         )
-        distances = np.linalg.norm(projected - edges.track_points2D, axis=1)
+        distances = np.linalg.norm(projected - edges.observations.pixels, axis=1)
         np.testing.assert_allclose(distances, result.residuals_px, atol=1e-6)
         assert np.quantile(distances, 0.95) < 0.5
         errors[scale] = np.median(scene.distances(edges.points))

@@ -223,7 +223,7 @@ def test_an_output_folder_is_judged(root, sparse, run_path):
     assert (run_path / "evaluation" / "held_out_rect_005_max.png").is_file()
     assert view["within_2_px"] > 0.8 > 0.5 > view["chance_2_px"]
     assert "left-out points" in (run_path / "evaluation" / "evaluation.md").read_text()
-    with pytest.raises(ColmapEdgesError, match="exists"):
+    with pytest.raises(ColmapEdgesError, match="is there already"):
         evaluation.run(run_path, sparse)
 
 
@@ -275,13 +275,14 @@ def test_enlarged_images_show_more_of_what_is_there(root, sparse):
 def test_edges_are_read_back(sparse, run_path):
     model = load_model(sparse)
     found = results.load_edges(run_path, model)
+    observed = found.observations
     written = load_curves(run_path / "edges.ply")
     np.testing.assert_allclose(found.points, written.points)
     errors = [
-        np.linalg.norm(model.views[v].project(found.points[p][None])[0] - found.track_points2D[t])
+        np.linalg.norm(model.views[v].project(found.points[p][None])[0] - observed.pixels[t])
         for p in range(0, found.num_points, 7)
-        for t in range(*found.track_offsets[p : p + 2])
-        for v in [found.track_views[t]]
+        for t in range(*observed.offsets[p : p + 2])
+        for v in [observed.views[t]]
     ]
     assert len(errors) > 20
     assert np.median(errors) < 1

@@ -60,14 +60,16 @@ def test_line3dpp_text(model, tmp_path):
     check_on_edge(edges)
     first = slice(edges.edge_offsets[0], edges.edge_offsets[1])
     tracks = [
-        edges.track_views[a:b].tolist()
+        edges.observations.views[a:b].tolist()
         for a, b in zip(
-            edges.track_offsets[:-1][first], edges.track_offsets[1:][first], strict=True
+            edges.observations.offsets[:-1][first],
+            edges.observations.offsets[1:][first],
+            strict=True,
         )
     ]
     assert all(track == [0, 2, 5] for track in tracks)
     projected, _ = model.views[0].project(edges.points[:1])
-    np.testing.assert_allclose(edges.track_points2D[0], projected[0])
+    np.testing.assert_allclose(edges.observations.pixels[0], projected[0])
     longest = max(np.ptp(model.views[i].project(EDGE)[0], axis=0).max() for i in (0, 2, 5))
     steps = edges.edge_offsets[1] - 1
     assert longest / 4 <= steps <= longest / 4 + 2
@@ -80,8 +82,8 @@ def test_points_beyond_a_2d_segment_are_not_seen_there(model, tmp_path):
     (tmp_path / "lines.txt").write_text(" ".join(words))
     edges = peers.load(tmp_path / "lines.txt", model)
     seen_by_last = np.bincount(
-        np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets)),
-        weights=edges.track_views == 5,
+        np.repeat(np.arange(edges.num_points), np.diff(edges.observations.offsets)),
+        weights=edges.observations.views == 5,
     )
     x = edges.points[:, 0]
     assert (seen_by_last[np.abs(x) < 4] == 1).all()
@@ -98,7 +100,7 @@ def test_limap_1_tracks(model, tmp_path):
     for path in (tmp_path, tmp_path / "alltracks.txt"):
         edges = peers.load(path, model)
         check_on_edge(edges)
-        assert set(edges.track_views.tolist()) == {0, 2, 5}
+        assert set(edges.observations.views.tolist()) == {0, 2, 5}
 
 
 def limap_text():
@@ -137,7 +139,7 @@ def test_a_real_result_of_limap_2_reprojects_onto_its_2d_segments(data_path):
     assert np.median(distances) < 1
     edges = peers.load(LIMAP, nut)
     assert edges.num_points > 100
-    assert np.diff(edges.track_offsets).min() >= 2
+    assert np.diff(edges.observations.offsets).min() >= 2
 
 
 def test_openmvg_points(model, tmp_path):
@@ -151,8 +153,8 @@ def test_openmvg_points(model, tmp_path):
     path.write_text(json.dumps({"views": views, "structure": structure}))
     edges = peers.load(path, model)
     assert edges.points.tolist() == [[1, 2, 3]]
-    assert edges.track_views.tolist() == [0, 4]
-    assert edges.track_points2D.tolist() == [[5, 2.5], [1, 2.5]]
+    assert edges.observations.views.tolist() == [0, 4]
+    assert edges.observations.pixels.tolist() == [[5, 2.5], [1, 2.5]]
 
 
 def test_obj_lines(tmp_path):

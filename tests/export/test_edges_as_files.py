@@ -1,7 +1,6 @@
 import json
 from dataclasses import replace
 
-import curves
 import ezdxf
 import numpy as np
 import pymeshlab
@@ -10,6 +9,7 @@ import trimesh
 
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.export.edges import (
     edge_lengths,
     write_dxf,
@@ -30,9 +30,11 @@ def square_and_line():
         points=points,
         edge_offsets=np.array([0, 4, 7]),
         closed=np.array([True, False]),
-        track_offsets=np.arange(8) * 2,
-        track_views=np.tile(np.array([0, 2], np.int32), 7),
-        track_points2D=np.zeros((14, 2)),
+        observations=Observations.of_pixels(
+            offsets=np.arange(8) * 2,
+            views=np.tile(np.array([0, 2], np.int32), 7),
+            pixels=np.zeros((14, 2)),
+        ),
         sigmas=np.full(7, np.nan),
         end_nodes=np.array([[-1, -1], [4, 5]], np.int32),
         colors=np.repeat(np.array([[200, 100, 50], [9, 9, 9]], np.uint8), [4, 3], axis=0),
@@ -49,7 +51,7 @@ def test_lengths(square_and_line):
 
 
 def test_no_edges_at_all(tmp_path):
-    none = curves.no_edges()
+    none = Edges3D.none()
     assert none.segments.shape == (0, 2)
     write_ply(none, tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")

@@ -173,7 +173,7 @@ def test_a_run_with_masks(small, tmp_path):
     reconstruction = pycolmap.Reconstruction(str(small[1]))
     found = reconstruct(reconstruction, small[0], mask_path=masks)
     assert found.edges.num_points
-    assert found.edges.track_points2D[:, 0].min() >= 120 - MARGIN_PX - CORNER_PX
+    assert found.edges.observations.pixels[:, 0].min() >= 120 - MARGIN_PX - CORNER_PX
 
     def points(mask_path):
         paths = replace(paths_of(small, tmp_path, mask_path), cache_path=tmp_path / "cache")

@@ -9,6 +9,7 @@ import pytest
 import scenes
 from scipy.spatial import cKDTree
 
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.edges3d.paper.tracing import trace_edges_paper
 from colmap_edges.errors import ColmapEdgesError
@@ -87,9 +88,9 @@ def points_on_curves(count=40):
 
 def trace(views, method, points=None):
     model = known.model_of(views, points_on_curves() if points is None else points)
-    graphs = [known.graph_of(view, CURVES) for view in views]
-    edges, _ = TRACERS[method](model, graphs, PipelineOptions(), 1)
-    return model, edges
+    graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
+    found, _ = TRACERS[method](model, graphs, PipelineOptions(), 1)
+    return model, found.edges
 
 
 def distances(edges):
@@ -100,7 +101,7 @@ def distances(edges):
 def check_edges(edges):
     """Finite, and no edge goes round and round."""
     assert np.isfinite(edges.points).all()
-    assert np.isfinite(edges.track_points2D).all()
+    assert np.isfinite(edges.observations.pixels).all()
     lengths = [
         np.linalg.norm(np.diff(edges.points[a:b], axis=0), axis=1).sum()
         for a, b in zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], strict=True)
@@ -165,8 +166,8 @@ def test_points_behind_cameras_change_no_truth(method):
             [model.track_points2D, np.full((count * num_views, 2), 200.0)]
         ),
     )
-    graphs = [known.graph_of(view, CURVES) for view in views]
-    edges, _ = TRACERS[method](model, graphs, PipelineOptions(), 1)
+    graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
+    edges = TRACERS[method](model, graphs, PipelineOptions(), 1)[0].edges
     check_edges(edges)
     assert np.mean(distances(edges) < 2 * PIXEL) > 0.95
     assert edges.num_points > 0.5 * expected.num_points
@@ -203,8 +204,8 @@ def test_results_go_with_the_world(name, method):
     views = known.ring(9)
     model, expected = trace(views, method)
     moved = similar(model, rotation, scale, np.array(offset, float))
-    graphs = [known.graph_of(view, CURVES) for view in views]
-    edges, _ = TRACERS[method](moved, graphs, PipelineOptions(), 1)
+    graphs = Graphs.of([known.graph_of(view, CURVES) for view in views])
+    edges = TRACERS[method](moved, graphs, PipelineOptions(), 1)[0].edges
     back = (edges.points - offset) @ rotation / scale
     assert abs(edges.num_edges - expected.num_edges) <= 1
     assert edges.num_points == pytest.approx(expected.num_points, rel=0.01)

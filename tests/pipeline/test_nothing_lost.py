@@ -413,7 +413,7 @@ def as_nobody(shared):
         pytest.skip("only root can become another user")
     who = pwd.getpwnam("nobody")
     script = (
-        "import os, sys; from colmap_edges.cli import main\n"
+        "import os, sys; from colmap_edges.cli.main import main\n"
         "try: main([*sys.argv[4:-1], sys.argv[3]])\n"
         "except SystemExit as end: assert not end.code\n"
         "user, group = map(int, sys.argv[1:3])\n"

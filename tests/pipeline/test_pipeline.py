@@ -401,7 +401,7 @@ def test_threads_that_the_system_does_not_give_are_done_without():
     """Of thousands of threads a few get their stack in the memory that there is."""
     script = (
         "import resource, numpy as np\n"
-        "from colmap_edges.meshing import mesh_points\n"
+        "from colmap_edges.surfaces.mesher import mesh_points\n"
         "from colmap_edges.options import MeshingOptions\n"
         "points = np.random.default_rng(0).normal(size=(3000, 3))\n"
         "rays = np.arange(3001), np.zeros(3000, np.int32), np.full((1, 3), 9.0)\n"

@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import curves
 import numpy as np
 import pycolmap
 import pytest
@@ -11,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from colmap_edges.colmap.model import frames_of_views, model_from_reconstruction
 from colmap_edges.colmap.writing import moved_model
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.evaluation.metrics.poses import (
     TrueCameras,
@@ -56,11 +56,11 @@ def exact_model(model):
 
 def normals_of(model, edges):
     """Normals of the projected edges at their points."""
-    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
+    owners = np.repeat(np.arange(edges.num_points), np.diff(edges.observations.offsets))
     tangents = curve_tangents(edges.points, edges.edge_offsets)
     normals = np.zeros((len(owners), 2))
     for index, view in enumerate(model.views):
-        rows = edges.track_views == index
+        rows = edges.observations.views == index
         points = edges.points[owners[rows]]
         ahead, behind = (
             view.project_ideal(points + s * tangents[owners[rows]])[0] for s in (0.01, -0.01)
@@ -68,6 +68,10 @@ def normals_of(model, edges):
         along = ahead - behind
         normals[rows] = np.column_stack([-along[:, 1], along[:, 0]])
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def with_normals(edges, normals):
+    return replace(edges, observations=replace(edges.observations, normals=normals))
 
 
 def random_motions(count, turn, shift, seed=1):
@@ -97,8 +101,8 @@ def off(model, edges, turn=0.002, shift=0.01, seed=1):
     return moved_model(model, motions, points), replace(edges, points=moved)
 
 
-def solve(model, edges, normals, kind=None):
-    problem, start = ba.make_problem(model, edges, normals)
+def solve(model, edges, kind=None):
+    problem, start = ba.make_problem(model, edges)
     if kind is not None:
         problem, start = part_of(problem, start, problem.kinds == kind)
     state = adjust(problem, start, OPTIONS)
@@ -107,22 +111,22 @@ def solve(model, edges, normals, kind=None):
 
 @pytest.fixture(scope="module")
 def exact(scene, scene_model):
-    """Model and edges without noise, and the normals."""
+    """Model and edges without noise."""
     model = exact_model(scene_model)
     edges = scenes.true_edges(scene_model, scene)
-    return model, edges, normals_of(model, edges)
+    return model, with_normals(edges, normals_of(model, edges))
 
 
 @pytest.fixture(scope="module")
 def noisy(scene_model, scene_edges, exact):
     """The same with 0.2 px of noise on SfM points, 0.3 px on edges."""
-    return scene_model, scene_edges, exact[2]
+    return scene_model, with_normals(scene_edges, exact[1].observations.normals)
 
 
 @pytest.mark.parametrize("views_a_frame", [1, 2])
 def test_jacobians_are_the_differences(noisy, views_a_frame):
-    model, edges, normals = noisy
-    problem, state = ba.make_problem(model, edges, normals)
+    model, edges = noisy
+    problem, state = ba.make_problem(model, edges)
     problem = replace(problem, frames=np.arange(len(model.views)) // views_a_frame)
     count = problem.num_frames
     state = ba.State(
@@ -173,18 +177,18 @@ def test_outer_square_over_more_than_one_block():
 
 @pytest.mark.parametrize("kind", [None, ba.SFM, ba.EDGE])
 def test_exact_observations_give_the_exact_poses(exact, kind):
-    model, edges, normals = exact
+    model, edges = exact
     truth = truth_of(model)
     start, moved = off(model, edges)
     assert min(pose_errors(start.reconstruction, truth)) > 0.01
-    refined, _, _ = solve(start, moved, normals, kind)
+    refined, _, _ = solve(start, moved, kind)
     assert max(pose_errors(refined.reconstruction, truth)) < 1e-4
 
 
 def test_edge_points_do_not_slide(exact):
-    model, edges, normals = exact
+    model, edges = exact
     start, moved = off(model, edges)
-    _, problem, state = solve(start, moved, normals, ba.EDGE)
+    _, problem, state = solve(start, moved, ba.EDGE)
     shifts = state.points - moved.points[problem.indices - len(model.point3D_ids)]
     along = np.abs(np.einsum("pi,pi->p", shifts, problem.tangents))
     assert np.linalg.norm(shifts, axis=1).max() > 1e-3
@@ -192,9 +196,9 @@ def test_edge_points_do_not_slide(exact):
 
 
 def test_model_stays_where_it_is(exact):
-    model, edges, normals = exact
+    model, edges = exact
     start, moved = off(model, edges)
-    refined, _, state = solve(start, moved, normals)
+    refined, _, state = solve(start, moved)
     similarity = pycolmap.estimate_sim3d(refined.camera_centers, start.camera_centers)
     assert abs(similarity.scale - 1) < 0.005
     assert np.linalg.norm(similarity * np.zeros(3)) < 0.012
@@ -204,25 +208,25 @@ def test_model_stays_where_it_is(exact):
 
 
 def test_unit_and_place_of_the_world_do_not_matter(noisy):
-    model, edges, normals = noisy
+    model, edges = noisy
     start, moved = off(model, edges)
-    refined, _, _ = solve(start, moved, normals)
+    refined, _, _ = solve(start, moved)
     rotation = pycolmap.Rotation3d(Rotation.from_rotvec([0.3, -1, 2]).as_matrix())
     change = pycolmap.Sim3d(1000.0, rotation, np.array([500.0, -3000.0, 70.0]))
     elsewhere = pycolmap.Reconstruction(start.reconstruction)
     elsewhere.transform(change)
     other = replace(model_from_reconstruction(elsewhere), track_points2D=start.track_points2D)
     points = np.array([change * point for point in moved.points])
-    there, _, _ = solve(other, replace(moved, points=points), normals)
+    there, _, _ = solve(other, replace(moved, points=points))
     expected = np.array([change * center for center in refined.camera_centers])
     np.testing.assert_allclose(there.camera_centers, expected, atol=1e-2)  # 1e-5 of the unit
 
 
 def test_outliers_do_no_harm(noisy):
-    model, edges, normals = noisy
+    model, edges = noisy
     truth = truth_of(model)
     start, moved = off(model, edges)
-    clean = pose_errors(solve(start, moved, normals)[0].reconstruction, truth)
+    clean = pose_errors(solve(start, moved)[0].reconstruction, truth)
     rng = np.random.default_rng(2)
 
     def spoil(pixels):
@@ -230,22 +234,23 @@ def test_outliers_do_no_harm(noisy):
         return pixels + bad[:, None] * rng.uniform(-50, 50, pixels.shape)
 
     wrong = replace(start, track_points2D=spoil(start.track_points2D))
-    wrong_edges = replace(moved, track_points2D=spoil(moved.track_points2D))
-    spoiled = pose_errors(solve(wrong, wrong_edges, normals)[0].reconstruction, truth)
+    pixels = spoil(moved.observations.pixels)
+    wrong_edges = replace(moved, observations=replace(moved.observations, pixels=pixels))
+    spoiled = pose_errors(solve(wrong, wrong_edges)[0].reconstruction, truth)
     before = pose_errors(start.reconstruction, truth)
     assert max(np.divide(spoiled, clean)) < 1.5
     assert max(np.divide(spoiled, before)) < 0.5
 
 
 def test_good_poses_are_kept_and_bad_ones_refined(noisy):
-    model, edges, normals = noisy
-    same, stats = refine_poses(model, edges, normals, OPTIONS)
+    model, edges = noisy
+    same, stats = refine_poses(model, edges, OPTIONS)
     assert same is model
     assert not stats["refined"]
     truth = truth_of(model)
     start, moved = off(model, edges, turn=5e-4, shift=2e-3)
     before = [view.rotation.copy() for view in start.views]
-    refined, stats = refine_poses(start, moved, normals, OPTIONS)
+    refined, stats = refine_poses(start, moved, OPTIONS)
     assert stats["refined"]
     assert stats["sfm_sigma_px"] == pytest.approx(0.2, rel=0.25)
     assert stats["edge_sigma_px"] == pytest.approx(0.3, rel=0.35)
@@ -263,7 +268,7 @@ def test_images_of_a_rig_move_together():
     assert len(np.unique(frames_of_views(model))) == 6
     truth = truth_of(model)
     start = moved_model(model, random_motions(6, 0.01, 0.02), model.points3D_xyz)
-    refined, _, _ = solve(start, curves.no_edges(), np.zeros((0, 2)))
+    refined, _, _ = solve(start, Edges3D.none())
     assert min(pose_errors(start.reconstruction, truth)) > 1e-2
     assert max(pose_errors(refined.reconstruction, truth)) < 1e-4
     for view in refined.views:
@@ -280,7 +285,7 @@ def test_too_little_to_know_is_left_alone(scene_model):
         track_views=scene_model.track_views[: scene_model.track_offsets[5]],
         track_points2D=scene_model.track_points2D[: scene_model.track_offsets[5]],
     )
-    refined, stats = refine_poses(few, curves.no_edges(), np.zeros((0, 2)), OPTIONS)
+    refined, stats = refine_poses(few, Edges3D.none(), OPTIONS)
     assert refined is few
     assert not stats["refined"]
 

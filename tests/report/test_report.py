@@ -11,6 +11,7 @@ import pytest
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges2d.image_graphs import DetectedEdges
 from colmap_edges.options import EdgeGraphOptions, PipelineOptions
 from colmap_edges.pipeline.paths import Paths
@@ -91,9 +92,11 @@ def test_edge_figures_by_hand():
         points=np.zeros((4, 3)),
         edge_offsets=np.array([0, 2, 4]),
         closed=np.zeros(2, bool),
-        track_offsets=np.array([0, 2, 4, 6, 7]),
-        track_views=np.array([0, 1, 1, 2, 0, 2, 2], np.int32),
-        track_points2D=np.zeros((7, 2)),
+        observations=Observations.of_pixels(
+            offsets=np.array([0, 2, 4, 6, 7]),
+            views=np.array([0, 1, 1, 2, 0, 2, 2], np.int32),
+            pixels=np.zeros((7, 2)),
+        ),
         sigmas=np.zeros(4),
         end_nodes=np.zeros((2, 2), np.int32),
         colors=np.zeros((4, 3), np.uint8),
@@ -112,9 +115,11 @@ def many_edges(model, count, per_edge, views_each):
         points=rng.normal(0, 0.3, (count * per_edge, 3)),
         edge_offsets=np.arange(count + 1) * per_edge,
         closed=np.zeros(count, bool),
-        track_offsets=np.arange(count * per_edge + 1) * views_each,
-        track_views=(first[:, None] + np.arange(views_each)).ravel().astype(np.int32),
-        track_points2D=rng.uniform(0, 300, (tracks, 2)),
+        observations=Observations.of_pixels(
+            offsets=np.arange(count * per_edge + 1) * views_each,
+            views=(first[:, None] + np.arange(views_each)).ravel().astype(np.int32),
+            pixels=rng.uniform(0, 300, (tracks, 2)),
+        ),
         sigmas=np.zeros(count * per_edge),
         end_nodes=np.full((count, 2), -1, np.int32),
         colors=np.zeros((count * per_edge, 3), np.uint8),

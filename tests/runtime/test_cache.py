@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from colmap_edges.core.edges3d import arrays_of_edges, edges_from_arrays
+from colmap_edges.core.arrays import flattened, unflattened
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.options import DetectionOptions, MeshingOptions, PipelineOptions, TracingOptions
 from colmap_edges.pipeline.paths import Paths
@@ -166,16 +167,20 @@ def test_a_cache_of_another_user_saves_work(small, public, other_user, tmp_path)
     assert reused(found) == (6, counts["trace"]["edges"])
 
 
-def test_edges_come_back_with_their_outlines(scene_edges):
-    from dataclasses import replace
-
-    edges = replace(scene_edges, outlines=scene_edges)
-    back = edges_from_arrays(arrays_of_edges(edges))
-    assert edges_from_arrays(arrays_of_edges(scene_edges)).outlines is None
-    for name, array in vars(scene_edges).items():
-        if name != "outlines":
-            np.testing.assert_array_equal(array, getattr(back, name))
-            np.testing.assert_array_equal(array, getattr(back.outlines, name))
+@pytest.mark.parametrize("has_contours", [False, True])
+def test_edges_come_back_with_their_observations_and_contours(scene_edges, tmp_path, has_contours):
+    contours = scene_edges if has_contours else Edges3D.none()
+    made = flattened(TracedEdges(edges=scene_edges, contours=contours))
+    cache = Cache(tmp_path)
+    cache.save("edges", "key", made)
+    found = unflattened(TracedEdges, cache.load("edges", "key"))
+    assert found.contours.num_edges == contours.num_edges
+    back = flattened(found)
+    assert "edges.observations.positions" in back
+    assert list(back) == list(made)
+    for name, array in made.items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array)
 
 
 def test_second_run_reuses_and_gives_the_same(small, reference, tmp_path, hash_output):

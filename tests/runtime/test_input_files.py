@@ -88,7 +88,7 @@ READERS = {
     "report": ("report.json", info.read_json),
     "npz": ("a.npz", arrays.read_arrays),
     "curves npz": ("a.npz", load_curves),
-    "ply": ("a.ply", lambda path: ply.read_ply(path, ("vertex",))),
+    "ply": ("a.ply", lambda path: ply.read_ply(path)),
     "mesh": ("a.ply", raycasting.load_mesh),
     "calibration": ("0.camera", strecha.read_camera),
     "matrix": ("pos.txt", dtu.read_matrix),

@@ -12,7 +12,6 @@ import scenes
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import offsets_of
-from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
@@ -181,18 +180,3 @@ def tracing_input(views, graphs) -> TracingInput:
         neighbors=tuple(others), later_neighbors=tuple(others), witnesses=tuple(others), ranges=()
     )
     return make_input(model_of(views), Graphs.of(graphs), near)
-
-
-def no_edges() -> Edges3D:
-    """3D edges of which there are none."""
-    return Edges3D(
-        points=np.zeros((0, 3)),
-        edge_offsets=np.zeros(1, np.int64),
-        closed=np.zeros(0, bool),
-        track_offsets=np.zeros(1, np.int64),
-        track_views=np.zeros(0, np.int32),
-        track_points2D=np.zeros((0, 2)),
-        sigmas=np.zeros(0),
-        end_nodes=np.zeros((0, 2), np.int32),
-        colors=np.zeros((0, 3), np.uint8),
-    )

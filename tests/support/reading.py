@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 import numpy as np
 import valid
-from curves import no_edges
 
 from colmap_edges.cli import info
 from colmap_edges.cli import main as cli
 from colmap_edges.cli.flags import options_from_flags
 from colmap_edges.colmap.model import load_model
 from colmap_edges.colmap.writing import write_model
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics import depth, raycasting
 from colmap_edges.evaluation.protocols import dtu, strecha
@@ -44,7 +44,7 @@ def read_model(folder: Path) -> None:
     info.describe_model(model)
     written = folder.with_name(folder.name + "-written")  # apart from what is damaged
     try:
-        write_model(model, no_edges(), written)
+        write_model(model, Edges3D.none(), written)
         load_model(written)
     finally:
         valid.remove(written)

@@ -19,6 +19,7 @@ import pycolmap
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 
 SUPERSAMPLING = 4
 BACKGROUND = 128
@@ -353,9 +354,11 @@ def true_edges(model, scene, spacing=0.05, noise_px=0.0, seed=0) -> Edges3D:
         points=xyz,
         edge_offsets=np.array(offsets, np.int64),
         closed=np.array(closed),
-        track_offsets=np.array(tracks, np.int64),
-        track_views=np.concatenate(views).astype(np.int32),
-        track_points2D=np.concatenate(pixels),
+        observations=Observations.of_pixels(
+            offsets=np.array(tracks, np.int64),
+            views=np.concatenate(views).astype(np.int32),
+            pixels=np.concatenate(pixels),
+        ),
         sigmas=np.full(len(xyz), np.nan),
         end_nodes=np.full((len(closed), 2), -1, np.int32),
         colors=rng.integers(0, 256, (len(xyz), 3)).astype(np.uint8),

@@ -8,7 +8,7 @@ import pytest
 from curves import looking
 from solid_points import as_trimesh, fibonacci_sphere
 
-from colmap_edges.core.edges3d import arrays_of_edges, edges_from_arrays
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.images.background import NO_BACKDROP, background_rays, masked_backdrop
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces import mesher as meshing
@@ -189,10 +189,6 @@ def on_ball(ball, scene_model, scene_edges):
     return model, replace(scene_edges, points=points)
 
 
-def without_points(edges):
-    return edges_from_arrays({name: rows[:0] for name, rows in arrays_of_edges(edges).items()})
-
-
 def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
     """Without edges and SfM points, and where bodies are as bright as the backdrop."""
     model, edges = on_ball
@@ -201,9 +197,9 @@ def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
     bare = replace(model, points3D_xyz=np.zeros((0, 3)))
     model = replace(model, points3D_xyz=edges.points)
     for given, known, seen in (
-        (bare, without_points(edges), backdrops),
+        (bare, Edges3D.none(), backdrops),
         (model, edges, bright),
-        (model, without_points(edges), bright),
+        (model, Edges3D.none(), bright),
     ):
         found = find_background(given, seen, False, known)
         assert len(found.rays.cameras) > 10_000
@@ -217,7 +213,7 @@ def test_sfm_points_of_bodies_do_where_there_are_no_edges(ball, on_ball):
     around = 50.0 * fibonacci_sphere(10 * edges.num_points)
     some = np.concatenate([edges.points[::40], around])
     model = replace(model, points3D_xyz=some)
-    found = find_background(model, backdrops, True, without_points(edges))
+    found = find_background(model, backdrops, True, Edges3D.none())
     points = found.silhouettes.points
     assert len(points) > 500
     assert np.percentile(np.abs(np.linalg.norm(points, axis=1) - RADIUS), 95) < 0.02
@@ -229,6 +225,23 @@ def test_masks_of_nothing_are_not_believed(ball, on_ball, caplog):
     black = [masked_backdrop(np.zeros((40, 60), bool))] * len(ball)
     assert find_background(model, black, True, edges) is None
     assert "masks hide all of every image" in caplog.text
+
+
+def test_edges_and_contours_without_points_change_nothing(ball, on_ball):
+    """Curves of which there are none come before the points of silhouettes."""
+    model, edges = on_ball
+    backdrops = [masked_backdrop(body.mask) for body in ball]
+    found = replace(
+        find_background(model, backdrops, False, edges),
+        silhouettes=silhouette_points(dict(enumerate(ball)), CORNERS),
+    )
+    assert len(found.silhouettes.points) > 0
+    none = Edges3D.none()
+    alone = meshing.mesh(model, background=found)
+    for curves in ({"edges": none}, {"contours": none}, {"edges": none, "contours": none}):
+        same = meshing.mesh(model, background=found, **curves)
+        np.testing.assert_array_equal(same.vertices, alone.vertices)
+        np.testing.assert_array_equal(same.faces, alone.faces)
 
 
 def test_frames_around_images_are_no_background(ball, on_ball, caplog):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from colmap_edges.core.arrays import offsets_of
-from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.core.edges3d import Edges3D, TracedEdges, mean_colors
+from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
@@ -24,8 +24,8 @@ def link(
     kept: Sorted,
     options: PipelineOptions,
     num_threads: int,
-) -> tuple[Edges3D, dict[str, Any]]:
-    """Link what is kept to edges and outlines.
+) -> tuple[TracedEdges, dict[str, Any]]:
+    """Link what is kept to edges and contours.
 
     Args:
         given: the views with their whole edge graphs.
@@ -34,18 +34,16 @@ def link(
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The edges with their outlines, and counts of them.
+        The edges and the contours, and counts.
     """
 
     def linked(pieces: Edges3D) -> Edges3D:
         goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    pieces, outlines = make_edges(given, kept.edges), make_edges(given, kept.outlines)
+    pieces, contours = make_edges(given, kept.edges), make_edges(given, kept.contours)
     edges = meet_at_corners(linked(pieces), given, options, num_threads)
-    if outlines.num_edges:
-        edges = replace(edges, outlines=linked(outlines))
-    return edges, {
+    return TracedEdges(edges=edges, contours=linked(contours)), {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
@@ -54,27 +52,15 @@ def link(
 
 def make_edges(given: TracingInput, parts: list[Traced]) -> Edges3D:
     """Put the curves of all drivers together as 3D edges with tracks."""
-    points, sigmas, lengths, track_lengths, track_views, track_positions = [], [], [], [], [], []
-    for part in parts:
-        points.append(part.points)
-        sigmas.append(part.sigmas)
-        lengths.append(np.diff(part.offsets))
-        track_lengths.append(part.num_observations)
-        track_views.append(part.views[part.positions.indices])
-        track_positions.append(part.positions.data)
-    views = np.concatenate([np.zeros(0, np.int64), *track_views]).astype(np.int32)
-    positions = np.concatenate([np.zeros(0), *track_positions])
-    pixels, colors = look_up(given, views, positions)
-    track_offsets = offsets_of(np.concatenate([np.zeros(0, np.int64), *track_lengths]))
-    num_edges = int(sum(len(length) for length in lengths))
+    lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.offsets) for part in parts)])
+    places = ChainObservations.concatenated([part.observations for part in parts])
+    observations, colors = look_up(given, places)
     return Edges3D(
-        points=np.concatenate([np.zeros((0, 3)), *points]),
-        edge_offsets=offsets_of(np.concatenate([np.zeros(0, np.int64), *lengths])),
-        closed=np.zeros(num_edges, bool),
-        track_offsets=track_offsets,
-        track_views=views,
-        track_points2D=pixels,
-        sigmas=np.concatenate([np.zeros(0), *sigmas]),
-        end_nodes=np.full((num_edges, 2), -1, np.int32),
-        colors=mean_colors(colors, track_offsets),
+        points=np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]),
+        edge_offsets=offsets_of(lengths),
+        closed=np.zeros(len(lengths), bool),
+        observations=observations,
+        sigmas=np.concatenate([np.zeros(0), *(part.sigmas for part in parts)]),
+        end_nodes=np.full((len(lengths), 2), -1, np.int32),
+        colors=mean_colors(colors, observations.offsets),
     )

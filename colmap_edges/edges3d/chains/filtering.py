@@ -1,4 +1,4 @@
-"""Traced curves of all views -> edges and outlines; hidden, uncertain and chance ones dropped.
+"""Traced curves of all views -> edges and contours; hidden, uncertain and chance ones dropped.
 
 (paper: Visibility refinement and outliers filtering)
 """
@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, owners_of
+from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
@@ -29,8 +29,8 @@ class Traced:
         points: (N, 3) world points.
         sigmas: (N,) standard deviation along the driver's ray, world units.
         offsets: (E + 1,) CSR of the points by curve.
-        views: (K + 1,) view of each column of `positions`, the driver first.
-        positions: (N, K + 1) sparse positions on the views' chains, where they are observed.
+        driver: the view on whose chains they are.
+        observations: where they are observed on the views' chains, the driver's first.
         uncertainties: (N,) the same standard deviation in pixels of the driver.
         residuals: (N,) mean distance to the other views' chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
@@ -42,13 +42,8 @@ class Traced:
     residuals: FloatArray
     log_chances: FloatArray
     offsets: IntArray
-    views: IntArray
-    positions: csr_array
-
-    @property
-    def num_observations(self) -> IntArray:
-        """(N,) number of observations of each point."""
-        return np.asarray(np.diff(self.positions.indptr), np.int64)
+    driver: int
+    observations: ChainObservations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +67,12 @@ class Sorted:
 
     Attributes:
         edges: pieces of every driver's curves that lie still.
-        outlines: those that scatter around any fixed curve.
+        contours: view-dependent contours: those that scatter around any fixed curve.
         limits: what they were judged by.
     """
 
     edges: list[Traced]
-    outlines: list[Traced]
+    contours: list[Traced]
     limits: Limits
 
 
@@ -88,7 +83,7 @@ def sort_out(
     num_threads: int,
     limits: Limits | None = None,
 ) -> tuple[Sorted, dict[str, Any]]:
-    """Filter observations, points and pieces, tell edges from outlines, and count.
+    """Filter observations, points and pieces, tell edges from contours, and count.
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.
@@ -103,20 +98,20 @@ def sort_out(
     traced, hidden = without_hidden(model, traced, options, num_threads)
     limits = limits or find_limits(traced, options, model.scale)
     sure, stats = sure_points(traced, limits, options)
-    kept, start = Sorted(edges=[], outlines=[], limits=limits), 0
+    kept, start = Sorted(edges=[], contours=[], limits=limits), 0
     for each in traced:
         end = start + len(each.points)
         fixed, moving = sort_pieces(each, sure[start:end], limits, options)
         kept.edges.append(fixed)
-        kept.outlines.append(moving)
+        kept.contours.append(moving)
         start = end
-    num_points, num_outline_points = (
-        sum(len(t.points) for t in of) for of in (kept.edges, kept.outlines)
+    num_points, num_contour_points = (
+        sum(len(t.points) for t in of) for of in (kept.edges, kept.contours)
     )
     stats |= {
         "observations_hidden": hidden,
-        "points_dropped_chance": int(sure.sum()) - num_points - num_outline_points,
-        "points_of_curves": num_points + num_outline_points,
+        "points_dropped_chance": int(sure.sum()) - num_points - num_contour_points,
+        "points_of_curves": num_points + num_contour_points,
     }
     return kept, stats
 
@@ -127,37 +122,31 @@ def without_hidden(
     """The curves without observations of points that nearer ones hide, and how many those are."""
     if not traced or options.occlusion_radius_px == 0:
         return traced, 0
-    owners = [owners_of(t.positions.indptr) for t in traced]
-    points = offsets_of(np.array([len(t.points) for t in traced]))
+    observed = ChainObservations.concatenated([t.observations for t in traced])
     curves = offsets_of(np.array([len(t.offsets) - 1 for t in traced]))
     hidden = find_hidden(
         model,
         np.concatenate([t.points for t in traced]),
         np.concatenate([t.sigmas for t in traced]),
         np.concatenate([owners_of(t.offsets) + curves[i] for i, t in enumerate(traced)]),
-        np.concatenate([own + points[i] for i, own in enumerate(owners)]),
-        np.concatenate([t.views[t.positions.indices] for t in traced]),
+        observed.points,
+        observed.views,
         options.occlusion_radius_px,
         num_threads,
     )
-    parts = np.split(~hidden, np.cumsum([len(own) for own in owners])[:-1])
-    kept = [observed_at(*of) for of in zip(traced, owners, parts, strict=True)]
+    parts = np.split(~hidden, np.cumsum([len(t.observations.views) for t in traced])[:-1])
+    kept = [
+        replace(t, observations=t.observations.keep(seen))
+        for t, seen in zip(traced, parts, strict=True)
+    ]
     return kept, int(hidden.sum())
-
-
-def observed_at(traced: Traced, owners: IntArray, keep: BoolArray) -> Traced:
-    """The curves with those of their (T,) observations, of (T,) points, where `keep` is true."""
-    positions = traced.positions
-    counts = np.bincount(owners[keep], minlength=len(traced.points))
-    rest = (positions.data[keep], positions.indices[keep], offsets_of(counts))
-    return replace(traced, positions=csr_array(rest, shape=positions.shape))
 
 
 def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
     """What curves may have, by the medians of all points with observations enough.
 
     The median of scatter is that of observations: many views observe edges, few the many places
-    of outlines, of which scenes of smooth bodies may have as many points.
+    of contours, of which scenes of smooth bodies may have as many points.
 
     Args:
         traced: the curves of every driver.
@@ -185,9 +174,9 @@ def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
 def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | None) -> BoolArray:
     """(N,) which points of one driver are observed enough, on pieces that chance did not make.
 
-    Where `limits` are known these are pieces of edges, not of outlines.
+    Where `limits` are known these are pieces of edges, not of contours.
     """
-    enough = traced.num_observations >= options.min_observations
+    enough = traced.observations.counts >= options.min_observations
     log_chance = chance_limit([traced], options)
     pieces, lasting = find_pieces(traced, enough, log_chance, options)
     if limits is not None:
@@ -215,7 +204,7 @@ def sure_points(
 
 def measures_of(traced: list[Traced], options: TracingOptions) -> tuple[BoolArray, FloatArray]:
     """(N,) of all points: whether observed enough, uncertainties."""
-    counts = np.concatenate([np.zeros(0, int), *(t.num_observations for t in traced)])
+    counts = np.concatenate([np.zeros(0, int), *(t.observations.counts for t in traced)])
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
     return counts >= options.min_observations, uncertain
 
@@ -228,7 +217,7 @@ def median_of(values: FloatArray) -> float:
 def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
     """(N,) scatter of all points in pixels, and (N,) of how many observations that is."""
     scatter = [scatter_of(t, np.arange(len(t.points))) for t in traced]
-    spare = [np.maximum(t.num_observations - 2, 0) for t in traced]
+    spare = [np.maximum(t.observations.counts - 2, 0) for t in traced]
     return np.concatenate([np.zeros(0), *scatter]), np.concatenate([np.zeros(0, np.int64), *spare])
 
 
@@ -238,7 +227,7 @@ def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
     One of the other views' observations fixes the depth and tells nothing of the scatter.
     (N,) groups from 0 on.
     """
-    others = traced.num_observations - 1
+    others = traced.observations.counts - 1
     sums = np.bincount(groups, weights=others * traced.residuals)
     spare = np.bincount(groups, weights=others - 1)
     scatter: FloatArray = sums / np.maximum(spare, 1)
@@ -252,7 +241,7 @@ def sort_pieces(
 
     Returns:
         The pieces that are edges, and those that scatter around any fixed curve: what moves over a
-        body from view to view, as its outline and reflections do.
+        body from view to view, as its silhouette and reflections do.
     """
     pieces, good = find_pieces(traced, keep, limits.log_chance, options)
     fixed = scatter_of(traced, pieces) <= limits.residual_px
@@ -292,6 +281,6 @@ def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
         residuals=traced.residuals[keep],
         log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
-        views=traced.views,
-        positions=traced.positions[keep],
+        driver=traced.driver,
+        observations=traced.observations.select(np.flatnonzero(keep)),
     )

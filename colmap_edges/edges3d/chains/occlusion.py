@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
@@ -27,7 +27,7 @@ def find_hidden(
     sigmas: FloatArray,
     curves: IntArray,
     track_points: IntArray,
-    track_views: IntArray,
+    track_views: Int32Array,
     radius_px: float,
     num_threads: int,
 ) -> BoolArray:

@@ -11,11 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
+from colmap_edges.core.edges3d import TracedEdges
+from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
 from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.graphs import Graphs
@@ -52,7 +52,7 @@ def trace_edges(
     num_threads: int,
     advance: Callable[[], None] = lambda: None,
     workers: Workers | None = None,
-) -> tuple[Edges3D, dict[str, Any]]:
+) -> tuple[TracedEdges, dict[str, Any]]:
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
     Args:
@@ -64,7 +64,7 @@ def trace_edges(
         workers: who does the work on the views; threads of this process when not given.
 
     Returns:
-        The 3D edges and counts in, kept and dropped by reason.
+        The 3D edges with the view-dependent contours, and counts in, kept and dropped by reason.
     """
     if workers is None:
         with local_workers(num_threads) as workers:
@@ -85,13 +85,13 @@ def trace_edges(
         stats = {name: stats[name] + more[name] for name in stats}
         kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
     kept, repeated = without_repeats(whole, kept, options.tracing)
-    edges, linked = link(whole, kept, options, num_threads)
+    result, linked = link(whole, kept, options, num_threads)
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
         "max_side_difference": whole.sides.limit,
     }
-    return edges, about | stats | sorted_stats | repeated | linked
+    return result, about | stats | sorted_stats | repeated | linked
 
 
 def with_side_likelihoods(
@@ -211,8 +211,7 @@ def trace_views(
             mark_covered(
                 covered,
                 given.polyline_offsets,
-                found.views,
-                found.positions[lasting],
+                found.observations.select(np.flatnonzero(lasting)),
                 options.tracing.point_spacing_px,
             )
         advance()
@@ -304,7 +303,6 @@ def trace_view(
         num_threads,
     )
     inverse_depths = refined.curves.inverse_depths
-    seeing = np.isfinite(refined.positions).any(axis=0)
     return Traced(
         points=lift(driver, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
@@ -312,13 +310,9 @@ def trace_view(
         residuals=distances / np.maximum(observed, 1),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
-        views=np.concatenate([[view], witnesses[seeing]]),
-        positions=sparse(np.column_stack([curves.indices, refined.positions[:, seeing]])),
+        driver=view,
+        observations=ChainObservations.of_table(
+            np.concatenate([[view], witnesses]),
+            np.column_stack([curves.indices, refined.positions]),
+        ),
     )
-
-
-def sparse(values: FloatArray) -> csr_array:
-    """The values that are not NaN, of (N, M), zeros among them."""
-    known = np.isfinite(values)
-    columns = np.nonzero(known)[1].astype(np.int32)
-    return csr_array((values[known], columns, offsets_of(known.sum(axis=1))), shape=values.shape)

@@ -17,12 +17,12 @@ from scipy.sparse.csgraph import connected_components
 from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
-    Int32Array,
     IntArray,
     offsets_of,
     ranges_of,
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import end_points
 from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
 from colmap_edges.edges3d.linking.joining import (
@@ -122,48 +122,33 @@ def meet_at_corners(
     lines = fit_lines(edges)
     corners = find_corners(edges, lines, options.linking)
     asked = views_near(edges, corners.members[:, None], given.num_views)
-    views, positions, rows = observe(corners, lines.ends, asked, given, options, num_threads)
-    counts = np.bincount(rows, minlength=len(corners.members))
+    observed = observe(corners, lines.ends, asked, given, options, num_threads)
     num_asked = np.bincount(asked.indices, minlength=len(corners.members))
     least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
-    met = corners.select(counts >= least)
-    pixels, colors = look_up(given, views, positions)
-    longer = with_points(edges, met, corners.members[rows], views, pixels, colors)
+    met = corners.select(observed.counts >= least)
+    left = observed.select(np.flatnonzero(np.isin(corners.members, met.members)))
+    longer = with_points(edges, met, *look_up(given, left))
     return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
 
 
 def with_points(
-    edges: Edges3D,
-    met: Corners,
-    observed: IntArray,
-    views: Int32Array,
-    pixels: FloatArray,
-    colors: FloatArray,
+    edges: Edges3D, met: Corners, observations: Observations, colors: FloatArray
 ) -> Edges3D:
     """The edges with a point after all others for each end that meets others.
 
     Args:
         edges: the edges.
-        met: the ends, and where.
-        observed: (T,) ends whose corners are observed; others than those of `met` do not count.
-        views: (T,) by which view each is.
-        pixels: (T, 2) where in its image.
-        colors: (T, 3) RGB there.
+        met: the M ends, and where.
+        observations: those of their M corners.
+        colors: (T, 3) RGB where those are observed.
     """
-    place = np.full(2 * edges.num_edges, -1)
-    place[met.members] = np.arange(len(met.members))
-    place = place[observed]
-    order = np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
     tips, _ = end_points(edges.edge_offsets, 0)
-    tracks = offsets_of(np.bincount(place[order], minlength=len(met.members)))
     return replace(
         edges,
         points=np.concatenate([edges.points, met.points]),
-        track_offsets=np.concatenate([edges.track_offsets, edges.track_offsets[-1] + tracks[1:]]),
-        track_views=np.concatenate([edges.track_views, views[order]]),
-        track_points2D=np.concatenate([edges.track_points2D, pixels[order]]),
+        observations=Observations.concatenated([edges.observations, observations]),
         sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[met.members]]]),
-        colors=np.concatenate([edges.colors, mean_colors(colors[order], tracks)]),
+        colors=np.concatenate([edges.colors, mean_colors(colors, observations.offsets)]),
     )
 
 
@@ -252,13 +237,10 @@ def observe(
     given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
-) -> tuple[Int32Array, FloatArray, IntArray]:
-    """Observations of corners by the views `asked` (M, V), on chains of any direction.
+) -> ChainObservations:
+    """Observations of the corners of M ends by the views `asked` (M, V), on any chains.
 
     A view that observes a corner farther than `SHORT_GAP` must observe the way to it, too.
-
-    Returns:
-        (T,) views, (T,) positions on their chains, and (T,) which end, as one of `members`.
     """
     points = corners.points
     away = points - ends.positions[corners.members]
@@ -277,7 +259,12 @@ def observe(
         seen = (at_corner >= 0) & ((on_way >= 0).all(axis=1) | ~far[rows])
         found.append((np.full(seen.sum(), view), at_corner[seen], rows[seen]))
     views, positions, members = (np.concatenate(of) for of in zip(*found, strict=True))
-    return views.astype(np.int32), positions, members
+    order = np.argsort(members, kind="stable")
+    return ChainObservations(
+        offsets=offsets_of(np.bincount(members, minlength=len(corners.members))),
+        views=views[order].astype(np.int32),
+        positions=positions[order],
+    )
 
 
 def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D:

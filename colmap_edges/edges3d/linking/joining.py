@@ -171,8 +171,9 @@ def views_near(edges: Edges3D, ends: IntArray, num_views: int) -> csc_array:
     """(n, V) sparse: view v observes an edge point near one of (n, k) ends."""
     tips, inner = end_points(edges.edge_offsets, REACH)
     of = ends.ravel()
-    first = edges.track_offsets[np.minimum(tips, inner)[of]]
-    last = edges.track_offsets[np.maximum(tips, inner)[of] + 1]
-    views = edges.track_views[ranges_of(first, last)]
+    observed = edges.observations
+    first = observed.offsets[np.minimum(tips, inner)[of]]
+    last = observed.offsets[np.maximum(tips, inner)[of] + 1]
+    views = observed.views[ranges_of(first, last)]
     rows = np.repeat(np.repeat(np.arange(len(ends)), ends.shape[1]), last - first)
     return csc_array((np.ones(len(views), bool), (rows, views)), shape=(len(ends), num_views))

@@ -108,6 +108,17 @@ class EdgeField:
         found: Int32Array = self.polyline_views[self.polylines_at(positions)]
         return found
 
+    def on_chains_of_views(self, positions: ChainPositions) -> tuple[Int32Array, FloatArray]:
+        """(N,) polylines of places and (N,) positions, both counted in their views' graphs."""
+        polylines, segments = self.polylines_at(positions), positions.segments
+        first = np.searchsorted(self.polyline_views, self.polyline_views[polylines])
+        begin = self.polyline_offsets[first]
+        found = segments - begin + positions.fractions
+        # At the very end of a segment: the next point, which a closed polyline has at its start.
+        ends = found >= segments - begin + 1
+        found[ends] = (self.next_points[segments] - begin)[ends]
+        return (polylines - first).astype(np.int32), found
+
     def image_points(self, positions: ChainPositions) -> FloatArray:
         """(N, 2) image pixels of places."""
         return self._interpolate(self.points, positions)

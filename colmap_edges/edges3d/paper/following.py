@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from colmap_edges.core.arrays import owners_of
 from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.edges3d.paper.correspondences import Pepcs
 from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.edges3d.paper.observations import observations_at
 from colmap_edges.options import FollowingOptions
 
 MIN_SELECTION_VIEWS = 3  # fewest observations that give evidence (paper: PEPC-selection)
@@ -52,17 +54,16 @@ def follow_edges(
             num_threads,
         )
     )
-    track = ChainPositions(segments=segments, fractions=fractions)
+    places = ChainPositions(segments=segments, fractions=fractions)
+    observed = observations_at(field, owners_of(track_offsets), places)
     edges = Edges3D(
         points=points,
         edge_offsets=edge_offsets,
         closed=closed.astype(bool),
-        track_offsets=track_offsets,
-        track_views=field.views_at(track).astype(np.int32),
-        track_points2D=field.image_points(track),
+        observations=observed.by_point(len(points)),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(closed), 2), -1, np.int32),
-        colors=mean_colors(field.colors_at(track), track_offsets),
+        colors=mean_colors(observed.colors, track_offsets),
     )
     counts = np.bincount(outcomes, minlength=len(OUTCOMES))
     return edges, dict(zip(OUTCOMES, counts.tolist(), strict=True))

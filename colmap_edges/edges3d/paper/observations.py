@@ -6,69 +6,101 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+)
 from colmap_edges.core.edges3d import Edges3D, mean_colors
-from colmap_edges.core.view import views_with_rows
-from colmap_edges.edges3d.paper.edge_field import EdgeField, pose_arrays
+from colmap_edges.core.observations import Observations
+from colmap_edges.edges2d.edge_index import across
+from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField, pose_arrays
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Observations:
-    """Observations of 3D points, sorted by point and then view.
+class ObservedPoints:
+    """Observations of 3D points as a list, sorted by point and then view.
 
     Attributes:
         points: (T,) int64 index of the 3D point.
         views: (T,) int32.
+        positions: (T,) float64 places on the view's chains, see `core.observations`.
+        chains: (T,) int32 polylines of the view's edge graph.
         pixels: (T, 2) float64 image pixels, COLMAP's origin.
-        ideal: (T, 2) float64 the same in ideal pixels.
+        normals: (T, 2) float32 unit normals of the chains, ideal pixels.
+        ideal: (T, 2) float64 the pixels in ideal pixels.
         colors: (T, 3) float64 RGB.
     """
 
     points: IntArray
     views: Int32Array
+    positions: FloatArray
+    chains: Int32Array
     pixels: FloatArray
+    normals: Float32Array
     ideal: FloatArray
     colors: FloatArray
 
-    def select(self, index: BoolArray | IntArray) -> Observations:
+    def select(self, index: BoolArray | IntArray) -> ObservedPoints:
         """The observations at a numpy index."""
+        return ObservedPoints(**{name: rows[index] for name, rows in vars(self).items()})
+
+    def by_point(self, num_points: int) -> Observations:
+        """The same in CSR arrays."""
         return Observations(
-            points=self.points[index],
-            views=self.views[index],
-            pixels=self.pixels[index],
-            ideal=self.ideal[index],
-            colors=self.colors[index],
+            offsets=track_offsets(self.points, num_points),
+            views=self.views,
+            positions=self.positions,
+            chains=self.chains,
+            pixels=self.pixels,
+            normals=self.normals,
         )
 
 
-def observations_of(edges: Edges3D, field: EdgeField) -> Observations:
-    """The tracks of all edge points as one list."""
-    points = edges.track_points
-    ideal = np.empty((len(points), 2))
-    for view, rows in views_with_rows(field.views, edges.track_views):
-        if len(rows):
-            ideal[rows] = view.ideal_from_image(edges.track_points2D[rows])
-    return Observations(
+def observations_at(field: EdgeField, points: IntArray, places: ChainPositions) -> ObservedPoints:
+    """Observations of (T,) points at places on chains."""
+    chains, positions = field.on_chains_of_views(places)
+    return ObservedPoints(
         points=points,
-        views=edges.track_views,
-        pixels=edges.track_points2D,
-        ideal=ideal,
-        colors=edges.colors[points].astype(np.float64),
+        views=field.views_at(places),
+        positions=positions,
+        chains=chains,
+        pixels=field.image_points(places),
+        normals=across(field.tangents(places)).astype(np.float32),
+        ideal=field.ideal_points(places),
+        colors=field.colors_at(places),
     )
 
 
-def merge(*parts: Observations) -> Observations:
+def observations_of(edges: Edges3D, field: EdgeField) -> ObservedPoints:
+    """The tracks of all edge points as one list."""
+    observed = edges.observations
+    ideal = np.empty((len(observed.views), 2))
+    for view, rows in observed.by_view():
+        ideal[rows] = field.views[view].ideal_from_image(observed.pixels[rows])
+    return ObservedPoints(
+        points=observed.points,
+        views=observed.views,
+        positions=observed.positions,
+        chains=observed.chains,
+        pixels=observed.pixels,
+        normals=observed.normals,
+        ideal=ideal,
+        colors=edges.colors[observed.points].astype(np.float64),
+    )
+
+
+def merge(*parts: ObservedPoints) -> ObservedPoints:
     """All lists in one, sorted by point and view."""
-    points = np.concatenate([part.points for part in parts])
-    views = np.concatenate([part.views for part in parts])
-    order = np.lexsort((views, points))
-    return Observations(
-        points=points[order],
-        views=views[order],
-        pixels=np.concatenate([part.pixels for part in parts])[order],
-        ideal=np.concatenate([part.ideal for part in parts])[order],
-        colors=np.concatenate([part.colors for part in parts])[order],
+    order = np.lexsort(
+        [np.concatenate([getattr(p, n) for p in parts]) for n in ("views", "points")]
+    )
+    return ObservedPoints(
+        **{n: np.concatenate([getattr(p, n) for p in parts])[order] for n in vars(parts[0])}
     )
 
 
@@ -78,7 +110,7 @@ def track_offsets(points: IntArray, num_points: int) -> IntArray:
 
 
 def triangulate_observations(
-    observed: Observations, num_points: int, field: EdgeField, num_threads: int
+    observed: ObservedPoints, num_points: int, field: EdgeField, num_threads: int
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 3) least-squares points and (N,) largest errors in pixels; NaN and inf where none."""
     points, errors = _kernels.triangulate_tracks(
@@ -103,20 +135,16 @@ def edge_neighbours(edges: Edges3D) -> tuple[IntArray, IntArray]:
     return before, after
 
 
-def with_observations(edges: Edges3D, points: FloatArray, observed: Observations) -> Edges3D:
+def with_observations(edges: Edges3D, points: FloatArray, observed: ObservedPoints) -> Edges3D:
     """The same edges with new points and tracks."""
-    offsets = track_offsets(observed.points, len(points))
-    return replace(
-        edges,
-        points=points,
-        track_offsets=offsets,
-        track_views=observed.views.astype(np.int32),
-        track_points2D=observed.pixels,
-        colors=mean_colors(observed.colors, offsets),
-    )
+    observations = observed.by_point(len(points))
+    colors = mean_colors(observed.colors, observations.offsets)
+    return replace(edges, points=points, observations=observations, colors=colors)
 
 
-def reprojection_errors(observed: Observations, points: FloatArray, field: EdgeField) -> FloatArray:
+def reprojection_errors(
+    observed: ObservedPoints, points: FloatArray, field: EdgeField
+) -> FloatArray:
     """(T,) distance in pixels between each observation and its projected point; NaN behind."""
     errors = np.full(len(observed.points), np.nan)
     for index, view in enumerate(field.views):

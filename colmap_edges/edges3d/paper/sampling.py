@@ -8,12 +8,12 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of, ranks_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.view import views_with_rows
 from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
 from colmap_edges.edges3d.paper.observations import (
-    Observations,
+    ObservedPoints,
     edge_neighbours,
     merge,
+    observations_at,
     observations_of,
     track_offsets,
     triangulate_observations,
@@ -49,6 +49,7 @@ def sample_edges(
     views = np.bincount(observed.points, minlength=len(samples))
     good = (errors <= max_error_px) & (views >= 3)
     positions = segment_starts[samples] + share[:, 0]
+    observed = observed.select(good[observed.points])
     return insert_points(edges, field, positions, points, observed, good)
 
 
@@ -60,9 +61,8 @@ def subdivisions(
     starts = np.flatnonzero(after >= 0)
     ends = after[starts]
     sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
-    track_points = edges.track_points
-    for view, of_view in views_with_rows(field.views, edges.track_views):
-        rows = track_points[of_view]
+    for index, of_view in edges.observations.by_view():
+        view, rows = field.views[index], edges.observations.points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
         np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
     lengths = np.linalg.norm(edges.points[ends] - edges.points[starts], axis=1)
@@ -79,14 +79,13 @@ def observe_samples(
     field: EdgeField,
     max_distance_px: float,
     num_threads: int,
-) -> Observations:
+) -> ObservedPoints:
     """Nearest places to samples ((N,) segments, (N, 3) points) in the views of both their ends."""
     num_views = len(field.views)
-    track_points = edges.track_points
     seen = np.zeros((edges.num_points, num_views), bool)
-    seen[track_points, edges.track_views] = True
+    seen[edges.observations.points, edges.observations.views] = True
     both = seen[starts] & seen[ends]
-    found_points, found_views, segments, fractions = [], [], [], []
+    found_points, segments, fractions = [], [], []
     for index, view in enumerate(field.views):
         rows = np.flatnonzero(both[samples, index])
         near = field.find_near(
@@ -97,21 +96,14 @@ def observe_samples(
         )
         nearest = nearest_rows(near.offsets, near.distances)
         found_points.append(rows[np.diff(near.offsets) > 0])
-        found_views.append(np.full(len(nearest), index, np.int32))
         segments.append(near.positions.segments[nearest])
         fractions.append(near.positions.fractions[nearest])
-    points, views = np.concatenate(found_points), np.concatenate(found_views)
-    order = np.lexsort((views, points))
+    points = np.concatenate(found_points)
+    order = np.argsort(points, kind="stable")  # of each point by view
     places = ChainPositions(
         segments=np.concatenate(segments)[order], fractions=np.concatenate(fractions)[order]
     )
-    return Observations(
-        points=points[order],
-        views=views[order],
-        pixels=field.image_points(places),
-        ideal=field.ideal_points(places),
-        colors=field.colors_at(places),
-    )
+    return observations_at(field, points[order], places)
 
 
 def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
@@ -127,14 +119,16 @@ def insert_points(
     field: EdgeField,
     positions: FloatArray,
     points: FloatArray,
-    observed: Observations,
+    observed: ObservedPoints,
     good: BoolArray,
 ) -> Edges3D:
-    """Edges with the good samples put in at positions (index of the point before + share)."""
+    """Edges with the good samples put in at positions (index of the point before + share).
+
+    `observed` are observations of good samples alone.
+    """
     given = observations_of(edges, field)
     kept = np.flatnonzero(good)
     renumbered = np.cumsum(good) - 1 + edges.num_points
-    fresh = observed.select(good[observed.points])
     order = np.argsort(
         np.concatenate([np.arange(edges.num_points), positions[kept]]), kind="stable"
     )
@@ -142,7 +136,7 @@ def insert_points(
     place[order] = np.arange(len(order))
     merged = merge(
         replace(given, points=place[given.points]),
-        replace(fresh, points=place[renumbered[fresh.points]]),
+        replace(observed, points=place[renumbered[observed.points]]),
     )
     edge_ids = edges.edge_ids
     all_edges = np.concatenate([edge_ids, edge_ids[np.floor(positions[kept]).astype(np.int64)]])

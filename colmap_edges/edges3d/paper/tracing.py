@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import (
     Pepcs,
@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 
 def trace_edges_paper(
     model: Model, graphs: Graphs, options: PipelineOptions, num_threads: int = 1
-) -> tuple[Edges3D, dict[str, Any]]:
+) -> tuple[TracedEdges, dict[str, Any]]:
     """Reconstruct 3D edges as the paper does.
 
     Args:
@@ -40,7 +40,8 @@ def trace_edges_paper(
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        3D edges sampled to edge points with tracks, and counts in, kept and dropped by reason.
+        3D edges sampled to edge points with tracks, no contours, and counts in, kept and dropped
+        by reason.
     """
     whole = [graphs.load(view) for view in range(len(model.views))]
     field = build_edge_field(model.views, whole)
@@ -54,7 +55,7 @@ def trace_edges_paper(
     )
     stats["sampled"] = {"edges": edges.num_edges, "points": edges.num_points}
     logger.info("%d 3D edges of %d edge points", edges.num_edges, edges.num_points)
-    return edges, stats
+    return TracedEdges(edges=edges, contours=Edges3D.none()), stats
 
 
 def generate_pepcs(

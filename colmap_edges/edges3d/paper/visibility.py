@@ -10,9 +10,10 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
 from colmap_edges.edges3d.paper.observations import (
-    Observations,
+    ObservedPoints,
     edge_neighbours,
     merge,
+    observations_at,
     observations_of,
     reprojection_errors,
     track_offsets,
@@ -52,10 +53,10 @@ def expand_visibility(
 def further_observations(
     edges: Edges3D,
     field: EdgeField,
-    observed: Observations,
+    observed: ObservedPoints,
     options: VisibilityOptions,
     num_threads: int,
-) -> Observations:
+) -> ObservedPoints:
     """Places on single near polylines that agree in direction and with the neighbours."""
     tangents = edge_tangents(edges)
     neighbours = edge_neighbours(edges)
@@ -69,18 +70,13 @@ def further_observations(
             edges.points, tangents, neighbours, index, field, options, num_threads
         )
         fresh = ~seen[points]
-        found.append((points[fresh], index, positions.select(fresh)))
-    positions = ChainPositions(
-        segments=np.concatenate([np.zeros(0, np.int64), *(f[2].segments for f in found)]),
-        fractions=np.concatenate([np.zeros(0), *(f[2].fractions for f in found)]),
+        found.append((points[fresh], positions.select(fresh)))
+    points = np.concatenate([np.zeros(0, np.int64), *(f[0] for f in found)])
+    places = ChainPositions(
+        segments=np.concatenate([np.zeros(0, np.int64), *(f[1].segments for f in found)]),
+        fractions=np.concatenate([np.zeros(0), *(f[1].fractions for f in found)]),
     )
-    return Observations(
-        points=np.concatenate([np.zeros(0, np.int64), *(f[0] for f in found)]),
-        views=np.repeat(np.array([f[1] for f in found], np.int32), [len(f[0]) for f in found]),
-        pixels=field.image_points(positions),
-        ideal=field.ideal_points(positions),
-        colors=field.colors_at(positions),
-    )
+    return observations_at(field, points, places)
 
 
 def edge_tangents(edges: Edges3D) -> FloatArray:
@@ -138,8 +134,8 @@ def projected_directions(points: FloatArray, tangents: FloatArray, view: object)
 
 
 def compatible(
-    observed: Observations,
-    candidates: Observations,
+    observed: ObservedPoints,
+    candidates: ObservedPoints,
     field: EdgeField,
     max_error_px: float,
     num_threads: int,
@@ -160,12 +156,12 @@ def compatible(
 
 def merge_consistent(
     edges: Edges3D,
-    observed: Observations,
-    added: Observations,
+    observed: ObservedPoints,
+    added: ObservedPoints,
     field: EdgeField,
     max_error_px: float,
     num_threads: int,
-) -> tuple[Observations, FloatArray]:
+) -> tuple[ObservedPoints, FloatArray]:
     """Tracks with the added observations, the worst left out until all fit together.
 
     Returns:
@@ -187,7 +183,7 @@ def merge_consistent(
     return merge(*accepted), points
 
 
-def drop_worst(added: Observations, points: FloatArray, field: EdgeField) -> Observations:
+def drop_worst(added: ObservedPoints, points: FloatArray, field: EdgeField) -> ObservedPoints:
     """Without, of each point ((N, 3) world), the observation farthest from its projection."""
     errors = reprojection_errors(added, points, field)
     order = np.lexsort((np.where(np.isfinite(errors), errors, np.inf), added.points))
@@ -209,7 +205,7 @@ def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D
 
     An edge is cut where points fall out; single points left over are dropped too.
     """
-    views = np.diff(edges.track_offsets)
+    views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
     kept = keep_points(edges, views >= threshold)
     return kept, {

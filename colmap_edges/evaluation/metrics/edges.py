@@ -197,7 +197,7 @@ def points_of_edges(found: Edges3D, model: Model) -> Model:
         points3D_xyz=found.points,
         point3D_ids=np.arange(found.num_points, dtype=np.int64),
         points3D_rgb=np.zeros((found.num_points, 3), dtype=np.uint8),
-        track_offsets=found.track_offsets,
-        track_views=found.track_views,
-        track_points2D=found.track_points2D,
+        track_offsets=found.observations.offsets,
+        track_views=found.observations.views,
+        track_points2D=found.observations.pixels,
     )

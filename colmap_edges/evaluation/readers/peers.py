@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
@@ -318,9 +319,9 @@ def _edges(
         points=points,
         edge_offsets=offsets_of(edge_counts),
         closed=np.zeros(len(edge_counts), dtype=bool),
-        track_offsets=offsets_of(track_counts),
-        track_views=views.astype(np.int32),
-        track_points2D=pixels,
+        observations=Observations.of_pixels(
+            offsets=offsets_of(track_counts), views=views.astype(np.int32), pixels=pixels
+        ),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(edge_counts), 2), -1, dtype=np.int32),
         colors=np.zeros((len(points), 3), np.uint8),

@@ -10,6 +10,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.arrays import entries_of, offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.peers import DAMAGE
 from colmap_edges.runtime.input_files import read_text
@@ -41,9 +42,11 @@ def load_edges(run_path: Path, model: Model) -> Edges3D:
         points=written.points3D_xyz[rows],
         edge_offsets=offsets_of(np.array([len(i) for i in ids], np.int64)),
         closed=np.array([record["closed"] for record in records], dtype=bool),
-        track_offsets=offsets_of(counts),
-        track_views=views[written.track_views[taken]],
-        track_points2D=written.track_points2D[taken],
+        observations=Observations.of_pixels(
+            offsets=offsets_of(counts),
+            views=views[written.track_views[taken]],
+            pixels=written.track_points2D[taken],
+        ),
         sigmas=np.full(len(rows), np.nan),
         end_nodes=np.array([r["end_nodes"] for r in records], dtype=np.int32).reshape(-1, 2),
         colors=written.points3D_rgb[rows],

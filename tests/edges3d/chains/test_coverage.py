@@ -7,15 +7,15 @@ from dataclasses import replace
 import curves as known
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges2d.edge_graph import keep_points
 from colmap_edges.edges2d.edge_index import at_positions
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.coverage import (
+    among_all_points,
     mark_covered,
-    positions_among_all,
     what_remains,
     without_repeats,
     without_short,
@@ -42,10 +42,11 @@ def graphs_of_views(seeing):
 def points_before(num_rounds, seeing=(3, 5, 7)):
     """Edges of the scene, and which of their points are on the line before the fence."""
     options = PipelineOptions(tracing=TracingOptions(num_rounds=num_rounds))
-    edges, stats = trace_edges(
+    traced, stats = trace_edges(
         known.model_of(VIEWS), Graphs.of(graphs_of_views(seeing)), options, 1
     )
     true = BEFORE(np.linspace(0, 1, 4000))
+    edges = traced.edges
     return edges, cKDTree(true).query(edges.points)[0] < 0.01, stats
 
 
@@ -56,13 +57,13 @@ def test_second_round_finds_what_few_views_see_among_much():
     second, on_line, stats = points_before(2)
     assert on_line.sum() > 50
     assert cKDTree(second.points).query(first.points)[0].max() < 0.01
-    owners = np.repeat(np.arange(second.num_points), np.diff(second.track_offsets))
+    owners = np.repeat(np.arange(second.num_points), np.diff(second.observations.offsets))
     rows = on_line[owners]
-    assert set(second.track_views[rows]) == {3, 5, 7}
+    assert set(second.observations.views[rows]) == {3, 5, 7}
     for view in (3, 5, 7):
-        at = rows & (second.track_views == view)
+        at = rows & (second.observations.views == view)
         seen, _ = VIEWS[view].project(second.points[owners[at]])
-        assert np.linalg.norm(seen - second.track_points2D[at], axis=1).max() < 1
+        assert np.linalg.norm(seen - second.observations.pixels[at], axis=1).max() < 1
     assert stats["views"] == len(VIEWS)
     assert stats["samples"] > stats["samples_with_depth"] > stats["samples_in_runs"] > 0
 
@@ -73,9 +74,9 @@ def test_second_round_stands_alone_where_the_first_finds_nothing():
     nothing, _ = trace_edges(
         model, graphs, PipelineOptions(tracing=replace(tracing, num_rounds=1)), 1
     )
-    assert nothing.num_points == 0
-    edges, _ = trace_edges(model, graphs, PipelineOptions(tracing=tracing), 1)
-    assert edges.num_points > 100
+    assert nothing.edges.num_points == 0
+    traced, _ = trace_edges(model, graphs, PipelineOptions(tracing=tracing), 1)
+    assert traced.edges.num_points > 100
 
 
 def test_what_is_left_is_cut_where_curves_run():
@@ -102,8 +103,8 @@ def along(chain, views, points, driver_observes=True):
     """A curve on the same `points` of one chain in all `views`, on the chains of the first."""
     count = len(points)
     at = np.tile((chain + points)[:, None].astype(float), len(views))
-    positions = csr_array(at if driver_observes else np.where(np.arange(len(views)) > 0, at, 0))
-    positions.eliminate_zeros()
+    if not driver_observes:
+        at[:, 0] = np.nan
     return Traced(
         points=np.column_stack([points, np.zeros((count, 2))]),
         sigmas=np.ones(count),
@@ -111,8 +112,8 @@ def along(chain, views, points, driver_observes=True):
         residuals=np.ones(count),
         log_chances=np.full(count, -4.0),
         offsets=np.array([0, count]),
-        views=np.asarray(views),
-        positions=positions,
+        driver=views[0],
+        observations=ChainObservations.of_table(np.asarray(views), at),
     )
 
 
@@ -126,11 +127,11 @@ def fence():
 LIMITS = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
 
 
-def test_edges_take_what_they_run_along_and_outlines_nothing(fence):
+def test_edges_take_what_they_run_along_and_contours_nothing(fence):
     second = fence.polyline_offsets[0][1]
     points = np.arange(40, 120, 4)
-    edges, outlines = (along(chain, [0, 1, 2], points) for chain in (0, second))
-    kept = Sorted(edges=[edges], outlines=[outlines], limits=LIMITS)
+    edges, contours = (along(chain, [0, 1, 2], points) for chain in (0, second))
+    kept = Sorted(edges=[edges], contours=[contours], limits=LIMITS)
     rest = what_remains(fence, kept, TracingOptions())
     for view in (0, 1, 2):
         assert not rest.free[view][40:117].any()
@@ -138,36 +139,36 @@ def test_edges_take_what_they_run_along_and_outlines_nothing(fence):
     assert rest.free[3].all()
 
 
-def test_of_outlines_along_the_same_chain_the_first_is_left(fence):
+def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     first = along(0, [0, 1, 2], np.arange(40, 120, 4))
     again = along(0, [1, 0, 2], np.arange(20, 160, 4))
     elsewhere = along(0, [3, 4], np.arange(40, 120, 4))
     not_in_driver = along(0, [2, 5, 6], np.arange(40, 120, 4), driver_observes=False)
-    outlines = [first, again, elsewhere, not_in_driver]
-    kept = Sorted(edges=[], outlines=outlines, limits=LIMITS)
+    contours = [first, again, elsewhere, not_in_driver]
+    kept = Sorted(edges=[], contours=contours, limits=LIMITS)
     options = TracingOptions(point_spacing_px=4, min_curve_points=3)
     left, counts = without_repeats(fence, kept, options)
-    assert [of.points[:, 0].tolist() for of in left.outlines] == [
+    assert [of.points[:, 0].tolist() for of in left.contours] == [
         [*range(40, 120, 4)],
         [*range(20, 36, 4), *range(124, 160, 4)],  # 4 px beside a point are its own
         [*range(40, 120, 4)],
         [*range(40, 120, 4)],
     ]
-    assert left.outlines[1].offsets.tolist() == [0, 4, 13]
-    assert left.outlines[1].positions.toarray()[4].tolist() == [124, 124, 124]
-    assert counts == {"points_of_outlines": 73, "points_dropped_repeated": 22}
+    assert left.contours[1].offsets.tolist() == [0, 4, 13]
+    assert left.contours[1].observations.select(np.array([4])).positions.tolist() == [124] * 3
+    assert counts == {"points_of_contours": 73, "points_dropped_repeated": 22}
     shorter, _ = without_repeats(fence, kept, replace(options, min_curve_points=5))
-    assert shorter.outlines[1].points[:, 0].tolist() == [*range(124, 160, 4)]
+    assert shorter.contours[1].points[:, 0].tolist() == [*range(124, 160, 4)]
 
 
 def test_marks_stay_on_their_polyline():
     offsets = [np.array([0, 10, 20])]
     covered = [np.zeros(20, bool)]
-    positions = csr_array(np.array([[8.5], [13.0]]))
-    mark_covered(covered, offsets, np.array([0]), positions, reach=3)
+    observed = ChainObservations.of_table(np.array([0]), np.array([[8.5], [13.0]]))
+    mark_covered(covered, offsets, observed, reach=3)
     assert np.flatnonzero(covered[0]).tolist() == [5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16]
     covered[0][:] = False
-    mark_covered(covered, offsets, np.array([0]), positions[:1], reach=3)
+    mark_covered(covered, offsets, observed.select(np.array([0])), reach=3)
     assert np.flatnonzero(covered[0]).tolist() == [5, 6, 7, 8, 9]
 
 
@@ -186,8 +187,9 @@ def test_positions_are_told_on_whole_graphs():
     keep[10:40] = False
     left, kept = keep_points(graph, keep), np.flatnonzero(keep)
     on_left = np.array([0.25, 12.5, 20.0, len(left.points) - 0.5])  # the last across the seam
-    positions = csr_array(np.column_stack([np.ones(4), on_left]))
-    whole = positions_among_all(positions, np.array([1, 0]), [kept, np.arange(5)]).toarray()
+    table = np.column_stack([np.ones(4), on_left])
+    observed = ChainObservations.of_table(np.array([1, 0]), table)
+    whole = among_all_points(observed, [kept, np.arange(5)]).positions.reshape(4, 2)
     np.testing.assert_allclose(
         at_positions(graph, whole[:, 1], graph.points)[0],
         at_positions(left, on_left, left.points)[0],

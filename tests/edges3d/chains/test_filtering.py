@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
 
 from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.filtering import (
     MIN_RESIDUAL_PX,
     Limits,
@@ -27,8 +27,8 @@ def traced_curves(log_chances, num_observations, lengths, residuals=0.0):
         residuals=np.broadcast_to(np.asarray(residuals, float), count),
         log_chances=np.asarray(log_chances, float),
         offsets=offsets,
-        views=np.arange(8),
-        positions=csr_array(np.where(observed, 1.0, 0.0)),
+        driver=0,
+        observations=ChainObservations.of_table(np.arange(8), np.where(observed, 1.0, np.nan)),
     )
 
 
@@ -52,7 +52,7 @@ def test_of_no_curves_nothing_lasts():
     assert len(lasting_points(nothing, TracingOptions(), None)) == 0
 
 
-def test_outlines_do_not_last_where_it_is_known_how_much_edges_scatter():
+def test_contours_do_not_last_where_it_is_known_how_much_edges_scatter():
     traced = traced_curves([-4.0] * 40, [5] * 40, [20, 20], [0.1] * 20 + [0.6] * 20)
     limits = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
     np.testing.assert_array_equal(lasting_points(traced, TracingOptions(), None), True)
@@ -80,9 +80,9 @@ def test_what_scatters_is_an_outline_though_half_of_its_points_fit():
     fits, moves = [0.1, 0.3] * 10, [0.1, 0.9] * 10
     traced = traced_curves([-4.0] * 40, [6] * 40, [20, 20], fits + moves)
     limits = Limits(uncertainty_px=1.0, residual_px=0.4, log_chance=-3.0)
-    edges, outlines = sort_pieces(traced, np.ones(40, bool), limits, TracingOptions())
+    edges, contours = sort_pieces(traced, np.ones(40, bool), limits, TracingOptions())
     np.testing.assert_array_equal(edges.residuals, fits)
-    np.testing.assert_array_equal(outlines.residuals, moves)
+    np.testing.assert_array_equal(contours.residuals, moves)
 
 
 def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
@@ -95,8 +95,8 @@ def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
 
 def test_limit_of_scatter_is_by_what_many_views_observe():
     options = TracingOptions(max_residual_ratio=2.0)
-    edges, outlines = traced_curves([-4.0] * 5, [8] * 5, [5], 0.3), [[-4.0] * 20, [3] * 20, [20]]
-    many = find_limits([edges, traced_curves(*outlines, 0.9)], options, 1.0)
+    edges, contours = traced_curves([-4.0] * 5, [8] * 5, [5], 0.3), [[-4.0] * 20, [3] * 20, [20]]
+    many = find_limits([edges, traced_curves(*contours, 0.9)], options, 1.0)
     assert many.residual_px == pytest.approx(2 * 0.3 * 7 / 6)  # of 30 observations, not of 5 points
-    alone = find_limits([traced_curves(*outlines, 0.9)], options, 1.0)
+    alone = find_limits([traced_curves(*contours, 0.9)], options, 1.0)
     assert alone.residual_px == pytest.approx(2 * 0.9 * 2)

@@ -1,4 +1,4 @@
-"""Refinement of curves' depths and places; medians that tell edges from outlines."""
+"""Refinement of curves' depths and places; medians that tell edges from contours."""
 
 from dataclasses import replace
 

@@ -6,6 +6,7 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
@@ -31,9 +32,11 @@ def edges_of(pieces, observing, closed):
         points=points,
         edge_offsets=offsets_of(np.array([len(piece) for piece in pieces])),
         closed=np.full(len(pieces), closed),
-        track_offsets=np.arange(0, count + 1, len(observing)),
-        track_views=np.tile(np.array(observing, np.int32), len(points)),
-        track_points2D=pixels.reshape(-1, 2),
+        observations=Observations.of_pixels(
+            offsets=np.arange(0, count + 1, len(observing)),
+            views=np.tile(np.array(observing, np.int32), len(points)),
+            pixels=pixels.reshape(-1, 2),
+        ),
         sigmas=np.arange(1.0, len(points) + 1),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
         colors=np.zeros((len(points), 3), np.uint8),
@@ -85,10 +88,10 @@ def test_the_corner_is_observed_where_it_is_seen():
     pieces = [short_of(axis, 0.06) for axis in AXES]
     edges = met(pieces, [all_arms()] * 4 + [[]] * 2)
     for tip in edges.edge_offsets[:-1]:
-        rows = slice(edges.track_offsets[tip], edges.track_offsets[tip + 1])
-        assert edges.track_views[rows].tolist() == [0, 1, 2, 3]
+        rows = slice(edges.observations.offsets[tip], edges.observations.offsets[tip + 1])
+        assert edges.observations.views[rows].tolist() == [0, 1, 2, 3]
         expected = [VIEWS[v].project(CORNER[None])[0][0] for v in range(4)]
-        np.testing.assert_allclose(edges.track_points2D[rows], expected, atol=0.1)
+        np.testing.assert_allclose(edges.observations.pixels[rows], expected, atol=0.1)
         assert edges.sigmas[tip] == edges.sigmas[tip + 1]
 
 
@@ -160,12 +163,8 @@ def test_edges_of_two_points_and_closed_ones_are_left_alone():
 
 
 def test_no_edges_stay_none():
-    assert (
-        meet_at_corners(
-            known.no_edges(), known.tracing_input((), []), PipelineOptions(), 1
-        ).num_edges
-        == 0
-    )
+    nothing = known.tracing_input((), [])
+    assert meet_at_corners(Edges3D.none(), nothing, PipelineOptions(), 1).num_edges == 0
 
 
 def test_the_order_of_edges_does_not_matter():

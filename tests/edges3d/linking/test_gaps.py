@@ -8,6 +8,7 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import PipelineOptions
@@ -34,9 +35,11 @@ def pieces_of(curve, views):
         points=points,
         edge_offsets=offsets_of(np.array([len(of) for of in t])),
         closed=np.zeros(2, bool),
-        track_offsets=np.arange(0, count + 1, len(views)),
-        track_views=np.tile(np.array(views, np.int32), len(points)),
-        track_points2D=np.zeros((count, 2)),
+        observations=Observations.of_pixels(
+            offsets=np.arange(0, count + 1, len(views)),
+            views=np.tile(np.array(views, np.int32), len(points)),
+            pixels=np.zeros((count, 2)),
+        ),
         sigmas=np.zeros(len(points)),
         end_nodes=np.full((2, 2), -1, np.int32),
         colors=np.zeros((len(points), 3), np.uint8),

@@ -5,6 +5,7 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import LinkingOptions
 
@@ -19,9 +20,11 @@ def edges_of(*pieces):
         points=points,
         edge_offsets=offsets_of(np.array([len(piece) for piece in pieces], np.int64)),
         closed=np.zeros(len(pieces), bool),
-        track_offsets=offsets_of(lengths),
-        track_views=views.astype(np.int32),
-        track_points2D=np.column_stack([owners, views]).astype(float),
+        observations=Observations.of_pixels(
+            offsets=offsets_of(lengths),
+            views=views.astype(np.int32),
+            pixels=np.column_stack([owners, views]).astype(float),
+        ),
         sigmas=np.arange(len(points), dtype=float),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
         colors=np.arange(3 * len(points)).reshape(-1, 3).astype(np.uint8),
@@ -66,9 +69,9 @@ def test_tracks_go_with_their_points():
     after = link_edges(before, LinkingOptions(), through_all_gaps)
     for row, origin in enumerate(after.sigmas.astype(int)):
         np.testing.assert_array_equal(after.points[row], before.points[origin])
-        own = slice(after.track_offsets[row], after.track_offsets[row + 1])
-        assert after.track_points2D[own, 0].tolist() == [origin] * (origin % 3 + 1)
-        assert after.track_views[own].tolist() == list(range(origin % 3 + 1))
+        own = slice(after.observations.offsets[row], after.observations.offsets[row + 1])
+        assert after.observations.pixels[own, 0].tolist() == [origin] * (origin % 3 + 1)
+        assert after.observations.views[own].tolist() == list(range(origin % 3 + 1))
         np.testing.assert_array_equal(after.colors[row], before.colors[origin])
     assert sorted(after.sigmas) == list(range(40))
 

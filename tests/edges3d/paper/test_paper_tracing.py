@@ -15,6 +15,7 @@ from curve_scenes import (
 from curves import model_of
 from scipy.spatial import cKDTree
 
+from colmap_edges.core.arrays import flattened
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import Pepcs
 from colmap_edges.edges3d.paper.edge_field import ChainPositions, build_edge_field
@@ -50,8 +51,8 @@ def traced(curves, strategy, num_threads=1, noise_px=0.0, seed=0):
     points = np.concatenate([curve.points[100::200] for curve in curves])
     model = model_of(VIEWS, points)
     options = PipelineOptions(correspondence=CorrespondenceOptions(strategy=strategy))
-    edges, stats = trace_edges_paper(model, Graphs.of(graphs), options, num_threads)
-    return edges, stats
+    found, stats = trace_edges_paper(model, Graphs.of(graphs), options, num_threads)
+    return found.edges, stats
 
 
 def recall(edges, curves, radius):
@@ -72,7 +73,7 @@ def test_known_curves_come_out(strategy):
         count for name, count in stats["pepcs"].items() if name.startswith("pepcs_from")
     )
     assert stats["sampled"]["points"] == edges.num_points
-    views = np.diff(edges.track_offsets)
+    views = np.diff(edges.observations.offsets)
     assert np.median(views) >= 5
     assert views.min() >= 3
 
@@ -216,15 +217,16 @@ def test_result_does_not_depend_on_threads():
     one, stats1 = traced(CURVES, "both", 1, noise_px=0.3)
     two, stats2 = traced(CURVES, "both", 2, noise_px=0.3)
     assert stats1 == stats2
-    for name in ("points", "edge_offsets", "track_offsets", "track_views", "track_points2D"):
-        assert getattr(one, name).tobytes() == getattr(two, name).tobytes(), name
+    other = flattened(two)
+    for name, array in flattened(one).items():
+        assert array.tobytes() == other[name].tobytes(), name
 
 
 def test_nothing_in_gives_nothing_out():
     graphs = [graph_of(view, []) for view in VIEWS]
-    edges, stats = trace_edges_paper(model_of(VIEWS), Graphs.of(graphs), PipelineOptions(), 1)
-    assert edges.num_edges == 0
-    assert edges.num_points == 0
+    found, stats = trace_edges_paper(model_of(VIEWS), Graphs.of(graphs), PipelineOptions(), 1)
+    assert found.edges.num_points == found.contours.num_points == 0
+    assert found.edges.num_edges == 0
     assert stats["starts"]["accepted"] == 0
 
 

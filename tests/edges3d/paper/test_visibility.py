@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.paper.edge_field import build_edge_field
 from colmap_edges.edges3d.paper.observations import edge_neighbours
 from colmap_edges.edges3d.paper.sampling import sample_edges
@@ -45,9 +46,11 @@ def edges_of(curves, view_indices, spacing=60, views=VIEWS):
         points=points,
         edge_offsets=np.concatenate([[0], np.cumsum(lengths)]),
         closed=np.array([curve.closed for curve in curves]),
-        track_offsets=np.arange(0, count * len(points) + 1, count),
-        track_views=np.tile(np.array(view_indices, np.int32), len(points)),
-        track_points2D=pixels.transpose(1, 0, 2).reshape(-1, 2),
+        observations=Observations.of_pixels(
+            offsets=np.arange(0, count * len(points) + 1, count),
+            views=np.tile(np.array(view_indices, np.int32), len(points)),
+            pixels=pixels.transpose(1, 0, 2).reshape(-1, 2),
+        ),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(curves), 2), -1, np.int32),
         colors=np.arange(3 * len(points)).reshape(-1, 3).astype(np.uint8),
@@ -55,12 +58,16 @@ def edges_of(curves, view_indices, spacing=60, views=VIEWS):
 
 
 def check(edges):
-    assert edges.edge_offsets[0] == edges.track_offsets[0] == 0
+    assert edges.edge_offsets[0] == edges.observations.offsets[0] == 0
     assert edges.edge_offsets[-1] == edges.num_points == len(edges.sigmas)
-    assert len(edges.track_offsets) == edges.num_points + 1
-    assert edges.track_offsets[-1] == len(edges.track_views) == len(edges.track_points2D)
-    ids = np.repeat(np.arange(edges.num_points), np.diff(edges.track_offsets))
-    keys = ids * 1000 + edges.track_views
+    assert len(edges.observations.offsets) == edges.num_points + 1
+    assert (
+        edges.observations.offsets[-1]
+        == len(edges.observations.views)
+        == len(edges.observations.pixels)
+    )
+    ids = np.repeat(np.arange(edges.num_points), np.diff(edges.observations.offsets))
+    keys = ids * 1000 + edges.observations.views
     assert (np.diff(keys) > 0).all()  # a view at most once a point, ascending
 
 
@@ -69,10 +76,10 @@ def test_all_views_of_an_edge_are_found():
     edges = edges_of([LINE, HELIX], [0, 3, 6])
     expanded, stats = expand_visibility(edges, field, OPTIONS, 1)
     check(expanded)
-    views = np.diff(expanded.track_offsets)
+    views = np.diff(expanded.observations.offsets)
     assert np.mean(views == len(VIEWS)) > 0.9  # but near where the curves cross in an image
     assert distances_to_curves(expanded.points, [LINE, HELIX]).max() < 1e-3
-    assert stats["observations_after"] == len(expanded.track_views)
+    assert stats["observations_after"] == len(expanded.observations.views)
     assert stats["observations_before"] == 3 * edges.num_points
 
 
@@ -86,7 +93,7 @@ def expanded_views(graph_curves, options=OPTIONS, noise=None):
     others = [v for v in range(len(VIEWS)) if v != 1]
     expanded, _ = expand_visibility(edges_of([LINE], others), field, options, 1)
     check(expanded)
-    return np.count_nonzero(expanded.track_views == 1) / expanded.num_points
+    return np.count_nonzero(expanded.observations.views == 1) / expanded.num_points
 
 
 def test_the_same_curve_is_taken():
@@ -117,7 +124,7 @@ def test_view_that_looks_away_sees_nothing():
     graphs = [graph_of(view, [LINE]) for view in VIEWS]
     field = build_edge_field(views, [*graphs, graphs[0]])
     expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), field, OPTIONS, 1)
-    assert len(VIEWS) not in expanded.track_views
+    assert len(VIEWS) not in expanded.observations.views
 
 
 def test_expansion_does_not_depend_on_threads():
@@ -126,7 +133,7 @@ def test_expansion_does_not_depend_on_threads():
     edges = edges_of([LINE, HELIX], [0, 3, 6])
     one, two = (expand_visibility(edges, field, OPTIONS, n)[0] for n in (1, 2))
     assert one.points.tobytes() == two.points.tobytes()
-    assert one.track_points2D.tobytes() == two.track_points2D.tobytes()
+    assert one.observations.pixels.tobytes() == two.observations.pixels.tobytes()
 
 
 def test_no_edges_no_change():
@@ -147,17 +154,13 @@ def test_smallest_number_of_views(counts, expected):
 
 def test_filter_cuts_what_few_views_see():
     edges = edges_of([LINE], [0, 1, 2, 3, 4])
-    keep = np.ones(len(edges.track_views), bool)
+    keep = np.ones(len(edges.observations.views), bool)
     weak = [3, 10, 11]
     for point in weak:
         keep[5 * point : 5 * point + 2] = False  # three views left
-    counts = np.full(edges.num_points, 5)
-    counts[weak] = 3
     thinned = replace(
         edges,
-        track_offsets=np.concatenate([[0], np.cumsum(counts)]),
-        track_views=edges.track_views[keep],
-        track_points2D=edges.track_points2D[keep],
+        observations=edges.observations.keep(keep),
     )
     kept, stats = filter_outliers(thinned, OPTIONS)
     check(kept)
@@ -220,8 +223,10 @@ def test_expansion_of_unseen_noise_keeps_error_small():
     expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), field, OPTIONS, 1)
     check(expanded)
     for index, view in enumerate(VIEWS):
-        rows = expanded.track_views == index
-        ids = np.repeat(np.arange(expanded.num_points), np.diff(expanded.track_offsets))[rows]
+        rows = expanded.observations.views == index
+        ids = np.repeat(np.arange(expanded.num_points), np.diff(expanded.observations.offsets))[
+            rows
+        ]
         projected = view.project(expanded.points[ids])[0]
-        errors = np.linalg.norm(projected - expanded.track_points2D[rows], axis=1)
+        errors = np.linalg.norm(projected - expanded.observations.pixels[rows], axis=1)
         assert errors.max(initial=0) <= OPTIONS.max_error_px + 1e-6

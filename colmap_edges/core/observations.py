@@ -1,0 +1,147 @@
+"""Observations of 3D points on the chains of views: where they are, and what is seen there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    entries_of,
+    offsets_of,
+    order_of,
+    owners_of,
+)
+
+Kind = TypeVar("Kind", bound="ChainObservations")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainObservations:
+    """Places on chains at which points are observed, in CSR arrays by point.
+
+    While curves are traced this is all that is known; `edges2d.edge_index.look_up` makes
+    `Observations` of what is left in the end.
+
+    Attributes:
+        offsets: (N + 1,) int64; observations of point i are rows offsets[i]:offsets[i + 1].
+        views: (T,) int32 indices into the model's views; a view at most once a point.
+        positions: (T,) float64 places on the view's chains: index of the chain point before, in
+            the view's edge graph, plus the share of the way to the next; NaN where not known.
+    """
+
+    offsets: IntArray
+    views: Int32Array
+    positions: FloatArray
+
+    @classmethod
+    def none(cls: type[Kind]) -> Kind:
+        """No observations, of no points."""
+        return cls(
+            offsets=np.zeros(1, np.int64), views=np.zeros(0, np.int32), positions=np.zeros(0)
+        )
+
+    @classmethod
+    def concatenated(cls: type[Kind], parts: Sequence[Kind]) -> Kind:
+        """Observations of the points of all parts, one part after the other."""
+        parts = [cls.none(), *parts]
+        lengths = np.concatenate([part.counts for part in parts])
+        arrays = {n: np.concatenate([getattr(part, n) for part in parts]) for n in cls._rows()}
+        return cls(offsets=offsets_of(lengths), **arrays)
+
+    @property
+    def counts(self) -> IntArray:
+        """(N,) number of observations of each point."""
+        return np.diff(self.offsets)
+
+    @cached_property
+    def points(self) -> IntArray:
+        """(T,) point of each observation."""
+        return owners_of(self.offsets)
+
+    @classmethod
+    def of_table(cls: type[Kind], views: IntArray, positions: FloatArray) -> Kind:
+        """Observations of N points from (N, K) positions in (K,) views; NaN where there is none."""
+        known = np.isfinite(positions)
+        columns = np.nonzero(known)[1]
+        return cls(
+            offsets=offsets_of(known.sum(axis=1)),
+            views=views[columns].astype(np.int32),
+            positions=positions[known],
+        )
+
+    def select(self: Kind, points: IntArray) -> Kind:
+        """The observations of (n,) points, in their order."""
+        rows = entries_of(self.offsets, points)
+        return self._taken(offsets_of(self.counts[points]), rows)
+
+    def keep(self: Kind, mask: BoolArray) -> Kind:
+        """The observations where (T,) `mask` is true; points stay, maybe without any."""
+        left = offsets_of(mask.astype(np.int64))
+        return self._taken(left[self.offsets], mask)
+
+    def by_view(self) -> Iterator[tuple[int, IntArray]]:
+        """The views that observe anything, ascending, each with its rows, ascending."""
+        counts = np.bincount(self.views)
+        present = np.flatnonzero(counts)
+        order = order_of(self.views, len(counts))
+        parts = np.split(order, np.cumsum(counts[present]))[:-1]
+        return zip(present.tolist(), parts, strict=True)
+
+    def _taken(self: Kind, offsets: IntArray, rows: NDArray[Any]) -> Kind:
+        taken = {name: getattr(self, name)[rows] for name in self._rows()}
+        return replace(self, offsets=offsets, **taken)
+
+    @classmethod
+    def _rows(cls) -> list[str]:
+        """Names of what has a row for each observation."""
+        return [entry.name for entry in fields(cls) if entry.name != "offsets"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observations(ChainObservations):
+    """Observations of the points of 3D edges, in CSR arrays by point.
+
+    Attributes:
+        offsets, views, positions: those of `ChainObservations`.
+        chains: (T,) int32 index of the polyline in the view's edge graph; -1 where not known.
+        pixels: (T, 2) float64 where the point is observed, image pixels, COLMAP's origin.
+        normals: (T, 2) float32 unit vectors perpendicular to the chain there, in ideal pixels; NaN
+            where not known.
+    """
+
+    chains: Int32Array
+    pixels: FloatArray
+    normals: Float32Array
+
+    @classmethod
+    def none(cls) -> Observations:
+        """No observations, of no points."""
+        return cls.of_pixels(np.zeros(1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2)))
+
+    @classmethod
+    def of_pixels(cls, offsets: IntArray, views: Int32Array, pixels: FloatArray) -> Observations:
+        """Observations of which the pixels alone are known, not the chains.
+
+        Args:
+            offsets: (N + 1,) of the observations by point.
+            views: (T,) their views.
+            pixels: (T, 2) image pixels, COLMAP's origin.
+        """
+        return cls(
+            offsets=offsets,
+            views=views,
+            positions=np.full(len(views), np.nan),
+            chains=np.full(len(views), -1, np.int32),
+            pixels=pixels,
+            normals=np.full((len(views), 2), np.nan, np.float32),
+        )
