@@ -6,16 +6,16 @@ from typing import Protocol
 
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
-def make_edge_view(graph: EdgeGraph, view: View) -> _kernels.EdgeView:
+def make_edge_index(graph: EdgeGraph, view: View) -> _kernels.EdgeIndex:
     """The kernels' form of a view's edge graph."""
-    return _kernels.EdgeView(
+    return _kernels.EdgeIndex(
         graph.ideal,
         graph.normals,
         graph.sides,
@@ -37,7 +37,7 @@ class IndexedGraphs(Protocol):
     def graph(self, view: int) -> EdgeGraph:
         """The edge graph of a view."""
 
-    def index(self, view: int) -> _kernels.EdgeView:
+    def index(self, view: int) -> _kernels.EdgeIndex:
         """The same as the kernels search it."""
 
 
@@ -82,16 +82,22 @@ def at_positions(
 ) -> list[FloatArray]:
     """What (N, k) values of a graph's points are at (M,) fractional positions: (M, k) of each."""
     low = positions.astype(np.int64)
-    polyline = graph.polyline_ids[low]
-    last = graph.polyline_offsets[polyline + 1] - 1
-    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
-    high = np.where(low < last, low + 1, wrapped)
+    high = next_points(graph, low)
     weight = (positions - low)[:, None]
     return [(1 - weight) * of.take(low, axis=0) + weight * of.take(high, axis=0) for of in values]
 
 
+def next_points(graph: EdgeGraph, points: IntArray) -> IntArray:
+    """(M,) the point after each of (M,) points on its chain; the last of an open one itself."""
+    polyline = graph.polyline_ids[points]
+    last = graph.polyline_offsets[polyline + 1] - 1
+    wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
+    following: IntArray = np.where(points < last, points + 1, wrapped)
+    return following
+
+
 def positions_near(
-    edge_view: _kernels.EdgeView,
+    index: _kernels.EdgeIndex,
     radius_px: float,
     num_threads: int,
     points: FloatArray,
@@ -101,7 +107,7 @@ def positions_near(
     """(n, k) positions on one view's chains that observe (n, k, 3) world points; -1 where none.
 
     Args:
-        edge_view: the chains.
+        index: the chains.
         radius_px: how near a chain must be to the point's projection.
         num_threads: threads to use; the result does not depend on it.
         points: the points.
@@ -109,7 +115,7 @@ def positions_near(
         min_cosine: of the angle between edge and chain in the image.
     """
     positions: FloatArray = _kernels.associate(
-        [edge_view],
+        [index],
         points.reshape(-1, 3),
         directions.reshape(-1, 3),
         np.zeros(points.size // 3, np.int8),

@@ -14,9 +14,6 @@ from pinhole_geometry import (
     view_rays,
 )
 
-from colmap_edges.edges3d.paper.edge_field import pose_arrays
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-
 coordinate = st.floats(-1.5, 1.5)
 VIEWS = ring_of_views()
 
@@ -87,41 +84,3 @@ def test_distances_to_segments():
     np.testing.assert_allclose(point_segment_distances(points, starts, ends), [3, 5, 5, 0])
     degenerate = point_segment_distances(np.array([[3.0, 4.0]]), np.zeros((1, 2)), np.zeros((1, 2)))
     np.testing.assert_allclose(degenerate, [5])
-
-
-def test_kernel_triangulates_like_numpy():
-    rng = np.random.default_rng(1)
-    views, pixels, offsets = [], [], [0]
-    for _ in range(200):
-        chosen = rng.permutation(len(VIEWS))[: rng.integers(2, 8)]
-        point = rng.uniform(-1, 1, 3)
-        views.append(chosen)
-        pixels.append([project(VIEWS[v], point) + rng.normal(scale=1.0, size=2) for v in chosen])
-        offsets.append(offsets[-1] + len(chosen))
-    arguments = (
-        *pose_arrays(VIEWS),
-        np.array(offsets, np.int64),
-        np.concatenate(views).astype(np.int32),
-        np.concatenate(pixels),
-    )
-    points, errors = _kernels.triangulate_tracks(*arguments, 1)
-    for i, chosen in enumerate(views):
-        expected = triangulate([VIEWS[v] for v in chosen], np.array(pixels[i]))
-        np.testing.assert_allclose(points[i], expected, atol=1e-5)
-        residuals = reprojection_terms([VIEWS[v] for v in chosen], np.array(pixels[i]), points[i])
-        largest = np.linalg.norm(residuals[0].reshape(-1, 2), axis=1).max()
-        assert errors[i] == pytest.approx(largest, abs=1e-6)
-    again = _kernels.triangulate_tracks(*arguments, 2)
-    assert again[0].tobytes() == points.tobytes()
-
-
-def test_kernel_marks_tracks_that_do_not_triangulate():
-    poses = pose_arrays(VIEWS)
-    one = np.array([0], np.int32), np.zeros((1, 2))
-    points, errors = _kernels.triangulate_tracks(*poses, np.array([0, 1]), *one, 1)
-    assert np.isnan(points).all()
-    assert np.isinf(errors).all()
-    with pytest.raises(ValueError, match="view index"):
-        _kernels.triangulate_tracks(*poses, np.array([0, 1]), np.array([9], np.int32), one[1], 1)
-    with pytest.raises(ValueError, match="offsets"):
-        _kernels.triangulate_tracks(*poses, np.array([0, 2]), *one, 1)

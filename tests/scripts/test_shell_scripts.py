@@ -13,7 +13,11 @@ from pathlib import Path
 import pytest
 from project import ROOT, SCRIPTS, run_script
 
-from colmap_edges.cli.flags import load_toml
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 
 NAMES = (
     *("build", "demo", "memcheck", "reproduce_results", "sanitize", "setup", "soak", "test"),
@@ -22,7 +26,7 @@ NAMES = (
 # A path from the project's folder on, not the rest of a longer one as in "$build/package/...".
 NAMED = re.compile(r"(?<![\w$/}\"])(?:\.ci|colmap_edges|docs|meshing|scripts|tests)/[\w./-]+")
 PYTEST_OPTION = re.compile(r"-m pytest .*?--([a-z]+)\b")
-PROJECT = load_toml(ROOT / "pyproject.toml")["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 def commands_of(name: str) -> str:

@@ -28,7 +28,7 @@ def chance_of_observations(
     residuals: FloatArray,
     displacements: FloatArray,
     views: list[View],
-    edge_views: list[_kernels.EdgeView],
+    edge_indexes: list[_kernels.EdgeIndex],
     options: RefinementOptions,
     num_threads: int,
 ) -> FloatArray:
@@ -40,7 +40,7 @@ def chance_of_observations(
         residuals: (N, K) distances to the chains that observe them, in pixels; NaN where none.
         displacements: (N,) change of inverse depth that moves the point one pixel in the views.
         views: the K views.
-        edge_views: their chains.
+        edge_indexes: their chains.
         options: how near and how parallel an observation is.
         num_threads: threads to use.
     """
@@ -50,7 +50,7 @@ def chance_of_observations(
     signs = np.where(ids % 2 == 0, 1, -1)
     moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
     positions = associate(
-        driver, moved, edge_views, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+        driver, moved, edge_indexes, CLOSE_PX, options.max_tangent_angle_deg, num_threads
     )
     seen = np.isfinite(drop_lone(positions, curves.offsets)).sum(axis=1)
     hits = np.bincount(ids, weights=seen, minlength=count)

@@ -21,7 +21,7 @@ from colmap_edges.options import TracingOptions
 
 def find_curves(
     graph: EdgeGraph,
-    edge_view: _kernels.EdgeView,
+    edge_index: _kernels.EdgeIndex,
     covered: BoolArray,
     depths: ChainDepths,
     agreeing: Int32Array,
@@ -31,7 +31,7 @@ def find_curves(
 
     Args:
         graph: the view's edge graph of P points.
-        edge_view: the kernels' form of it.
+        edge_index: the kernels' form of it.
         covered: (P,) the points through which edges run already.
         depths: depths of S samples on its chains.
         agreeing: (S,) number of other views that found the same.
@@ -52,7 +52,7 @@ def find_curves(
     long = np.bincount(ids, minlength=1)[ids] >= options.min_curve_points
     indices, inverse, ids = indices[long], inverse[long], ids[long]
     lengths = np.unique(ids, return_counts=True)[1]
-    tangent = _kernels.chain_points(edge_view, indices.astype(np.float64))[1]
+    tangent = _kernels.chain_points(edge_index, indices.astype(np.float64))[1]
     normal = graph.normals[indices]
     sides = np.where(tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0] >= 0, 1, -1)
     curves = Curves(

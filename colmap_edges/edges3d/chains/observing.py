@@ -44,7 +44,7 @@ class Sums:
 def associate(
     driver: View,
     curves: Curves,
-    edge_views: list[_kernels.EdgeView],
+    edge_indexes: list[_kernels.EdgeIndex],
     max_distance_px: float,
     max_angle_deg: float,
     num_threads: int,
@@ -54,7 +54,7 @@ def associate(
     tangents = curve_tangents(points, curves.offsets)
     cosine = float(np.cos(np.radians(max_angle_deg)))
     positions: FloatArray = _kernels.associate(
-        edge_views, points, tangents, curves.sides, max_distance_px, cosine, num_threads
+        edge_indexes, points, tangents, curves.sides, max_distance_px, cosine, num_threads
     )
     positions[positions < 0] = np.nan
     return positions
@@ -63,7 +63,7 @@ def associate(
 def sum_observations(
     driver: View,
     curves: Curves,
-    edge_views: list[_kernels.EdgeView],
+    edge_indexes: list[_kernels.EdgeIndex],
     positions: FloatArray,
     directions: FloatArray,
     robust_scale_px: float,
@@ -74,14 +74,14 @@ def sum_observations(
     Args:
         driver: the view on whose chains the curves are.
         curves: the curves, N points.
-        edge_views: the chains of K views.
+        edge_indexes: the chains of K views.
         positions: (N, K) positions on the chains that observe the points; NaN where none.
         directions: (N, 2) unit directions in the driver's image in which points may move.
         robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
         num_threads: threads to use; the result does not depend on it.
     """
     sums = _kernels.sum_observations(
-        *placed(driver, curves), directions, positions, edge_views, robust_scale_px, num_threads
+        *placed(driver, curves), directions, positions, edge_indexes, robust_scale_px, num_threads
     )
     return Sums(**{entry.name: row for entry, row in zip(fields(Sums), sums, strict=True)})
 
@@ -107,8 +107,8 @@ class Observers:
     """
 
     driver: View
-    own: _kernels.EdgeView
-    others: list[_kernels.EdgeView]
+    own: _kernels.EdgeIndex
+    others: list[_kernels.EdgeIndex]
     options: RefinementOptions
     num_threads: int
 

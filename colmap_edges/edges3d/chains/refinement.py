@@ -115,9 +115,9 @@ def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
 
 def refine_curves(
     driver: View,
-    own: _kernels.EdgeView,
+    own: _kernels.EdgeIndex,
     curves: Curves,
-    edge_views: list[_kernels.EdgeView],
+    edge_indexes: list[_kernels.EdgeIndex],
     options: RefinementOptions,
     num_threads: int,
 ) -> Refined:
@@ -127,7 +127,7 @@ def refine_curves(
         driver: the view on whose chains the curves are.
         own: its chains, in the kernels' form.
         curves: the curves, N points, at depths near enough to find their observations.
-        edge_views: the chains of the K views that may observe them.
+        edge_indexes: the chains of the K views that may observe them.
         options: search radius, noise and smoothness.
         num_threads: threads to use; the result does not depend on it.
 
@@ -135,7 +135,7 @@ def refine_curves(
         The curves at their new depths, with (N, K) observations and (N,) standard deviations.
     """
     observers = Observers(
-        driver=driver, own=own, others=edge_views, options=options, num_threads=num_threads
+        driver=driver, own=own, others=edge_indexes, options=options, num_threads=num_threads
     )
     for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = observers.find(curves, radius)
@@ -150,7 +150,7 @@ def refine_curves(
     positions = observers.find(curves, options.max_residual_px)
     curves, positions, information = align_side_gray(curves, positions, observers)
     residuals, slopes2 = _kernels.observation_residuals(
-        *placed(driver, curves), positions, edge_views, num_threads
+        *placed(driver, curves), positions, edge_indexes, num_threads
     )
     with np.errstate(divide="ignore"):
         sigmas = options.noise_px / np.sqrt(slopes2 + information)

@@ -285,9 +285,9 @@ def trace_view(
     witnesses = given.observing_views[view]
     driver = given.views[view]
     views = [given.views[other] for other in witnesses.tolist()]
-    edge_views = [given.index(other) for other in witnesses.tolist()]
+    edge_indexes = [given.index(other) for other in witnesses.tolist()]
     refined = refine_curves(
-        driver, given.index(view), curves, edge_views, options.refinement, num_threads
+        driver, given.index(view), curves, edge_indexes, options.refinement, num_threads
     )
     observed = np.isfinite(refined.positions).sum(axis=1)
     distances = np.nansum(np.abs(refined.residuals), axis=1)
@@ -298,7 +298,7 @@ def trace_view(
         refined.residuals,
         shift / options.refinement.noise_px,
         views,
-        edge_views,
+        edge_indexes,
         options.refinement,
         num_threads,
     )

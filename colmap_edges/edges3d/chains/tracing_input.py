@@ -12,7 +12,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph, keep_points
-from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges2d.graphs import CacheBackend, Graphs, Kept
 from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods
 from colmap_edges.edges3d.chains.view_selection import Neighborhood
@@ -67,7 +67,7 @@ class TracingInput:
         free = self.free[view]
         return self.parts.get(view, lambda: keep_points(self.graphs.load(view), free))
 
-    def index(self, view: int) -> _kernels.EdgeView:
+    def index(self, view: int) -> _kernels.EdgeIndex:
         """The same as the kernels search it."""
         if not (self.is_sent and self.free is None):
             return self.indexes.get(view, lambda: self.make_index(view))
@@ -77,9 +77,9 @@ class TracingInput:
         identity = (backend.cache.folder, backend.keys[view], pose.tobytes())
         return KEPT_BY_WORKER.get(identity, lambda: self.make_index(view))
 
-    def make_index(self, view: int) -> _kernels.EdgeView:
+    def make_index(self, view: int) -> _kernels.EdgeIndex:
         """Make the kernels' form of a view's edge graph."""
-        return make_edge_view(self.graph(view), self.views[view])
+        return make_edge_index(self.graph(view), self.views[view])
 
     def part(self, view: int, others: IntArray, workers: Workers) -> TracingInput:
         """What a task on a view and others needs: all, or what a worker elsewhere is sent."""

@@ -18,11 +18,15 @@ from colmap_edges.core.arrays import (
     ranks_of,
 )
 from colmap_edges.core.view import rows_by_view, views_with_rows
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.edge_index import next_points
 from colmap_edges.edges3d.paper.matching import project_tracks
+from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import CorrespondenceOptions
 
 DEPTH_MARGIN = 2.0  # how far beyond the SfM points of a view edges are sought, as a factor
+NEAREST_TO_NEXT = 1 - 1e-9  # share of the way; the point after the last may be the first
 DEPTH_PERCENTILES = (1.0, 99.0)  # of the SfM points' depths, against their outliers
 
 
@@ -36,9 +40,9 @@ class Pepcs:
         candidates: (C) places on chains of other views, those of a start grouped by view.
     """
 
-    starts: ChainPositions
+    starts: Places
     candidate_offsets: IntArray
-    candidates: ChainPositions
+    candidates: Places
 
     def __len__(self) -> int:
         """Number of PEPCs."""
@@ -46,7 +50,7 @@ class Pepcs:
 
 
 def pepcs_from_sfm_points(
-    model: Model, field: EdgeField, options: CorrespondenceOptions, num_threads: int
+    model: Model, chains: IndexedViews, options: CorrespondenceOptions, num_threads: int
 ) -> Pepcs:
     """PEPCs near SfM points.
 
@@ -66,12 +70,13 @@ def pepcs_from_sfm_points(
         circles = np.where(
             usable[point_ids], options.inner_radius_px * finest[point_ids] / sizes, 0
         )
-    near = field.find_near(
+    near = chains.find_near(
         model.track_views, project_tracks(model, point_ids), circles, num_threads
     )
-    offsets, segments, fractions = field.kernel.candidates_in_spheres(
-        near.positions.segments,
-        near.positions.fractions,
+    offsets, *candidates = _kernels.candidates_in_spheres(
+        chains.indexes,
+        near.places.views,
+        near.places.positions,
         point_ids[near.queries],
         np.ascontiguousarray(model.points3D_xyz),
         options.outer_radius_px * finest,
@@ -79,8 +84,15 @@ def pepcs_from_sfm_points(
         model.track_views,
         num_threads,
     )
-    candidates = ChainPositions(segments=segments, fractions=fractions)
-    return Pepcs(starts=near.positions, candidate_offsets=offsets, candidates=candidates)
+    return make_pepcs(near.places, offsets, *candidates)
+
+
+def make_pepcs(
+    starts: Places, offsets: IntArray, views: Int32Array, positions: FloatArray
+) -> Pepcs:
+    """PEPCs of starts and the (S + 1,) offsets, (C,) views and positions of their candidates."""
+    candidates = Places(views=views, positions=positions)
+    return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
 
 
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
@@ -94,7 +106,7 @@ def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
 
 def pepcs_from_pecs(
     model: Model,
-    field: EdgeField,
+    chains: IndexedViews,
     pecs: Int32Array,
     options: CorrespondenceOptions,
     num_threads: int,
@@ -106,17 +118,16 @@ def pepcs_from_pecs(
 
     Args:
         model: bounds the depths by its SfM points.
-        field: edge graphs of all views.
+        chains: edge graphs of all views.
         pecs: (P,) PEC of each polyline, -1 for none.
         options: the sampling interval.
         num_threads: threads to use; the result does not depend on it.
     """
-    starts = sample_polylines(field, pecs >= 0, options.sample_spacing_px)
-    offsets, segments, fractions = field.kernel.candidates_in_pecs(
-        starts.segments, starts.fractions, pecs, depth_bounds(model), num_threads
+    starts = sample_polylines(chains, pecs >= 0, options.sample_spacing_px)
+    candidates = _kernels.candidates_in_pecs(
+        chains.indexes, starts.views, starts.positions, pecs, depth_bounds(model), num_threads
     )
-    candidates = ChainPositions(segments=segments, fractions=fractions)
-    return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
+    return make_pepcs(starts, *candidates)
 
 
 def depth_bounds(model: Model) -> FloatArray:
@@ -136,46 +147,46 @@ def depth_bounds(model: Model) -> FloatArray:
     return ranges
 
 
-def sample_polylines(field: EdgeField, wanted: BoolArray, spacing_px: float) -> ChainPositions:
-    """Places at even intervals of about `spacing_px` on the wanted polylines ((P,) bool).
+def sample_polylines(chains: IndexedViews, wanted: BoolArray, spacing_px: float) -> Places:
+    """Places at even intervals of about `spacing_px` on the wanted polylines ((P,) bool)."""
+    found = []
+    for view, graph in enumerate(chains.graphs):
+        first, last = chains.polyline_offsets[view : view + 2]
+        positions = sample_graph(graph, wanted[first:last], spacing_px)
+        found.append(Places(views=np.full(len(positions), view, np.int32), positions=positions))
+    return join_places(found)
+
+
+def sample_graph(graph: EdgeGraph, wanted: BoolArray, spacing_px: float) -> FloatArray:
+    """Positions at even intervals on the wanted polylines ((P,) bool) of one view.
 
     The intervals are centred on the polyline; one shorter than the spacing has one place.
     """
-    ends = field.next_points >= 0
-    steps = np.zeros(len(field.ideal))
-    following = field.ideal[field.next_points[ends]]
-    steps[ends] = np.linalg.norm(following - field.ideal[ends], axis=1)
+    following = next_points(graph, np.arange(len(graph.ideal)))
+    steps = np.linalg.norm(graph.ideal[following] - graph.ideal, axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
-    begin = arc[field.polyline_offsets[:-1]]
-    lengths = arc[field.polyline_offsets[1:]] - begin
+    offsets = graph.polyline_offsets
+    begin = arc[offsets[:-1]]
+    lengths = arc[offsets[1:]] - begin
     usable = wanted & (lengths > 0)
     counts = np.where(usable, np.maximum(1, np.round(lengths / spacing_px)), 0).astype(np.int64)
-    polylines = np.repeat(np.arange(field.num_polylines), counts)
-    rank = ranks_of(counts)
-    places = begin[polylines] + (rank + 0.5) * lengths[polylines] / counts[polylines]
-    segments = np.searchsorted(arc, places, "right") - 1
-    segments = np.clip(
-        segments, field.polyline_offsets[polylines], field.polyline_offsets[polylines + 1] - 1
-    )
-    fractions = (places - arc[segments]) / np.where(steps[segments] > 0, steps[segments], 1)
-    return ChainPositions(segments=segments, fractions=np.clip(fractions, 0, 1))
+    polylines = np.repeat(np.arange(graph.num_polylines), counts)
+    shares = (ranks_of(counts) + 0.5) / counts[polylines]
+    places = begin[polylines] + shares * lengths[polylines]
+    before = np.searchsorted(arc, places, "right") - 1
+    before = np.clip(before, offsets[polylines], offsets[polylines + 1] - 1)
+    fractions = (places - arc[before]) / np.where(steps[before] > 0, steps[before], 1)
+    positions: FloatArray = before + np.clip(fractions, 0, NEAREST_TO_NEXT)
+    return positions
 
 
 def join_pepcs(parts: Sequence[Pepcs]) -> Pepcs:
     """The PEPCs of several strategies, one after the other."""
     counts = np.concatenate([np.diff(part.candidate_offsets) for part in parts])
     return Pepcs(
-        starts=join_positions([part.starts for part in parts]),
+        starts=join_places([part.starts for part in parts]),
         candidate_offsets=offsets_of(counts),
-        candidates=join_positions([part.candidates for part in parts]),
-    )
-
-
-def join_positions(parts: Sequence[ChainPositions]) -> ChainPositions:
-    """Concatenate places."""
-    return ChainPositions(
-        segments=np.concatenate([part.segments for part in parts]),
-        fractions=np.concatenate([part.fractions for part in parts]),
+        candidates=join_places([part.candidates for part in parts]),
     )
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from colmap_edges.core.arrays import owners_of
 from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.edges3d.paper.correspondences import Pepcs
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
 from colmap_edges.edges3d.paper.observations import observations_at
+from colmap_edges.edges3d.paper.places import IndexedViews, Places
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import FollowingOptions
 
 MIN_SELECTION_VIEWS = 3  # fewest observations that give evidence (paper: PEPC-selection)
@@ -23,7 +24,7 @@ OUTCOMES = (
 
 
 def follow_edges(
-    field: EdgeField, pepcs: Pepcs, options: FollowingOptions, num_threads: int
+    chains: IndexedViews, pepcs: Pepcs, options: FollowingOptions, num_threads: int
 ) -> tuple[Edges3D, dict[str, int]]:
     """Turn PEPCs into 3D edges.
 
@@ -35,27 +36,26 @@ def follow_edges(
     Returns:
         3D edges with points about `step_px` apart, and the number of starts by outcome.
     """
-    points, edge_offsets, closed, track_offsets, segments, fractions, outcomes = (
-        field.kernel.trace_edges(
-            pepcs.starts.segments,
-            pepcs.starts.fractions,
-            pepcs.candidate_offsets,
-            pepcs.candidates.segments,
-            pepcs.candidates.fractions,
-            options.step_px,
-            options.max_error_px,
-            options.max_step_ratio,
-            float(np.sin(np.radians(options.min_epipolar_angle_deg))),
-            float(np.sin(np.radians(options.full_triangulation_angle_deg))),
-            options.max_stretch,
-            MIN_SELECTION_VIEWS,
-            options.min_steps,
-            options.max_view_triples,
-            num_threads,
-        )
+    points, edge_offsets, closed, track_offsets, views, positions, outcomes = _kernels.trace_edges(
+        chains.indexes,
+        pepcs.starts.views,
+        pepcs.starts.positions,
+        pepcs.candidate_offsets,
+        pepcs.candidates.views,
+        pepcs.candidates.positions,
+        options.step_px,
+        options.max_error_px,
+        options.max_step_ratio,
+        float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        float(np.sin(np.radians(options.full_triangulation_angle_deg))),
+        options.max_stretch,
+        MIN_SELECTION_VIEWS,
+        options.min_steps,
+        options.max_view_triples,
+        num_threads,
     )
-    places = ChainPositions(segments=segments, fractions=fractions)
-    observed = observations_at(field, owners_of(track_offsets), places)
+    places = Places(views=views, positions=positions)
+    observed = observations_at(owners_of(track_offsets), places, chains)
     edges = Edges3D(
         points=points,
         edge_offsets=edge_offsets,

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, owners_of
 from colmap_edges.core.view import views_with_rows
-from colmap_edges.edges3d.paper.edge_field import EdgeField
+from colmap_edges.edges3d.paper.places import IndexedViews
 from colmap_edges.options import MatchingOptions
 
 
@@ -31,20 +31,21 @@ class SimilarityGraph:
 
 
 def match_polylines(
-    model: Model, field: EdgeField, options: MatchingOptions, random_seed: int, num_threads: int
+    model: Model, chains: IndexedViews, options: MatchingOptions, random_seed: int, num_threads: int
 ) -> Int32Array:
     """Label the polylines of all views with their PEC.
 
     Returns:
         (P,) int32 PEC of each polyline, from 0; -1 for those matched with no other view.
     """
-    incidence, weights = close_points(model, field, options.max_point_distance_px, num_threads)
-    graph = similarity_graph(incidence, weights, field.polyline_views, options.min_similarity)
+    incidence, weights = close_points(model, chains, options.max_point_distance_px, num_threads)
+    polyline_views = owners_of(chains.polyline_offsets)
+    graph = similarity_graph(incidence, weights, polyline_views, options.min_similarity)
     return find_pecs(graph, options.resolution, random_seed)
 
 
 def close_points(
-    model: Model, field: EdgeField, max_distance_px: float, num_threads: int
+    model: Model, chains: IndexedViews, max_distance_px: float, num_threads: int
 ) -> tuple[csr_array, FloatArray]:
     """Which visible SfM points lie close to which polylines, and how much each point counts.
 
@@ -56,12 +57,13 @@ def close_points(
     num_points = len(model.points3D_xyz)
     point_ids = model.track_points
     pixels = project_tracks(model, point_ids)
-    near = field.find_near(
+    near = chains.find_near(
         model.track_views, pixels, np.full(len(pixels), max_distance_px), num_threads
     )
     columns = point_ids[near.queries]
     ones = np.ones(len(columns))
-    incidence = csr_array((ones, (near.polylines, columns)), (field.num_polylines, num_points))
+    num_polylines = int(chains.polyline_offsets[-1])
+    incidence = csr_array((ones, (near.polylines, columns)), (num_polylines, num_points))
     incidence.data[:] = 1  # a view that sees a point twice counts once
     close_counts = np.bincount(columns, minlength=num_points)
     visible_counts = np.diff(model.track_offsets)
@@ -81,7 +83,7 @@ def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
 def similarity_graph(
     incidence: csr_array,
     weights: FloatArray,
-    polyline_views: Int32Array,
+    polyline_views: IntArray,
     min_similarity: float,
 ) -> SimilarityGraph:
     """Similarity of all pairs of polylines on different images (paper: equation 1).

@@ -16,8 +16,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.core.observations import Observations
-from colmap_edges.edges2d.edge_index import across
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField, pose_arrays
+from colmap_edges.edges3d.paper.places import IndexedViews, Places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
@@ -61,27 +60,27 @@ class ObservedPoints:
         )
 
 
-def observations_at(field: EdgeField, points: IntArray, places: ChainPositions) -> ObservedPoints:
-    """Observations of (T,) points at places on chains."""
-    chains, positions = field.on_chains_of_views(places)
+def observations_at(points: IntArray, places: Places, chains: IndexedViews) -> ObservedPoints:
+    """Observations of (T,) points at (T) places on chains."""
+    seen, colors = chains.look_up(places)
     return ObservedPoints(
         points=points,
-        views=field.views_at(places),
-        positions=positions,
-        chains=chains,
-        pixels=field.image_points(places),
-        normals=across(field.tangents(places)).astype(np.float32),
-        ideal=field.ideal_points(places),
-        colors=field.colors_at(places),
+        views=places.views,
+        positions=places.positions,
+        chains=seen.chains,
+        pixels=seen.pixels,
+        normals=seen.normals,
+        ideal=chains.ideal_points(places),
+        colors=colors,
     )
 
 
-def observations_of(edges: Edges3D, field: EdgeField) -> ObservedPoints:
+def observations_of(edges: Edges3D, chains: IndexedViews) -> ObservedPoints:
     """The tracks of all edge points as one list."""
     observed = edges.observations
     ideal = np.empty((len(observed.views), 2))
     for view, rows in observed.by_view():
-        ideal[rows] = field.views[view].ideal_from_image(observed.pixels[rows])
+        ideal[rows] = chains.views[view].ideal_from_image(observed.pixels[rows])
     return ObservedPoints(
         points=observed.points,
         views=observed.views,
@@ -110,11 +109,11 @@ def track_offsets(points: IntArray, num_points: int) -> IntArray:
 
 
 def triangulate_observations(
-    observed: ObservedPoints, num_points: int, field: EdgeField, num_threads: int
+    observed: ObservedPoints, num_points: int, chains: IndexedViews, num_threads: int
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 3) least-squares points and (N,) largest errors in pixels; NaN and inf where none."""
     points, errors = _kernels.triangulate_tracks(
-        *pose_arrays(field.views),
+        chains.indexes,
         track_offsets(observed.points, num_points),
         np.ascontiguousarray(observed.views, np.int32),
         np.ascontiguousarray(observed.ideal),
@@ -143,11 +142,11 @@ def with_observations(edges: Edges3D, points: FloatArray, observed: ObservedPoin
 
 
 def reprojection_errors(
-    observed: ObservedPoints, points: FloatArray, field: EdgeField
+    observed: ObservedPoints, points: FloatArray, chains: IndexedViews
 ) -> FloatArray:
     """(T,) distance in pixels between each observation and its projected point; NaN behind."""
     errors = np.full(len(observed.points), np.nan)
-    for index, view in enumerate(field.views):
+    for index, view in enumerate(chains.views):
         rows = np.flatnonzero(observed.views == index)
         projected, _ = view.project_ideal(points[observed.points[rows]])
         errors[rows] = np.linalg.norm(projected - observed.ideal[rows], axis=1)

@@ -8,7 +8,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of, ranks_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
 from colmap_edges.edges3d.paper.observations import (
     ObservedPoints,
     edge_neighbours,
@@ -19,12 +18,13 @@ from colmap_edges.edges3d.paper.observations import (
     triangulate_observations,
     with_observations,
 )
+from colmap_edges.edges3d.paper.places import IndexedViews, join_places
 from colmap_edges.options import SamplingOptions
 
 
 def sample_edges(
     edges: Edges3D,
-    field: EdgeField,
+    chains: IndexedViews,
     options: SamplingOptions,
     max_error_px: float,
     num_threads: int = 1,
@@ -36,25 +36,25 @@ def sample_edges(
     so it follows the curve and not the chord. Samples left with fewer than three views or a
     larger error are left out; the edge points given stay.
     """
-    segment_starts, segment_ends, counts = subdivisions(edges, field, options.spacing_px)
+    segment_starts, segment_ends, counts = subdivisions(edges, chains, options.spacing_px)
     samples = np.repeat(np.arange(len(counts)), counts)
     rank = ranks_of(counts) + 1
     share = (rank / (counts[samples] + 1))[:, None]
     start, end = edges.points[segment_starts[samples]], edges.points[segment_ends[samples]]
     chords = start + share * (end - start)
     observed = observe_samples(
-        edges, segment_starts, segment_ends, samples, chords, field, max_error_px, num_threads
+        edges, segment_starts, segment_ends, samples, chords, chains, max_error_px, num_threads
     )
-    points, errors = triangulate_observations(observed, len(samples), field, num_threads)
+    points, errors = triangulate_observations(observed, len(samples), chains, num_threads)
     views = np.bincount(observed.points, minlength=len(samples))
     good = (errors <= max_error_px) & (views >= 3)
     positions = segment_starts[samples] + share[:, 0]
     observed = observed.select(good[observed.points])
-    return insert_points(edges, field, positions, points, observed, good)
+    return insert_points(edges, chains, positions, points, observed, good)
 
 
 def subdivisions(
-    edges: Edges3D, field: EdgeField, spacing_px: float
+    edges: Edges3D, chains: IndexedViews, spacing_px: float
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Segments of the 3D edges as start and end points (S,), and samples to put inside (S,)."""
     _, after = edge_neighbours(edges)
@@ -62,7 +62,7 @@ def subdivisions(
     ends = after[starts]
     sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
     for index, of_view in edges.observations.by_view():
-        view, rows = field.views[index], edges.observations.points[of_view]
+        view, rows = chains.views[index], edges.observations.points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
         np.maximum.at(sharpness, rows, view.focal_px / np.where(depths > 0, depths, np.inf))
     lengths = np.linalg.norm(edges.points[ends] - edges.points[starts], axis=1)
@@ -76,34 +76,30 @@ def observe_samples(
     ends: IntArray,
     samples: IntArray,
     chords: FloatArray,
-    field: EdgeField,
+    chains: IndexedViews,
     max_distance_px: float,
     num_threads: int,
 ) -> ObservedPoints:
     """Nearest places to samples ((N,) segments, (N, 3) points) in the views of both their ends."""
-    num_views = len(field.views)
+    num_views = len(chains.views)
     seen = np.zeros((edges.num_points, num_views), bool)
     seen[edges.observations.points, edges.observations.views] = True
     both = seen[starts] & seen[ends]
-    found_points, segments, fractions = [], [], []
-    for index, view in enumerate(field.views):
+    points, places = [np.zeros(0, np.int64)], []
+    for index, view in enumerate(chains.views):
         rows = np.flatnonzero(both[samples, index])
-        near = field.find_near(
+        near = chains.find_near(
             np.full(len(rows), index, np.int32),
             view.project_ideal(chords[rows])[0],
             np.full(len(rows), max_distance_px),
             num_threads,
         )
         nearest = nearest_rows(near.offsets, near.distances)
-        found_points.append(rows[np.diff(near.offsets) > 0])
-        segments.append(near.positions.segments[nearest])
-        fractions.append(near.positions.fractions[nearest])
-    points = np.concatenate(found_points)
-    order = np.argsort(points, kind="stable")  # of each point by view
-    places = ChainPositions(
-        segments=np.concatenate(segments)[order], fractions=np.concatenate(fractions)[order]
-    )
-    return observations_at(field, points[order], places)
+        points.append(rows[np.diff(near.offsets) > 0])
+        places.append(near.places.select(nearest))
+    found, joined = np.concatenate(points), join_places(places)
+    order = np.lexsort((joined.views, found))
+    return observations_at(found[order], joined.select(order), chains)
 
 
 def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
@@ -116,7 +112,7 @@ def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
 
 def insert_points(
     edges: Edges3D,
-    field: EdgeField,
+    chains: IndexedViews,
     positions: FloatArray,
     points: FloatArray,
     observed: ObservedPoints,
@@ -126,7 +122,7 @@ def insert_points(
 
     `observed` are observations of good samples alone.
     """
-    given = observations_of(edges, field)
+    given = observations_of(edges, chains)
     kept = np.flatnonzero(good)
     renumbered = np.cumsum(good) - 1 + edges.num_points
     order = np.argsort(

@@ -17,9 +17,9 @@ from colmap_edges.edges3d.paper.correspondences import (
     pepcs_from_sfm_points,
     shuffle_pepcs,
 )
-from colmap_edges.edges3d.paper.edge_field import EdgeField, build_edge_field
 from colmap_edges.edges3d.paper.following import follow_edges
 from colmap_edges.edges3d.paper.matching import match_polylines
+from colmap_edges.edges3d.paper.places import IndexedViews, index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
 from colmap_edges.edges3d.paper.visibility import expand_visibility, filter_outliers
 from colmap_edges.options import PipelineOptions
@@ -44,14 +44,14 @@ def trace_edges_paper(
         by reason.
     """
     whole = [graphs.load(view) for view in range(len(model.views))]
-    field = build_edge_field(model.views, whole)
-    pepcs, stats = generate_pepcs(model, field, options, num_threads)
-    edges, stats["starts"] = follow_edges(field, pepcs, options.following, num_threads)
+    chains = index_views(model.views, whole)
+    pepcs, stats = generate_pepcs(model, chains, options, num_threads)
+    edges, stats["starts"] = follow_edges(chains, pepcs, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}
-    edges, stats["visibility"] = expand_visibility(edges, field, options.visibility, num_threads)
+    edges, stats["visibility"] = expand_visibility(edges, chains, options.visibility, num_threads)
     edges, stats["outliers"] = filter_outliers(edges, options.visibility)
     edges = sample_edges(
-        edges, field, options.sampling, options.following.max_error_px, num_threads
+        edges, chains, options.sampling, options.following.max_error_px, num_threads
     )
     stats["sampled"] = {"edges": edges.num_edges, "points": edges.num_points}
     logger.info("%d 3D edges of %d edge points", edges.num_edges, edges.num_points)
@@ -59,21 +59,21 @@ def trace_edges_paper(
 
 
 def generate_pepcs(
-    model: Model, field: EdgeField, options: PipelineOptions, num_threads: int
+    model: Model, chains: IndexedViews, options: PipelineOptions, num_threads: int
 ) -> tuple[Pepcs, dict[str, Any]]:
     """PEPCs of the chosen strategies, those from SfM points first, each in random order."""
     seed, strategy = options.random_seed, options.correspondence.strategy
     parts, stats = [], {}
     if strategy in ("sfm_points", "both"):
-        found = pepcs_from_sfm_points(model, field, options.correspondence, num_threads)
+        found = pepcs_from_sfm_points(model, chains, options.correspondence, num_threads)
         parts.append(shuffle_pepcs(found, seed))
         stats["pepcs_from_sfm_points"] = len(found)
     if strategy in ("pecs", "both"):
-        pecs = match_polylines(model, field, options.matching, seed, num_threads)
+        pecs = match_polylines(model, chains, options.matching, seed, num_threads)
         stats["polylines"] = len(pecs)
         stats["matched_polylines"] = int(np.count_nonzero(pecs >= 0))
         stats["pecs"] = int(pecs.max(initial=-1)) + 1
-        found = pepcs_from_pecs(model, field, pecs, options.correspondence, num_threads)
+        found = pepcs_from_pecs(model, chains, pecs, options.correspondence, num_threads)
         parts.append(shuffle_pepcs(found, seed))
         stats["pepcs_from_pecs"] = len(found)
     return join_pepcs(parts), {"pepcs": stats}

@@ -8,7 +8,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, EdgeField
 from colmap_edges.edges3d.paper.observations import (
     ObservedPoints,
     edge_neighbours,
@@ -20,11 +19,13 @@ from colmap_edges.edges3d.paper.observations import (
     triangulate_observations,
     with_observations,
 )
+from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
 
 def expand_visibility(
-    edges: Edges3D, field: EdgeField, options: VisibilityOptions, num_threads: int = 1
+    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, int]]:
     """Add observations of edge points in views where they were not found so far.
 
@@ -36,11 +37,11 @@ def expand_visibility(
     Returns:
         The edges with longer tracks, and counts of candidates and of those added.
     """
-    observed = observations_of(edges, field)
-    candidates = further_observations(edges, field, observed, options, num_threads)
-    accepted = compatible(observed, candidates, field, options.max_error_px, num_threads)
+    observed = observations_of(edges, chains)
+    candidates = further_observations(edges, chains, observed, options, num_threads)
+    accepted = compatible(observed, candidates, chains, options.max_error_px, num_threads)
     merged, points = merge_consistent(
-        edges, observed, candidates.select(accepted), field, options.max_error_px, num_threads
+        edges, observed, candidates.select(accepted), chains, options.max_error_px, num_threads
     )
     stats = {
         "observations_before": len(observed.points),
@@ -52,7 +53,7 @@ def expand_visibility(
 
 def further_observations(
     edges: Edges3D,
-    field: EdgeField,
+    chains: IndexedViews,
     observed: ObservedPoints,
     options: VisibilityOptions,
     num_threads: int,
@@ -60,23 +61,19 @@ def further_observations(
     """Places on single near polylines that agree in direction and with the neighbours."""
     tangents = edge_tangents(edges)
     neighbours = edge_neighbours(edges)
-    found = []
-    for index in range(len(field.views)):
+    found, places = [np.zeros(0, np.int64)], []
+    for index in range(len(chains.views)):
         seen = np.zeros(edges.num_points, bool)
         seen[observed.points[observed.views == index]] = True
         if seen.all():
             continue
-        points, positions = near_in_view(
-            edges.points, tangents, neighbours, index, field, options, num_threads
+        points, of_points = near_in_view(
+            edges.points, tangents, neighbours, index, chains, options, num_threads
         )
         fresh = ~seen[points]
-        found.append((points[fresh], positions.select(fresh)))
-    points = np.concatenate([np.zeros(0, np.int64), *(f[0] for f in found)])
-    places = ChainPositions(
-        segments=np.concatenate([np.zeros(0, np.int64), *(f[1].segments for f in found)]),
-        fractions=np.concatenate([np.zeros(0), *(f[1].fractions for f in found)]),
-    )
-    return observations_at(field, points, places)
+        found.append(points[fresh])
+        places.append(of_points.select(fresh))
+    return observations_at(np.concatenate(found), join_places(places), chains)
 
 
 def edge_tangents(edges: Edges3D) -> FloatArray:
@@ -93,14 +90,14 @@ def near_in_view(
     tangents: FloatArray,
     neighbours: tuple[IntArray, IntArray],
     view_index: int,
-    field: EdgeField,
+    chains: IndexedViews,
     options: VisibilityOptions,
     num_threads: int,
-) -> tuple[IntArray, ChainPositions]:
+) -> tuple[IntArray, Places]:
     """Of one view: points with a fitting place on a chain, ascending, and the places."""
-    view = field.views[view_index]
+    view = chains.views[view_index]
     pixels, _ = view.project_ideal(points)
-    near = field.find_near(
+    near = chains.find_near(
         np.full(len(points), view_index, np.int32),
         pixels,
         np.full(len(points), options.max_distance_px),
@@ -116,11 +113,12 @@ def near_in_view(
     ]
     alone = (neighbours[0][single] < 0) & (neighbours[1][single] < 0)
     keep = agrees[0] & agrees[1] & ~alone
-    single, places = single[keep], near.positions.select(rows[keep])
+    single, places = single[keep], near.places.select(rows[keep])
     directions = projected_directions(points[single], tangents[single], view)
-    cosines = np.abs(np.einsum("ij,ij->i", directions, field.tangents(places)))
-    along = cosines >= np.cos(np.radians(options.max_tangent_angle_deg))
-    return single[along], places.select(along)
+    along = _kernels.chain_points(chains.indexes[view_index], places.positions)[1]
+    cosines = np.abs(np.einsum("ij,ij->i", directions, along))
+    fits = cosines >= np.cos(np.radians(options.max_tangent_angle_deg))
+    return single[fits], places.select(fits)
 
 
 def projected_directions(points: FloatArray, tangents: FloatArray, view: object) -> FloatArray:
@@ -136,7 +134,7 @@ def projected_directions(points: FloatArray, tangents: FloatArray, view: object)
 def compatible(
     observed: ObservedPoints,
     candidates: ObservedPoints,
-    field: EdgeField,
+    chains: IndexedViews,
     max_error_px: float,
     num_threads: int,
 ) -> BoolArray:
@@ -149,7 +147,7 @@ def compatible(
     trial_tracks = merge(
         replace(tracks, points=np.repeat(trials, counts)), replace(candidates, points=trials)
     )
-    errors = triangulate_observations(trial_tracks, len(trials), field, num_threads)[1]
+    errors = triangulate_observations(trial_tracks, len(trials), chains, num_threads)[1]
     fits: BoolArray = errors <= max_error_px
     return fits
 
@@ -158,7 +156,7 @@ def merge_consistent(
     edges: Edges3D,
     observed: ObservedPoints,
     added: ObservedPoints,
-    field: EdgeField,
+    chains: IndexedViews,
     max_error_px: float,
     num_threads: int,
 ) -> tuple[ObservedPoints, FloatArray]:
@@ -173,19 +171,19 @@ def merge_consistent(
         active = np.zeros(edges.num_points, bool)
         active[added.points] = True
         tracks = merge(observed.select(active[observed.points]), added)
-        moved, errors = triangulate_observations(tracks, edges.num_points, field, num_threads)
+        moved, errors = triangulate_observations(tracks, edges.num_points, chains, num_threads)
         failing = active & (errors > max_error_px)
         done = active & ~failing
         points[done] = moved[done]
         accepted.append(added.select(done[added.points]))
         estimates = np.where(np.isfinite(moved), moved, edges.points)
-        added = drop_worst(added.select(failing[added.points]), estimates, field)
+        added = drop_worst(added.select(failing[added.points]), estimates, chains)
     return merge(*accepted), points
 
 
-def drop_worst(added: ObservedPoints, points: FloatArray, field: EdgeField) -> ObservedPoints:
+def drop_worst(added: ObservedPoints, points: FloatArray, chains: IndexedViews) -> ObservedPoints:
     """Without, of each point ((N, 3) world), the observation farthest from its projection."""
-    errors = reprojection_errors(added, points, field)
+    errors = reprojection_errors(added, points, chains)
     order = np.lexsort((np.where(np.isfinite(errors), errors, np.inf), added.points))
     last = np.append(added.points[order][1:] != added.points[order][:-1], True)[: len(order)]
     keep = np.ones(len(added.points), bool)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import offsets_of
-from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges3d.chains.a_contrario import (
     CLOSE_PX,
     MIN_LOG,
@@ -39,13 +39,13 @@ def curve_on_driver(curve=LINE, num_points=8):
 
 
 def chains_of(views, *curves):
-    return [make_edge_view(known.graph_of(view, list(curves)), view) for view in views]
+    return [make_edge_index(known.graph_of(view, list(curves)), view) for view in views]
 
 
-def chances(curves, residuals, edge_views, views=OTHERS):
+def chances(curves, residuals, edge_indexes, views=OTHERS):
     displacements = np.full(len(curves.ideal), 1e-3)
     return chance_of_observations(
-        DRIVER, curves, residuals, displacements, views, edge_views, RefinementOptions(), 1
+        DRIVER, curves, residuals, displacements, views, edge_indexes, RefinementOptions(), 1
     )
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.view import lift
-from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges3d.chains.curve_extraction import (
     densify,
     find_curves,
@@ -175,7 +175,7 @@ def curves_of_line(side=1, covered=(), agreeing=3, **options):
     hidden[list(covered)] = True
     return find_curves(
         graph,
-        make_edge_view(graph, VIEW),
+        make_edge_index(graph, VIEW),
         hidden,
         depths_of(samples, inverse[samples], sigma=1e-3),
         np.full(len(samples), agreeing, np.int32),

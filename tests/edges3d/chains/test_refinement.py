@@ -8,7 +8,7 @@ import pytest
 
 from colmap_edges.core.view import lift
 from colmap_edges.edges2d.edge_graph import offsets_of
-from colmap_edges.edges2d.edge_index import make_edge_view
+from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges3d.chains.curves import Curves
 from colmap_edges.edges3d.chains.refinement import refine_curves
 from colmap_edges.options import RefinementOptions
@@ -33,13 +33,13 @@ def curve_on(view, curve, *, shift_px=0.0, depth_factor=1.0):
 
 def chains_of(view, *curves):
     """The chains of curves in a view, in the kernels' form."""
-    return make_edge_view(known.graph_of(view, list(curves)), view)
+    return make_edge_index(known.graph_of(view, list(curves)), view)
 
 
 def refined_distances(driver, curves, views, curve):
     """Distances of the refined points to the true curve, in pixels of the driver."""
-    own, *edge_views = (chains_of(view, curve) for view in (driver, *views))
-    refined = refine_curves(driver, own, curves, edge_views, RefinementOptions(), 1)
+    own, *edge_indexes = (chains_of(view, curve) for view in (driver, *views))
+    refined = refine_curves(driver, own, curves, edge_indexes, RefinementOptions(), 1)
     points = lift(driver, refined.curves.ideal, refined.curves.inverse_depths)
     dense = curve(np.linspace(0, 1, 20001))
     apart = np.linalg.norm(points[:, None] - dense[None, ::20], axis=2).argmin(axis=1) * 20
@@ -85,8 +85,8 @@ def test_depths_never_leave_the_front():
     driver, *others = known.ring(4)
     curves = curve_on(driver, curve)
     curves = replace(curves, inverse_depths=np.full(len(curves.ideal), 1e-9))
-    own, *edge_views = (chains_of(view, curve) for view in (driver, *others))
-    refined = refine_curves(driver, own, curves, edge_views, RefinementOptions(), 1)
+    own, *edge_indexes = (chains_of(view, curve) for view in (driver, *others))
+    refined = refine_curves(driver, own, curves, edge_indexes, RefinementOptions(), 1)
     assert (refined.curves.inverse_depths > 0).all()
 
 
@@ -104,20 +104,20 @@ def gray_along(view, *, body_only=False, seed=0):
     sides = np.stack([np.interp(t, knots, row) + exposure for row in values], axis=1)
     if body_only:  # behind the other side something else is seen from everywhere
         sides[:, 1] = np.random.default_rng(view.image_id).uniform(60, 200, len(t))
-    return make_edge_view(replace(graph, sides=np.round(sides).astype(np.uint8)), view)
+    return make_edge_index(replace(graph, sides=np.round(sides).astype(np.uint8)), view)
 
 
 @pytest.mark.parametrize("body_only", [False, True])
 def test_gray_beside_an_edge_along_the_baseline_tells_its_depth(body_only):
     driver, *others = known.row(6)
-    own, *edge_views = (gray_along(view, body_only=body_only) for view in (driver, *others))
+    own, *edge_indexes = (gray_along(view, body_only=body_only) for view in (driver, *others))
     true = curve_on(driver, ALONG)
     start = curve_on(driver, ALONG, depth_factor=1.004)
     baseline_px = np.ptp([view.center[0] for view in others]) * driver.focal_px
 
     def errors(weight):
         options = RefinementOptions(side_gray_weight=weight)
-        refined = refine_curves(driver, own, start, edge_views, options, 1)
+        refined = refine_curves(driver, own, start, edge_indexes, options, 1)
         wrong = refined.curves.inverse_depths - true.inverse_depths
         return np.median(np.abs(wrong)) * baseline_px, np.median(refined.sigmas) * baseline_px
 
@@ -130,11 +130,11 @@ def test_gray_beside_an_edge_along_the_baseline_tells_its_depth(body_only):
 
 def test_gray_that_is_the_same_everywhere_moves_nothing():
     driver, *others = known.row(5)
-    own, *edge_views = (chains_of(view, ALONG) for view in (driver, *others))
+    own, *edge_indexes = (chains_of(view, ALONG) for view in (driver, *others))
     start = curve_on(driver, ALONG, depth_factor=1.002)
-    refined = refine_curves(driver, own, start, edge_views, RefinementOptions(), 1)
+    refined = refine_curves(driver, own, start, edge_indexes, RefinementOptions(), 1)
     plain = replace(RefinementOptions(), side_gray_weight=0.0)
-    alone = refine_curves(driver, own, start, edge_views, plain, 1)
+    alone = refine_curves(driver, own, start, edge_indexes, plain, 1)
     np.testing.assert_allclose(
         refined.curves.inverse_depths, alone.curves.inverse_depths, rtol=1e-6
     )

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.sparse import csr_array
 
-from colmap_edges.edges3d.paper.edge_field import build_edge_field
 from colmap_edges.edges3d.paper.matching import (
     close_points,
     find_pecs,
     match_polylines,
     similarity_graph,
 )
+from colmap_edges.edges3d.paper.places import index_views
 from colmap_edges.options import MatchingOptions
 
 VIEWS = ring_of_views(3)
@@ -58,12 +58,12 @@ def two_lines():
     along = np.linspace(-0.8, 0.8, 5)
     points = [(x, y, 0) for x in (-1, 1.01) for y in along] + [(0, 0, 0)]
     model = model_of(VIEWS, points)
-    return model, build_edge_field(VIEWS, [graph_of(view, curves) for view in VIEWS])
+    return model, index_views(VIEWS, [graph_of(view, curves) for view in VIEWS])
 
 
 def test_close_points_and_weights():
-    model, field = two_lines()
-    incidence, weights = close_points(model, field, 5.0, 1)
+    model, chains = two_lines()
+    incidence, weights = close_points(model, chains, 5.0, 1)
     expected = np.zeros((6, 11))
     expected[::2, :5] = 1
     expected[1::2, 5:10] = 1
@@ -75,20 +75,20 @@ def test_weight_is_the_inverse_mean_number_of_close_polylines():
     curves = [line((-1, -1, 0), (-1, 1, 0)), line((-1.005, -1, 0), (-1.005, 1, 0))]
     model = model_of(VIEWS, [(-1, 0, 0)])
     graphs = [graph_of(VIEWS[0], curves)] + [graph_of(v, curves[:1]) for v in VIEWS[1:]]
-    _, weights = close_points(model, build_edge_field(VIEWS, graphs), 5.0, 1)
+    _, weights = close_points(model, index_views(VIEWS, graphs), 5.0, 1)
     np.testing.assert_allclose(weights, [3 / 4])
 
 
 def test_pecs_are_the_two_lines():
-    model, field = two_lines()
-    labels = match_polylines(model, field, MatchingOptions(), random_seed=0, num_threads=1)
+    model, chains = two_lines()
+    labels = match_polylines(model, chains, MatchingOptions(), random_seed=0, num_threads=1)
     np.testing.assert_array_equal(labels, [0, 1, 0, 1, 0, 1])
 
 
 def test_polylines_without_points_are_in_no_pec():
-    _, field = two_lines()
+    _, chains = two_lines()
     model = model_of(VIEWS, [(0, 0, 0)])
-    labels = match_polylines(model, field, MatchingOptions(), random_seed=0, num_threads=1)
+    labels = match_polylines(model, chains, MatchingOptions(), random_seed=0, num_threads=1)
     assert (labels == -1).all()
 
 
@@ -102,3 +102,8 @@ def test_communities_keep_dense_groups_apart():
     assert [2, 3] in graph.links.tolist()
     np.testing.assert_array_equal(find_pecs(graph, 1.0, 0), [0, 0, 0, 1, 1, 1])
     assert find_pecs(graph, 1.0, 0).tolist() == find_pecs(graph, 1.0, 0).tolist()
+
+
+def test_graphs_and_views_of_different_number_are_refused():
+    with pytest.raises(ValueError, match="1 edge graphs for 3 views"):
+        index_views(VIEWS, [graph_of(VIEWS[0], [])])

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import flattened
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import Pepcs
-from colmap_edges.edges3d.paper.edge_field import ChainPositions, build_edge_field
 from colmap_edges.edges3d.paper.following import OUTCOMES, follow_edges
+from colmap_edges.edges3d.paper.places import Places, index_views, join_places
 from colmap_edges.edges3d.paper.tracing import trace_edges_paper
 from colmap_edges.options import (
     CorrespondenceOptions,
@@ -98,11 +98,11 @@ def test_each_edge_is_traced_once():
 def test_closed_curve_comes_back_to_its_start():
     ring = circle((0.2, 0, 0), 0.7)
     views = ring_of_views(5)
-    field = build_edge_field(views, [graph_of(view, [ring]) for view in views])
+    chains = index_views(views, [graph_of(view, [ring]) for view in views])
     options = FollowingOptions(min_epipolar_angle_deg=0.0)
-    start = on_chains(field, ring.points[500:501], 0)
-    others = [on_chains(field, ring.points[500:501], view) for view in range(1, 5)]
-    edges, outcomes = follow_edges(field, one_pepc(start, others), options, 1)
+    start = on_chains(chains, ring.points[500:501], 0)
+    others = [on_chains(chains, ring.points[500:501], view) for view in range(1, 5)]
+    edges, outcomes = follow_edges(chains, one_pepc(start, others), options, 1)
     assert outcomes["accepted"] == 1
     assert edges.closed.tolist() == [True]
     gap = np.linalg.norm(edges.points[-1] - edges.points[0])
@@ -110,52 +110,49 @@ def test_closed_curve_comes_back_to_its_start():
     assert recall(edges, [ring], 12 * PIXEL) == 1
 
 
-def on_chains(field, point, view):
+def on_chains(chains, point, view):
     """The place on a chain of `view` nearest to the projection of one 3D point."""
-    pixel = field.views[view].project_ideal(point)[0]
-    near = field.find_near(np.array([view], np.int32), pixel, np.array([2.0]), 1)
-    return near.positions.select(slice(0, 1))
+    pixel = chains.views[view].project_ideal(point)[0]
+    near = chains.find_near(np.array([view], np.int32), pixel, np.array([2.0]), 1)
+    return near.places.select(slice(0, 1))
 
 
 def one_pepc(start, candidates):
     return Pepcs(
         starts=start,
         candidate_offsets=np.array([0, len(candidates)]),
-        candidates=ChainPositions(
-            segments=np.concatenate([c.segments for c in candidates]),
-            fractions=np.concatenate([c.fractions for c in candidates]),
-        ),
+        candidates=join_places(candidates),
     )
 
 
 def straight_setup(curves, views):
-    field = build_edge_field(views, [graph_of(view, curves) for view in views])
+    chains = index_views(views, [graph_of(view, curves) for view in views])
     middle = curves[0].points[1000:1001]
-    return field, [on_chains(field, middle, view) for view in range(len(views))]
+    return chains, [on_chains(chains, middle, view) for view in range(len(views))]
 
 
-def outcome_of(field, pepcs, **options):
-    counts = follow_edges(field, pepcs, FollowingOptions(**options), 1)[1]
+def outcome_of(chains, pepcs, **options):
+    counts = follow_edges(chains, pepcs, FollowingOptions(**options), 1)[1]
     assert sum(counts.values()) == len(pepcs)
     assert tuple(counts) == OUTCOMES
     return {name for name, count in counts.items() if count}
 
 
 def test_two_views_are_too_few():
-    field, places = straight_setup([UPRIGHT], ring_of_views(5))
-    assert outcome_of(field, one_pepc(places[0], places[1:2])) == {"too_few_views"}
+    chains, places = straight_setup([UPRIGHT], ring_of_views(5))
+    assert outcome_of(chains, one_pepc(places[0], places[1:2])) == {"too_few_views"}
 
 
 def test_three_views_are_enough():
-    field, places = straight_setup([UPRIGHT], ring_of_views(5))
-    assert outcome_of(field, one_pepc(places[0], places[1:3])) == {"accepted"}
+    chains, places = straight_setup([UPRIGHT], ring_of_views(5))
+    assert outcome_of(chains, one_pepc(places[0], places[1:3])) == {"accepted"}
 
 
 def test_points_of_different_edges_are_no_selection():
-    field, places = straight_setup([UPRIGHT, CURVES[0]], ring_of_views(5))
-    wrong = on_chains(field, CURVES[0].points[1000:1001], 2)
+    chains, places = straight_setup([UPRIGHT, CURVES[0]], ring_of_views(5))
+    wrong = on_chains(chains, CURVES[0].points[1000:1001], 2)
     pepcs = one_pepc(places[0], [places[1], wrong])
-    assert outcome_of(field, pepcs) == {"no_valid_selection"}
+    assert outcome_of(chains, pepcs) == {"no_valid_selection"}
 
 
 def test_edge_along_the_baseline_is_not_traced():
@@ -163,23 +160,18 @@ def test_edge_along_the_baseline_is_not_traced():
     level = tuple(
         replace(v, translation=-v.rotation @ (v.center * np.array([1, 0, 1]))) for v in views
     )
-    field, places = straight_setup([line((-1, 0, 0), (1, 0, 0))], level)
-    assert outcome_of(field, one_pepc(places[0], places[1:])) == {"too_few_views"}
+    chains, places = straight_setup([line((-1, 0, 0), (1, 0, 0))], level)
+    assert outcome_of(chains, one_pepc(places[0], places[1:])) == {"too_few_views"}
 
 
 def test_covered_stretches_are_skipped():
-    field, places = straight_setup([UPRIGHT], ring_of_views(5))
+    chains, places = straight_setup([UPRIGHT], ring_of_views(5))
     twice = Pepcs(
-        starts=ChainPositions(
-            segments=np.repeat(places[0].segments, 2), fractions=np.repeat(places[0].fractions, 2)
-        ),
+        starts=join_places([places[0], places[0]]),
         candidate_offsets=np.array([0, 4, 8]),
-        candidates=ChainPositions(
-            segments=np.tile(np.concatenate([p.segments for p in places[1:]]), 2),
-            fractions=np.tile(np.concatenate([p.fractions for p in places[1:]]), 2),
-        ),
+        candidates=join_places(2 * places[1:]),
     )
-    counts = follow_edges(field, twice, FollowingOptions(), 1)[1]
+    counts = follow_edges(chains, twice, FollowingOptions(), 1)[1]
     assert counts["accepted"] == 1
     assert counts["on_covered_stretch"] == 1
 
@@ -195,22 +187,22 @@ def mirrored_ambiguity():
     share = 1.08  # the same edge seen from view 0, farther away
     far = type(near)(views[0].center + share * (near.points - views[0].center))
     graphs = [graph_of(views[0], [near])] + [graph_of(v, [near, far]) for v in views[1:]]
-    field = build_edge_field(views, graphs)
-    start = on_chains(field, near.points[1000:1001], 0)
-    others = [on_chains(field, c.points[1000:1001], v) for v in (1, 2) for c in (near, far)]
-    return field, one_pepc(start, others)
+    chains = index_views(views, graphs)
+    start = on_chains(chains, near.points[1000:1001], 0)
+    others = [on_chains(chains, c.points[1000:1001], v) for v in (1, 2) for c in (near, far)]
+    return chains, one_pepc(start, others)
 
 
 def test_two_different_valid_selections_are_refused():
-    field, pepcs = mirrored_ambiguity()
-    assert outcome_of(field, pepcs) == {"ambiguous_selection"}
+    chains, pepcs = mirrored_ambiguity()
+    assert outcome_of(chains, pepcs) == {"ambiguous_selection"}
 
 
 def test_near_duplicates_of_one_point_are_one_selection():
-    field, places = straight_setup([UPRIGHT], ring_of_views(5))
-    beside = ChainPositions(segments=places[1].segments + 1, fractions=places[1].fractions)
+    chains, places = straight_setup([UPRIGHT], ring_of_views(5))
+    beside = Places(views=places[1].views, positions=places[1].positions + 1)
     pepcs = one_pepc(places[0], [places[1], beside, places[2]])
-    assert outcome_of(field, pepcs) == {"accepted"}
+    assert outcome_of(chains, pepcs) == {"accepted"}
 
 
 def test_result_does_not_depend_on_threads():

@@ -17,8 +17,8 @@ from hypothesis.extra.numpy import arrays
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.edges3d.paper.edge_field import build_edge_field
 from colmap_edges.edges3d.paper.observations import edge_neighbours
+from colmap_edges.edges3d.paper.places import index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
 from colmap_edges.edges3d.paper.visibility import (
     expand_visibility,
@@ -72,9 +72,9 @@ def check(edges):
 
 
 def test_all_views_of_an_edge_are_found():
-    field = build_edge_field(VIEWS, [graph_of(view, [LINE, HELIX]) for view in VIEWS])
+    chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX]) for view in VIEWS])
     edges = edges_of([LINE, HELIX], [0, 3, 6])
-    expanded, stats = expand_visibility(edges, field, OPTIONS, 1)
+    expanded, stats = expand_visibility(edges, chains, OPTIONS, 1)
     check(expanded)
     views = np.diff(expanded.observations.offsets)
     assert np.mean(views == len(VIEWS)) > 0.9  # but near where the curves cross in an image
@@ -89,9 +89,9 @@ def expanded_views(graph_curves, options=OPTIONS, noise=None):
     graphs[1] = graph_of(VIEWS[1], graph_curves)
     if noise is not None:
         graphs[1] = replace(graphs[1], ideal=graphs[1].ideal + noise)
-    field = build_edge_field(VIEWS, graphs)
+    chains = index_views(VIEWS, graphs)
     others = [v for v in range(len(VIEWS)) if v != 1]
-    expanded, _ = expand_visibility(edges_of([LINE], others), field, options, 1)
+    expanded, _ = expand_visibility(edges_of([LINE], others), chains, options, 1)
     check(expanded)
     return np.count_nonzero(expanded.observations.views == 1) / expanded.num_points
 
@@ -122,27 +122,27 @@ def test_polyline_that_does_not_triangulate_is_left_alone():
 def test_view_that_looks_away_sees_nothing():
     views = (*VIEWS, make_view(len(VIEWS), (0, 0, -6), (0, 0, -12)))
     graphs = [graph_of(view, [LINE]) for view in VIEWS]
-    field = build_edge_field(views, [*graphs, graphs[0]])
-    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), field, OPTIONS, 1)
+    chains = index_views(views, [*graphs, graphs[0]])
+    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), chains, OPTIONS, 1)
     assert len(VIEWS) not in expanded.observations.views
 
 
 def test_expansion_does_not_depend_on_threads():
     rng = np.random.default_rng(0)
-    field = build_edge_field(VIEWS, [graph_of(view, [LINE, HELIX], 0.5, rng) for view in VIEWS])
+    chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX], 0.5, rng) for view in VIEWS])
     edges = edges_of([LINE, HELIX], [0, 3, 6])
-    one, two = (expand_visibility(edges, field, OPTIONS, n)[0] for n in (1, 2))
+    one, two = (expand_visibility(edges, chains, OPTIONS, n)[0] for n in (1, 2))
     assert one.points.tobytes() == two.points.tobytes()
     assert one.observations.pixels.tobytes() == two.observations.pixels.tobytes()
 
 
 def test_no_edges_no_change():
-    field = build_edge_field(VIEWS, [graph_of(view, [LINE]) for view in VIEWS])
+    chains = index_views(VIEWS, [graph_of(view, [LINE]) for view in VIEWS])
     empty = keep_points(edges_of([LINE], [0, 1, 2]), np.zeros(32, bool))
     assert empty.num_edges == 0
-    assert expand_visibility(empty, field, OPTIONS, 1)[0].num_points == 0
+    assert expand_visibility(empty, chains, OPTIONS, 1)[0].num_points == 0
     assert filter_outliers(empty, OPTIONS)[0].num_points == 0
-    assert sample_edges(empty, field, SamplingOptions(), 2.0).num_points == 0
+    assert sample_edges(empty, chains, SamplingOptions(), 2.0).num_points == 0
 
 
 @pytest.mark.parametrize(
@@ -194,9 +194,9 @@ def test_kept_pieces_are_runs_of_neighbours(keep, closed):
 
 def test_fine_samples_follow_the_curve_and_not_the_chord():
     rings = [circle((0.1, 0, 0), 0.8), HELIX]
-    field = build_edge_field(VIEWS, [graph_of(view, rings) for view in VIEWS])
+    chains = index_views(VIEWS, [graph_of(view, rings) for view in VIEWS])
     edges = edges_of(rings, [0, 1, 3, 5], 120)
-    sampled = sample_edges(edges, field, SamplingOptions(spacing_px=2.0), 2.0)
+    sampled = sample_edges(edges, chains, SamplingOptions(spacing_px=2.0), 2.0)
     check(sampled)
     chord_error = 0.8 * (1 - np.cos(np.pi * 120 / 4000))
     distances = distances_to_curves(sampled.points, rings)
@@ -219,8 +219,8 @@ def test_fine_samples_follow_the_curve_and_not_the_chord():
 
 def test_expansion_of_unseen_noise_keeps_error_small():
     rng = np.random.default_rng(4)
-    field = build_edge_field(VIEWS, [graph_of(view, [LINE], 1.0, rng) for view in VIEWS])
-    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), field, OPTIONS, 1)
+    chains = index_views(VIEWS, [graph_of(view, [LINE], 1.0, rng) for view in VIEWS])
+    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), chains, OPTIONS, 1)
     check(expanded)
     for index, view in enumerate(VIEWS):
         rows = expanded.observations.views == index

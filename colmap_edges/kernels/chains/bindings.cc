@@ -1,0 +1,241 @@
+// Python face of tracing by depths along chains: depths, observations, refinement, occlusion.
+#include "common/bindings.h"
+
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+
+#include "chains/association.h"
+#include "chains/chain_depths.h"
+#include "chains/observations.h"
+#include "chains/occlusion.h"
+#include "chains/side_gray.h"
+#include "common/arrays.h"
+#include "common/edge_index.h"
+
+namespace colmap_edges {
+namespace {
+
+using namespace nb::literals;
+
+nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const EdgeIndex*>& neighbors,
+                            Longs samples, Longs sample_offsets,
+                            InArray<double, nb::shape<-1, 2>> inverse_depths, double steps,
+                            double max_disagreement_px,
+                            InArray<float, nb::shape<256, 256>> side_likelihoods,
+                            double min_angle_sin, double visibility_rate, double detection_rate,
+                            double none_score, double break_penalty, int max_clusters,
+                            int num_threads) {
+  CheckOffsets(sample_offsets, samples.size());
+  for (size_t i = 0; i < samples.size(); ++i) {
+    if (samples(i) < 0 || samples(i) >= source.num_points()) {
+      throw std::invalid_argument("a sample is not a point of the source");
+    }
+  }
+  if (inverse_depths.shape(0) != samples.size()) {
+    throw std::invalid_argument("inverse_depths and samples differ in length");
+  }
+  const std::vector<int64_t> starts = ToVector(samples), offsets = ToVector(sample_offsets);
+  std::vector<DepthRange> ranges(starts.size());
+  for (size_t i = 0; i < ranges.size(); ++i)
+    ranges[i] = {inverse_depths(i, 0), inverse_depths(i, 1)};
+  ChainDepths result;
+  {
+    nb::gil_scoped_release release;
+    result = ComputeChainDepths(
+        source, neighbors, starts, offsets, ranges, steps,
+        {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
+         detection_rate, none_score, break_penalty, max_clusters},
+        num_threads);
+  }
+  const size_t count = starts.size(), total = result.positions.size();
+  return nb::make_tuple(
+      ToArray(std::move(result.inverse_depths), {count}),
+      ToArray(std::move(result.sigmas), {count}), ToArray(std::move(result.scores), {count}),
+      ToArray(std::move(result.support_offsets), {count + 1}),
+      ToArray(std::move(result.neighbors), {total}), ToArray(std::move(result.positions), {total}));
+}
+
+OutArray<double> AssociateArrays(const std::vector<const EdgeIndex*>& views, Points3D points,
+                                 Points3D tangents, InArray<int8_t, nb::ndim<1>> sides,
+                                 double max_distance_px, double min_cosine, int num_threads) {
+  const size_t count = points.shape(0);
+  if (tangents.shape(0) != count || sides.size() != count) {
+    throw std::invalid_argument("points, tangents and sides differ in length");
+  }
+  std::vector<double> positions;
+  {
+    nb::gil_scoped_release release;
+    positions = AssociateAll(views, points.data(), tangents.data(), sides.data(), int64_t(count),
+                             {max_distance_px, min_cosine}, num_threads);
+  }
+  return ToArray(std::move(positions), {count, views.size()});
+}
+
+// What the arrays of curves and their observations say; they must outlive it.
+ObservedCurves ToObservedCurves(const Rotation& rotation, const Translation& translation,
+                                double focal, const Points2D& ideal, const Doubles& inverse_depths,
+                                const Points2D& directions,
+                                const InArray<double, nb::ndim<2>>& positions,
+                                const std::vector<const EdgeIndex*>& views) {
+  const size_t count = ideal.shape(0);
+  if (inverse_depths.size() != count || directions.shape(0) != count ||
+      positions.shape(0) != count || positions.shape(1) != views.size()) {
+    throw std::invalid_argument("curves, directions, positions and views differ in length");
+  }
+  for (size_t i = 0; i < count; ++i) {
+    for (size_t k = 0; k < views.size(); ++k) {
+      const double position = positions(i, k);
+      Require(std::isnan(position) || views[k]->Holds(position), "a position is not on a chain");
+    }
+  }
+  ObservedCurves curves;
+  std::copy_n(rotation.data(), 9, curves.rotation.begin());
+  curves.translation = {translation(0), translation(1), translation(2)};
+  curves.focal = focal;
+  curves.ideal = ideal.data(), curves.inverse_depths = inverse_depths.data();
+  curves.directions = directions.data(), curves.positions = positions.data();
+  curves.num_points = int64_t(count);
+  curves.views = views;
+  return curves;
+}
+
+OutArray<double> SumObservationsArray(Rotation rotation, Translation translation, double focal,
+                                      Points2D ideal, Doubles inverse_depths, Points2D directions,
+                                      InArray<double, nb::ndim<2>> positions,
+                                      const std::vector<const EdgeIndex*>& views,
+                                      double robust_scale_px, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, directions, positions, views);
+  const size_t count = ideal.shape(0);
+  std::vector<double> columns(7 * count);
+  {
+    nb::gil_scoped_release release;
+    const std::vector<ObservationSums> sums = SumObservations(curves, robust_scale_px, num_threads);
+    for (size_t i = 0; i < count; ++i) {
+      const ObservationSums& s = sums[i];
+      const double row[] = {s.slope_slope,     s.slope_residual, s.slope_across, s.across_across,
+                            s.across_residual, s.speed2,         s.count};
+      for (size_t c = 0; c < 7; ++c) columns[c * count + i] = row[c];
+    }
+  }
+  return ToArray(std::move(columns), {7, count});
+}
+
+nb::tuple ObservationResidualsArrays(Rotation rotation, Translation translation, double focal,
+                                     Points2D ideal, Doubles inverse_depths,
+                                     InArray<double, nb::ndim<2>> positions,
+                                     const std::vector<const EdgeIndex*>& views, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  std::pair<std::vector<double>, std::vector<double>> found;
+  {
+    nb::gil_scoped_release release;
+    found = ObservationResiduals(curves, num_threads);
+  }
+  const size_t count = ideal.shape(0);
+  return nb::make_tuple(ToArray(std::move(found.first), {count, views.size()}),
+                        ToArray(std::move(found.second), {count}));
+}
+
+OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, double focal,
+                                  Points2D ideal, Doubles inverse_depths,
+                                  InArray<double, nb::ndim<2>> positions,
+                                  const std::vector<const EdgeIndex*>& views,
+                                  const EdgeIndex& driver, Longs indices, Longs offsets, int reach,
+                                  int window, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  const size_t count = ideal.shape(0);
+  if (indices.size() != count) throw std::invalid_argument("curves and indices differ in length");
+  CheckOffsets(offsets, count);
+  for (size_t i = 0; i < count; ++i) {
+    if (!(indices(i) >= 0 && indices(i) < driver.num_points())) {
+      throw std::invalid_argument("an index is not on a chain of the driver");
+    }
+  }
+  if (reach < 0 || window < 1) throw std::invalid_argument("reach or window is too small");
+  std::vector<double> columns(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const std::vector<SideGraySums> sums =
+        SumSideGray(curves, driver, indices.data(), offsets.data(), int64_t(offsets.size()) - 1,
+                    {reach, window}, num_threads);
+    for (size_t i = 0; i < count; ++i) {
+      columns[i] = sums[i].information, columns[count + i] = sums[i].gradient;
+    }
+  }
+  return ToArray(std::move(columns), {2, count});
+}
+
+OutArray<double> SlidePositionsArray(Rotation rotation, Translation translation, double focal,
+                                     Points2D ideal, Doubles inverse_depths,
+                                     InArray<double, nb::ndim<2>> positions,
+                                     const std::vector<const EdgeIndex*>& views, int num_threads) {
+  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
+                                                 inverse_depths, ideal, positions, views);
+  std::vector<double> moved;
+  {
+    nb::gil_scoped_release release;
+    moved = SlidePositions(curves, num_threads);
+  }
+  return ToArray(std::move(moved), {size_t(ideal.shape(0)), views.size()});
+}
+
+nb::tuple CountAroundArrays(Points2D pixels, Doubles depths, Doubles margins, Longs curves,
+                            double radius_px, double slope, int num_threads) {
+  const size_t count = pixels.shape(0);
+  if (depths.size() != count || margins.size() != count || curves.size() != count) {
+    throw std::invalid_argument("pixels, depths, margins and curves differ in length");
+  }
+  if (!(radius_px > 0)) throw std::invalid_argument("the radius must be positive");
+  std::vector<SeenPoint> points(count);
+  for (size_t i = 0; i < count; ++i) {
+    if (!(std::abs(pixels(i, 0)) < 1e9 * radius_px && std::abs(pixels(i, 1)) < 1e9 * radius_px)) {
+      throw std::invalid_argument("a pixel is not finite or too far away");
+    }
+    points[i] = {{pixels(i, 0), pixels(i, 1)}, depths(i), margins(i), curves(i)};
+  }
+  Crowd crowd;
+  {
+    nb::gil_scoped_release release;
+    crowd = CountAround(points, radius_px, slope, num_threads);
+  }
+  return nb::make_tuple(ToArray(std::move(crowd.nearer), {count}),
+                        ToArray(std::move(crowd.agreeing), {count}));
+}
+
+}  // namespace
+
+void BindChains(nb::module_& m) {
+  m.def("chain_depths", &ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
+        "sample_offsets"_a, "inverse_depths"_a, "steps"_a, "max_disagreement_px"_a,
+        "side_likelihoods"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
+        "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
+        "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
+  m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
+        "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
+        "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");
+  m.def("sum_observations", &SumObservationsArray, "rotation"_a, "translation"_a, "focal"_a,
+        "ideal"_a, "inverse_depths"_a, "directions"_a, "positions"_a, "views"_a,
+        "robust_scale_px"_a, "num_threads"_a,
+        "(7, N) sums over the observations of each point of a driver's curves: of weight times "
+        "slope slope, slope residual, slope across, across across, across residual; of the squared "
+        "speed; their number.");
+  m.def("observation_residuals", &ObservationResidualsArrays, "rotation"_a, "translation"_a,
+        "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
+        "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
+  m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a, "ideal"_a,
+        "inverse_depths"_a, "positions"_a, "views"_a, "driver"_a, "indices"_a, "offsets"_a,
+        "reach"_a, "window"_a, "num_threads"_a,
+        "(2, N) information on inverse depth and gradient, in units of the noise of gray, from the "
+        "gray along the chains that observe curves and along the driver's own.");
+  m.def("slide_positions", &SlidePositionsArray, "rotation"_a, "translation"_a, "focal"_a,
+        "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
+        "(N, K) positions nearest to the points on the chains that observed them.");
+  m.def("count_around", &CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a, "curves"_a,
+        "radius_px"_a, "slope"_a, "num_threads"_a,
+        "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");
+}
+
+}  // namespace colmap_edges

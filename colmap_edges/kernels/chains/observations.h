@@ -1,0 +1,145 @@
+// Points of curves against the chains that observe them: how far off they are, how that changes
+// with their depth, and what least squares need of it.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "common/edge_index.h"
+#include "common/parallel.h"
+
+namespace colmap_edges {
+
+// N points on the chains of a driver, and the places on chains of K views that observe them.
+struct ObservedCurves {
+  Mat3 rotation;  // of the driver
+  Vec3 translation;
+  double focal;
+  const double* ideal;           // (N, 2) pixels of the driver
+  const double* inverse_depths;  // (N)
+  const double* directions;      // (N, 2) in which points may move in the driver's image
+  const double* positions;       // (N, K) on the views' chains; NaN where nothing observes
+  int64_t num_points;
+  std::vector<const EdgeIndex*> views;
+};
+
+// One observation of one point, in pixels: the distance across the chain, its changes with inverse
+// depth and with a shift of the driver's pixel, the change along the chain with inverse depth, and
+// the speed of the projection with that.
+struct Observation {
+  double residual, slope, across, along, speed2;
+};
+
+// Sums over the observations of a point, weighted by how well they fit; those of a shift go with
+// `across` as those of depth with `slope`.
+struct ObservationSums {
+  double slope_slope = 0, slope_residual = 0, slope_across = 0, across_across = 0,
+         across_residual = 0;
+  double speed2 = 0, count = 0;  // without weights
+};
+
+class CurveObserver {
+ public:
+  explicit CurveObserver(const ObservedCurves& curves) : curves_(curves) {
+    for (const EdgeIndex* view : curves.views) {
+      const Mat3 rotation = MultiplyByTransposed(view->rotation(), curves.rotation);
+      const Vec3 moved = Multiply(rotation, curves.translation);
+      poses_.push_back({rotation, view->translation() - moved});
+    }
+  }
+
+  // Where view k sees point i.
+  Vec2 Project(int64_t i, int64_t k) const { return ToImage(k, ToView(i, k, RayOf(i))); }
+
+  // Calls use(k, observation) for each view k that observes point i.
+  template <typename Use>
+  void Visit(int64_t i, const Use& use) const {
+    const double* d = curves_.directions + 2 * i;
+    const Vec3 ray = RayOf(i);
+    const Vec3 turned = {d[0] / curves_.focal, d[1] / curves_.focal, 0};
+    const int64_t num_views = int64_t(curves_.views.size());
+    for (int64_t k = 0; k < num_views; ++k) {
+      const double position = curves_.positions[i * num_views + k];
+      if (!std::isnan(position)) use(k, Observe(k, position, ray, turned, i));
+    }
+  }
+
+ private:
+  Vec3 RayOf(int64_t i) const {
+    const double* x = curves_.ideal + 2 * i;
+    return {x[0] / curves_.focal, x[1] / curves_.focal, 1};
+  }
+
+  // Point i in the frame of view k, its depth in the driver taken as the unit.
+  Vec3 ToView(int64_t i, int64_t k, const Vec3& ray) const {
+    const auto& [rotation, translation] = poses_[k];
+    return Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
+  }
+
+  Vec2 ToImage(int64_t k, const Vec3& local) const {
+    const double f = curves_.views[k]->focal();
+    return {f * local.x / local.z, f * local.y / local.z};
+  }
+
+  Observation Observe(int64_t k, double position, const Vec3& ray, const Vec3& turned,
+                      int64_t i) const {
+    const EdgeIndex& view = *curves_.views[k];
+    const auto& [rotation, translation] = poses_[k];
+    const double f = view.focal();
+    const Vec3 local = ToView(i, k, ray);
+    const Vec2 projected = ToImage(k, local);
+    // How the projection moves when the point does so by a vector in the view's frame.
+    const auto moving = [&](const Vec3& v) {
+      return Vec2{(f * v.x - projected.x * v.z) / local.z, (f * v.y - projected.y * v.z) / local.z};
+    };
+    const Vec2 tangent = view.tangent(int64_t(position)), normal = {-tangent.y, tangent.x};
+    const Vec2 with_depth = moving(translation);
+    return {Dot(projected - view.At(position), normal), Dot(with_depth, normal),
+            Dot(moving(Multiply(rotation, turned)), normal), Dot(with_depth, tangent),
+            Dot(with_depth, with_depth)};
+  }
+
+  const ObservedCurves& curves_;
+  std::vector<std::pair<Mat3, Vec3>> poses_;  // of the views, from the driver's frame
+};
+
+// The sums of each point. Residuals count by Geman and McClure's weights.
+inline std::vector<ObservationSums> SumObservations(const ObservedCurves& curves,
+                                                    double robust_scale_px, int num_threads) {
+  const CurveObserver observer(curves);
+  std::vector<ObservationSums> sums(curves.num_points);
+  ParallelBlocks(curves.num_points, num_threads, 256, [&](int64_t i) {
+    ObservationSums& sum = sums[i];
+    observer.Visit(i, [&](int64_t, const Observation& o) {
+      const double scaled = o.residual / robust_scale_px, fit = 1 + scaled * scaled;
+      const double weight = 1 / (fit * fit);
+      sum.slope_slope += weight * o.slope * o.slope;
+      sum.slope_residual += weight * o.slope * o.residual;
+      sum.slope_across += weight * o.slope * o.across;
+      sum.across_across += weight * o.across * o.across;
+      sum.across_residual += weight * o.across * o.residual;
+      sum.speed2 += o.speed2;
+      sum.count += 1;
+    });
+  });
+  return sums;
+}
+
+// (N, K) residuals, NaN where nothing observes, and (N) sums of squared slopes.
+inline std::pair<std::vector<double>, std::vector<double>> ObservationResiduals(
+    const ObservedCurves& curves, int num_threads) {
+  const CurveObserver observer(curves);
+  const int64_t num_views = int64_t(curves.views.size());
+  std::vector<double> residuals(curves.num_points * num_views, NAN), slopes2(curves.num_points);
+  ParallelBlocks(curves.num_points, num_threads, 256, [&](int64_t i) {
+    observer.Visit(i, [&](int64_t k, const Observation& o) {
+      residuals[i * num_views + k] = o.residual;
+      slopes2[i] += o.slope * o.slope;
+    });
+  });
+  return {std::move(residuals), std::move(slopes2)};
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,117 @@
+// Points of one image that lie behind others around them.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "common/parallel.h"
+#include "common/vectors.h"
+
+namespace colmap_edges {
+
+// A point where an image shows it: its pixel, its depth and by how much that may be wrong.
+struct SeenPoint {
+  Vec2 pixel;
+  double depth, margin;
+  // Points of one curve say nothing of each other; those of none (< 0) are not asked about.
+  int64_t curve;
+};
+
+struct Crowd {
+  std::vector<int32_t> nearer, agreeing;  // of the points around each
+};
+
+// The points of an image in rows as high as a radius, each from left to right in steps of a part of
+// it. What is very far from the first pixel counts to the last row or step.
+class PointRows {
+ public:
+  PointRows(const std::vector<SeenPoint>& points, double radius) : order_(points.size()) {
+    std::vector<uint16_t> rows(points.size()), steps(points.size());
+    for (size_t i = 0; i < points.size(); ++i) {
+      rows[i] = Place(points[i].pixel.y / radius);
+      steps[i] = Place(points[i].pixel.x / radius * kParts);
+      order_[i] = int32_t(i);
+    }
+    SortBy(steps);
+    starts_ = SortBy(rows);
+    for (const int32_t i : order_) points_.push_back(points[i]), steps_.push_back(steps[i]);
+  }
+
+  static constexpr int64_t kNumRows = 1 << 16;
+
+  // Calls use(k, j, end) for each point k in a row with runs of points in order, j to end, that
+  // hold all within the radius around it.
+  template <typename Use>
+  void ForNeighbors(int64_t row, const Use& use) const {
+    const int32_t first = starts_[row], last = starts_[row + 1];
+    if (first == last) return;
+    for (int64_t beside = std::max<int64_t>(row - 1, 0);
+         beside <= std::min<int64_t>(row + 1, kNumRows - 1); ++beside) {
+      int32_t from = starts_[beside], to = from;
+      const int32_t stop = starts_[beside + 1];
+      for (int32_t k = first; k < last; ++k) {
+        while (from < stop && steps_[from] < steps_[k] - kParts - 1) ++from;
+        while (to < stop && steps_[to] <= steps_[k] + kParts + 1) ++to;
+        use(k, from, to);
+      }
+    }
+  }
+
+  const SeenPoint& point(int32_t k) const { return points_[k]; }  // in order
+  int32_t index(int32_t k) const { return order_[k]; }            // as they were given
+
+ private:
+  static constexpr int kParts = 8;  // steps a radius
+
+  static uint16_t Place(double coordinate) {
+    return uint16_t(std::clamp(std::floor(coordinate) + kNumRows / 2, 0.0, kNumRows - 1.0));
+  }
+
+  // Orders the points by a key, equal ones as they were; returns where in the order each key
+  // starts.
+  std::vector<int32_t> SortBy(const std::vector<uint16_t>& keys) {
+    std::vector<int32_t> starts(kNumRows + 1), sorted(order_.size());
+    for (const uint16_t key : keys) ++starts[key + 1];
+    for (int64_t k = 0; k < kNumRows; ++k) starts[k + 1] += starts[k];
+    std::vector<int32_t> fill(starts.begin(), starts.end() - 1);
+    for (const int32_t i : order_) sorted[fill[keys[i]]++] = i;
+    order_ = std::move(sorted);
+    return starts;
+  }
+
+  std::vector<SeenPoint> points_;
+  std::vector<int32_t> order_, starts_, steps_;  // starts of the rows
+};
+
+// How many points of other curves within `radius_px` of each are nearer to the camera than one
+// surface allows, and how many are as far; 0 for points of no curve. On one surface depth changes
+// by at most `slope` times itself a pixel.
+inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px, double slope,
+                         int num_threads) {
+  const PointRows rows(points, radius_px);
+  Crowd crowd{std::vector<int32_t>(points.size()), std::vector<int32_t>(points.size())};
+  ParallelBlocks(PointRows::kNumRows, num_threads, 16, [&](int64_t row) {
+    rows.ForNeighbors(row, [&](int32_t k, int32_t from, int32_t to) {
+      const SeenPoint& own = rows.point(k);
+      if (own.curve < 0) return;
+      int32_t nearer = 0, agreeing = 0;
+      for (int32_t j = from; j < to; ++j) {
+        const SeenPoint& other = rows.point(j);
+        const double distance = Norm(other.pixel - own.pixel);
+        const double gap = own.depth - other.depth;
+        const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
+        // No branch could be guessed.
+        const bool counted = (other.curve != own.curve) & (distance <= radius_px);
+        nearer += counted & (gap > limit);
+        agreeing += counted & (std::abs(gap) <= limit);
+      }
+      crowd.nearer[rows.index(k)] += nearer, crowd.agreeing[rows.index(k)] += agreeing;
+    });
+  });
+  return crowd;
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,13 @@
+// Entries of the bindings, one for each folder of kernels.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace colmap_edges {
+
+void BindCommon(nanobind::module_& m);
+void BindImage(nanobind::module_& m);
+void BindChains(nanobind::module_& m);
+void BindPaper(nanobind::module_& m);
+
+}  // namespace colmap_edges

@@ -1,0 +1,10 @@
+// The extension module: what the folders of kernels bind.
+#include "common/bindings.h"
+
+NB_MODULE(_kernels, m) {
+  m.doc() = "Hot loops of colmap_edges";
+  colmap_edges::BindCommon(m);
+  colmap_edges::BindImage(m);
+  colmap_edges::BindChains(m);
+  colmap_edges::BindPaper(m);
+}

@@ -1,0 +1,574 @@
+// PEPC validation and 3D edge generation: choose the one selection that triangulates and can be
+// followed, then follow the edge in all its views at once (paper: PEPC validation).
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "common/geometry.h"
+#include "common/parallel.h"
+#include "paper/places.h"
+
+namespace colmap_edges {
+
+struct FollowSettings {
+  double step_px;                  // walk on the leading view between edge points
+  double max_error_px;             // largest reprojection error of a valid triangulation
+  double max_step_ratio;           // longest walk on another view, in expected steps
+  double min_epipolar_sine;        // of the angle between an edge and an epipolar line
+  double full_triangulation_sine;  // triangulation angle from which views count fully
+  double max_stretch;              // longest 3D step, in steps seen frontally
+  int min_views;                   // views that must see every edge point
+  int min_steps;                   // steps that make a selection a valid 3D edge
+  int max_triples;                 // triples of views tried for a start
+};
+
+enum class StartOutcome : uint8_t {
+  kAccepted,
+  kCovered,      // on a stretch that an earlier 3D edge covers
+  kTooFewViews,  // candidates in fewer than two other views
+  kInvalid,      // no selection triangulates and can be followed
+  kAmbiguous,    // several different selections can
+  kDuplicate,    // the 3D point lies on an earlier 3D edge
+  kNumOutcomes
+};
+
+// An edge seen in one view: where it is there and which way the 3D edge runs (+1, -1, 0 unknown).
+struct Strand {
+  Place at;
+  int sign;
+};
+
+struct EdgePoint3D {
+  Vec3 position;
+  std::vector<Place> track;  // one place a view
+};
+
+struct Edge3D {
+  std::vector<EdgePoint3D> points;
+  bool closed = false;
+};
+
+// The chain points, by view, that accepted 3D edges cover.
+using Coverage = std::vector<std::vector<uint8_t>>;
+
+inline bool IsCovered(const Place& at, const Coverage& covered) {
+  return covered[at.view][int64_t(at.position)] != 0;
+}
+
+// More than half of the places are covered: the edge is known already.
+inline bool MostlyCovered(const std::vector<Place>& track, const Coverage& covered) {
+  size_t count = 0;
+  for (const Place& at : track) count += IsCovered(at, covered);
+  return 2 * count > track.size();
+}
+
+// Whether both places are on one polyline.
+inline bool OnOnePolyline(const Views& views, const Place& a, const Place& b) {
+  const EdgeIndex& chains = *views[a.view];
+  return a.view == b.view &&
+         chains.polyline(int64_t(a.position)) == chains.polyline(int64_t(b.position));
+}
+
+class EdgeTracer {
+ public:
+  EdgeTracer(const Views& views, const FollowSettings& settings, const Coverage& covered)
+      : views_(views), settings_(settings), covered_(covered) {
+    for (const EdgeIndex* chains : views) num_points_ += chains->num_points();
+  }
+
+  // Candidates must come grouped by view. On acceptance `edge` is the traced edge.
+  StartOutcome Trace(Place start, const Place* candidates, int64_t num_candidates,
+                     Edge3D* edge) const {
+    if (IsCovered(start, covered_)) return StartOutcome::kCovered;
+    const std::vector<CandidateView> groups = RankViews(start, candidates, num_candidates);
+    if (groups.size() < 2) return StartOutcome::kTooFewViews;
+    int tried = 0;
+    for (size_t sum = 1; sum < 2 * groups.size() && tried < settings_.max_triples; ++sum) {
+      // Pairs (i, j), i < j, best scores first: (0,1), (0,2), (0,3), (1,2), ...
+      for (size_t i = 0; 2 * i < sum && tried < settings_.max_triples; ++i) {
+        const size_t j = sum - i;
+        if (j >= groups.size()) continue;
+        ++tried;
+        Selection selection;
+        const int found = SelectUnique(start, groups[i], groups[j], &selection);
+        if (found > 1) return StartOutcome::kAmbiguous;
+        if (found == 0) continue;
+        Extend(groups, &selection);
+        if (MostlyCovered(MakePoint(selection.point, selection.strands).track, covered_))
+          return StartOutcome::kDuplicate;
+        Follow(selection, edge);
+        return int(edge->points.size()) > settings_.min_steps ? StartOutcome::kAccepted
+                                                              : StartOutcome::kInvalid;
+      }
+    }
+    return StartOutcome::kInvalid;
+  }
+
+ private:
+  // A candidate and the point where its ray meets the start's, with the inverse of its distance.
+  struct Candidate {
+    Place at;
+    Vec3 point;
+    double inverse_distance;
+  };
+  struct CandidateView {
+    int32_t view;
+    std::vector<Candidate> candidates;  // by inverse distance
+    double score = 0;
+  };
+  // Strands of one 3D edge point; the first is the leading view's. Signs are those of the
+  // direction in which the leading strand walks with its points.
+  struct Selection {
+    Vec3 point;
+    double error = INFINITY;
+    std::vector<Strand> strands;
+  };
+  struct StepResult {
+    Vec3 point;
+    double error = INFINITY;
+    std::vector<Strand> strands;
+  };
+
+  const EdgeIndex& ChainsAt(Place at) const { return *views_[at.view]; }
+  const PinholeView& ViewAt(Place at) const { return ChainsAt(at).pose(); }
+  Vec2 PixelAt(Place at) const { return ChainsAt(at).At(at.position); }
+  Sighting SightingOf(Place at) const { return {&ViewAt(at), PixelAt(at)}; }
+
+  // Sine of the angle between the chain at `at` and a line.
+  double SineTo(const Line2D& line, Place at) const {
+    const Vec2 tangent = ChainsAt(at).tangent(int64_t(at.position));
+    return std::abs(line.a * tangent.x + line.b * tangent.y);
+  }
+
+  // Sine of the angle between the chain at `at` and the epipolar line of `other` there.
+  double EpipolarSine(Place at, Place other) const {
+    Line2D line;
+    const bool defined = EpipolarLine(ViewAt(other), ViewAt(at), PixelAt(other), &line);
+    return defined ? SineTo(line, at) : 0;
+  }
+
+  // Groups well-conditioned candidates by view and puts the best-conditioned views first.
+  std::vector<CandidateView> RankViews(Place start, const Place* candidates,
+                                       int64_t num_candidates) const {
+    std::vector<CandidateView> groups;
+    int32_t view = -1;
+    const Vec3 ray = ViewAt(start).Ray(PixelAt(start));
+    for (int64_t i = 0; i < num_candidates; ++i) {
+      const Place at = candidates[i];
+      const double sine = std::min(EpipolarSine(start, at), EpipolarSine(at, start));
+      const double parallax = Norm(Cross(ray, ViewAt(at).Ray(PixelAt(at))));
+      if (sine < settings_.min_epipolar_sine) continue;
+      const std::array<Sighting, 2> pair = {SightingOf(start), SightingOf(at)};
+      Vec3 point;
+      if (!Triangulate(pair.data(), 2, &point)) continue;
+      if (at.view != view) groups.push_back({at.view, {}, 0});
+      view = at.view;
+      const double score = sine * std::min(1.0, parallax / settings_.full_triangulation_sine);
+      groups.back().candidates.push_back({at, point, 1 / Norm(point - ViewAt(start).center)});
+      groups.back().score = std::max(groups.back().score, score);
+    }
+    for (CandidateView& group : groups) {
+      std::stable_sort(
+          group.candidates.begin(), group.candidates.end(),
+          [](const auto& a, const auto& b) { return a.inverse_distance < b.inverse_distance; });
+    }
+    std::stable_sort(groups.begin(), groups.end(),
+                     [](const auto& a, const auto& b) { return a.score > b.score; });
+    return groups;
+  }
+
+  bool TriangulateStrands(const std::vector<Strand>& strands, Vec3* point, double* error,
+                          int* worst = nullptr) const {
+    std::vector<Sighting>& sightings = Sightings();
+    sightings.clear();
+    for (const Strand& strand : strands) sightings.push_back(SightingOf(strand.at));
+    const int count = int(sightings.size());
+    if (!Triangulate(sightings.data(), count, point)) return false;
+    *error = MaxReprojectionError(sightings.data(), count, *point, worst);
+    return true;
+  }
+
+  // Number of different valid selections (at most 2) on three views; keeps the best of the first.
+  int SelectUnique(Place start, const CandidateView& a, const CandidateView& b,
+                   Selection* best) const {
+    for (const Candidate& first : a.candidates) {
+      const auto [begin, end] = MayAgree(first, a, b);
+      for (size_t k = begin; k < end; ++k) {
+        Selection selection;
+        selection.strands = {{start, 1}, {first.at, 0}, {b.candidates[k].at, 0}};
+        if (!TriangulateStrands(selection.strands, &selection.point, &selection.error) ||
+            selection.error > settings_.max_error_px || !MatchDirections(&selection)) {
+          continue;
+        }
+        if (!best->strands.empty() && !SamePoint(selection, *best)) return 2;
+        if (selection.error < best->error) *best = selection;
+      }
+    }
+    return best->strands.empty() ? 0 : 1;
+  }
+
+  // The range of candidates of view b that may triangulate with a candidate of view a: a cheap
+  // necessary test. The point of the start and one candidate must project near the other, within
+  // a slack for the error that triangulation may spread over the three views.
+  std::pair<size_t, size_t> MayAgree(const Candidate& first, const CandidateView& a,
+                                     const CandidateView& b) const {
+    const PinholeView &view_a = views_[a.view]->pose(), &view_b = views_[b.view]->pose();
+    const Vec2 pixel_a = PixelAt(first.at);
+    Vec2 expected;
+    const bool projects = view_b.Project(first.point, &expected);
+    const double slack = 4 * settings_.max_error_px;
+    const auto agrees = [&](const Candidate& second) {
+      Vec2 pixel;
+      return (projects && Norm(PixelAt(second.at) - expected) <= slack) ||
+             (view_a.Project(second.point, &pixel) && Norm(pixel - pixel_a) <= slack);
+    };
+    const auto nearest = std::lower_bound(
+        b.candidates.begin(), b.candidates.end(), first.inverse_distance,
+        [](const Candidate& c, double value) { return c.inverse_distance < value; });
+    size_t begin = nearest - b.candidates.begin(), end = begin;
+    while (begin > 0 && agrees(b.candidates[begin - 1])) --begin;
+    while (end < b.candidates.size() && agrees(b.candidates[end])) ++end;
+    return {begin, end};
+  }
+
+  // Whether two selections are one 3D point as far as the views of the first can tell.
+  bool SamePoint(const Selection& a, const Selection& b) const {
+    for (const Strand& strand : a.strands) {
+      Vec2 p, q;
+      if (!ViewAt(strand.at).Project(a.point, &p) || !ViewAt(strand.at).Project(b.point, &q) ||
+          Norm(p - q) > settings_.max_error_px) {
+        return false;
+      }
+    }
+    return true;
+  }
+
+  // Longest walk allowed on another view for one step of the leading view at `point`.
+  double Reach(const PinholeView& leader, const PinholeView& other, const Vec3& point) const {
+    const double leader_scale = leader.focal_px / leader.FromWorld(point).z;
+    const double other_scale = other.focal_px / other.FromWorld(point).z;
+    return settings_.max_step_ratio * settings_.step_px * std::max(1.0, other_scale / leader_scale);
+  }
+
+  // Finds the directions of the strands that belong together: one step along the leader, the first
+  // crossing each way on the others, the combination that triangulates best. True when at least
+  // min_steps (1 or 2: one or both directions) work.
+  bool MatchDirections(Selection* selection) const {
+    std::array<StepResult, 2> steps;
+    for (int k = 0; k < 2; ++k) FirstStep(*selection, k == 0 ? 1 : -1, &steps[k]);
+    if (steps[0].strands.empty() && steps[1].strands.empty()) return false;
+    const int base = steps[0].error <= steps[1].error ? 0 : 1;
+    const int lead = base == 0 ? 1 : -1;
+    for (size_t i = 0; i < selection->strands.size(); ++i) {
+      selection->strands[i].sign = lead * steps[base].strands[i].sign;
+    }
+    int valid = 1;
+    if (settings_.min_steps > 1) {
+      std::vector<Strand> strands = selection->strands;
+      if (base == 0) Reverse(&strands);
+      StepResult step;
+      valid += Step(strands, selection->point, &step);
+    }
+    return valid >= std::min(settings_.min_steps, 2);
+  }
+
+  static void Reverse(std::vector<Strand>* strands) {
+    for (Strand& strand : *strands) strand.sign = -strand.sign;
+  }
+
+  bool Step(Place from, int sign, Place* to) const {
+    to->view = from.view;
+    return Walk(ChainsAt(from), from.position, sign, settings_.step_px, &to->position);
+  }
+
+  // One step of the leader with `sign`, all combinations of directions of the other two strands.
+  void FirstStep(const Selection& selection, int sign, StepResult* best) const {
+    Place lead;
+    if (!Step(selection.strands[0].at, sign, &lead)) return;
+    std::array<std::vector<Strand>, 2> next;
+    for (int k = 0; k < 2; ++k) {
+      for (const int direction : {1, -1}) {
+        Strand strand{selection.strands[k + 1].at, direction};
+        if (MoveToLine(lead, selection.point, &strand)) next[k].push_back(strand);
+      }
+    }
+    for (const Strand& a : next[0]) {
+      for (const Strand& b : next[1]) {
+        StepResult step;
+        step.strands = {{lead, sign}, a, b};
+        if (TriangulateStrands(step.strands, &step.point, &step.error) &&
+            step.error <= settings_.max_error_px &&
+            Plausible(selection.point, step.point, step.strands) && step.error < best->error) {
+          *best = step;
+        }
+      }
+    }
+  }
+
+  // Moves a strand to its first crossing with the epipolar line of the leader's new place.
+  bool MoveToLine(Place lead, const Vec3& point, Strand* strand) const {
+    Line2D line;
+    const PinholeView &from = ViewAt(lead), &to = ViewAt(strand->at);
+    if (!EpipolarLine(from, to, PixelAt(lead), &line)) return false;
+    Place at = strand->at;
+    if (!FirstCrossing(ChainsAt(at), at.position, strand->sign, line, Reach(from, to, point),
+                       &at.position) ||
+        SineTo(line, at) < settings_.min_epipolar_sine) {
+      return false;
+    }
+    strand->at = at;
+    return true;
+  }
+
+  // False for a 3D step much longer than what a view sees of it: an edge towards the camera, in
+  // truth a jump in depth.
+  bool Plausible(const Vec3& from, const Vec3& to, const std::vector<Strand>& strands) const {
+    double longest = 0, frontal = 0;
+    for (const Strand& strand : strands) {
+      const PinholeView& view = ViewAt(strand.at);
+      Vec2 a, b;
+      if (!view.Project(from, &a) || !view.Project(to, &b)) return false;
+      longest = std::max(longest, Norm(b - a));
+      frontal = std::max(frontal, Norm(to - from) * view.focal_px / view.FromWorld(to).z);
+    }
+    return frontal <= settings_.max_stretch * longest;
+  }
+
+  // One step of all strands; views that end or disagree drop out while min_views remain. When the
+  // leading chain ends, the next view leads.
+  bool Step(const std::vector<Strand>& strands, const Vec3& point, StepResult* step) const {
+    for (size_t leader = 0; leader + settings_.min_views <= strands.size(); ++leader) {
+      Place lead;
+      if (!Step(strands[leader].at, strands[leader].sign, &lead)) continue;
+      step->strands = {{lead, strands[leader].sign}};
+      for (size_t i = leader + 1; i < strands.size(); ++i) {
+        Strand strand = strands[i];
+        if (MoveToLine(lead, point, &strand)) step->strands.push_back(strand);
+      }
+      if (Reconcile(step) && Plausible(point, step->point, step->strands)) return true;
+    }
+    return false;
+  }
+
+  // Triangulates, leaving out the worst strand while the error is too large.
+  bool Reconcile(StepResult* step) const {
+    while (int(step->strands.size()) >= settings_.min_views) {
+      int worst = 0;
+      if (!TriangulateStrands(step->strands, &step->point, &step->error, &worst)) return false;
+      if (step->error <= settings_.max_error_px) return true;
+      step->strands.erase(step->strands.begin() + worst);
+    }
+    return false;
+  }
+
+  // Adds the candidates of further views that fit the point and the directions of its edge.
+  void Extend(const std::vector<CandidateView>& groups, Selection* selection) const {
+    std::array<StepResult, 2> steps;
+    std::array<bool, 2> stepped;
+    for (int k = 0; k < 2; ++k) {
+      std::vector<Strand> strands = selection->strands;
+      if (k == 1) Reverse(&strands);
+      stepped[k] = Step(strands, selection->point, &steps[k]);
+    }
+    for (const CandidateView& group : groups) {
+      Selection best;
+      if (SeenFrom(group.view, selection->strands)) continue;
+      for (const Candidate& candidate : group.candidates) {
+        const Place at = candidate.at;
+        Vec2 pixel;
+        if (!ViewAt(at).Project(selection->point, &pixel) ||
+            Norm(pixel - PixelAt(at)) > 4 * settings_.max_error_px) {
+          continue;
+        }
+        Selection extended = *selection;
+        extended.strands.push_back({at, 0});
+        if (!TriangulateStrands(extended.strands, &extended.point, &extended.error) ||
+            extended.error > settings_.max_error_px || extended.error >= best.error) {
+          continue;
+        }
+        for (const int sign : {1, -1}) {
+          extended.strands.back().sign = sign;
+          if (FitsSteps(extended.strands.back(), steps, stepped)) {
+            best = extended;
+            break;
+          }
+        }
+      }
+      if (!best.strands.empty()) *selection = best;
+    }
+  }
+
+  bool SeenFrom(int32_t view, const std::vector<Strand>& strands) const {
+    return std::any_of(strands.begin(), strands.end(),
+                       [&](const Strand& s) { return s.at.view == view; });
+  }
+
+  // Whether a new strand's neighbours see the neighbouring 3D points, wherever there are any.
+  bool FitsSteps(const Strand& strand, const std::array<StepResult, 2>& steps,
+                 const std::array<bool, 2>& stepped) const {
+    int fits = 0;
+    for (int k = 0; k < 2; ++k) {
+      if (!stepped[k]) continue;
+      Strand next{strand.at, k == 0 ? strand.sign : -strand.sign};
+      Vec2 pixel;
+      if (MoveToLine(steps[k].strands[0].at, steps[k].point, &next) &&
+          ViewAt(next.at).Project(steps[k].point, &pixel)) {
+        fits += Norm(pixel - PixelAt(next.at)) <= settings_.max_error_px;
+      }
+    }
+    return fits > 0;
+  }
+
+  static EdgePoint3D MakePoint(const Vec3& position, const std::vector<Strand>& strands) {
+    EdgePoint3D point{position, {}};
+    for (const Strand& strand : strands) point.track.push_back(strand.at);
+    return point;
+  }
+
+  // Follows the selection forward, then backward.
+  void Follow(const Selection& selection, Edge3D* edge) const {
+    std::vector<EdgePoint3D> forward, backward;
+    edge->points.clear();
+    edge->closed = FollowOneWay(selection, &forward);
+    if (!edge->closed) {
+      Selection reversed = selection;
+      Reverse(&reversed.strands);
+      FollowOneWay(reversed, &backward);
+    }
+    edge->points.assign(backward.rbegin(), backward.rend());
+    edge->points.push_back(MakePoint(selection.point, selection.strands));
+    edge->points.insert(edge->points.end(), forward.begin(), forward.end());
+  }
+
+  // True when the edge came round to its start.
+  bool FollowOneWay(const Selection& selection, std::vector<EdgePoint3D>* points) const {
+    std::vector<Strand> strands = selection.strands;
+    Vec3 point = selection.point;
+    StepResult step;
+    while (int64_t(points->size()) < num_points_ && Step(strands, point, &step)) {
+      EdgePoint3D next = MakePoint(step.point, step.strands);
+      if (MostlyCovered(next.track, covered_)) return false;
+      if (points->size() > 1 && CameRound(strands, step.strands, selection)) return true;
+      strands = step.strands;
+      point = step.point;
+      points->push_back(std::move(next));
+    }
+    return false;
+  }
+
+  // Whether the last step of the leader on a closed polyline passed the place it started from;
+  // the leader of the start may have dropped out meanwhile.
+  bool CameRound(const std::vector<Strand>& before, const std::vector<Strand>& after,
+                 const Selection& selection) const {
+    const Place now = after[0].at;
+    const EdgeIndex& chains = ChainsAt(now);
+    const int32_t polyline = chains.polyline(int64_t(now.position));
+    const auto place_on_it = [&](const std::vector<Strand>& strands) {
+      return std::find_if(strands.begin(), strands.end(), [&](const Strand& strand) {
+        return OnOnePolyline(views_, strand.at, now);
+      });
+    };
+    const auto begun = place_on_it(selection.strands), previous = place_on_it(before);
+    if (!chains.closed(polyline) || begun == selection.strands.end() || previous == before.end()) {
+      return false;
+    }
+    const double size = double(chains.last(polyline) - chains.first(polyline) + 1);
+    const auto ahead = [&](Place at) {  // points from the last place on, in walking direction
+      const double delta = at.position - previous->at.position;
+      return std::fmod(after[0].sign * delta + 2 * size, size);
+    };
+    return ahead(begun->at) <= ahead(now);
+  }
+
+  static std::vector<Sighting>& Sightings() {
+    thread_local std::vector<Sighting> sightings;
+    return sightings;
+  }
+
+  const Views& views_;
+  const FollowSettings& settings_;
+  const Coverage& covered_;
+  int64_t num_points_ = 0;
+};
+
+// Marks the chain points between two places on one polyline, the shorter way on a closed one.
+inline void MarkStretch(const EdgeIndex& chains, double a, double b,
+                        std::vector<uint8_t>* covered) {
+  const int32_t polyline = chains.polyline(int64_t(a));
+  const int64_t low = int64_t(std::min(a, b)), high = int64_t(std::max(a, b));
+  const int64_t first = chains.first(polyline), last = chains.last(polyline);
+  const auto mark = [&](int64_t from, int64_t to) {
+    std::fill(covered->begin() + from, covered->begin() + to + 1, uint8_t(1));
+  };
+  if (chains.closed(polyline) && 2 * (high - low) > last - first + 1) {
+    mark(high, last), mark(first, low);
+  } else {
+    mark(low, high);
+  }
+}
+
+// Marks what an edge covers in every view that sees consecutive points of it.
+inline void MarkEdge(const Views& views, const Edge3D& edge, Coverage* covered) {
+  const size_t count = edge.points.size();
+  for (size_t i = 0; i + 1 < count + (edge.closed ? 1 : 0); ++i) {
+    for (const Place& a : edge.points[i].track) {
+      for (const Place& b : edge.points[(i + 1) % count].track) {
+        if (!OnOnePolyline(views, a, b)) continue;
+        MarkStretch(*views[a.view], a.position, b.position, &(*covered)[a.view]);
+      }
+    }
+  }
+}
+
+// Whether an edge traced before the last changes of `covered` would be traced differently now.
+inline bool RunsIntoCovered(const Edge3D& edge, const Coverage& covered) {
+  return std::any_of(edge.points.begin(), edge.points.end(),
+                     [&](const EdgePoint3D& point) { return MostlyCovered(point.track, covered); });
+}
+
+struct Pepcs {
+  const Place* starts;
+  int64_t num_starts;
+  const int64_t* offsets;  // CSR of the candidates by start, those of a start grouped by view
+  const Place* candidates;
+};
+
+// Validates the PEPCs in order and follows the accepted ones. They are traced in batches against
+// the coverage at the start of the batch; one whose surroundings were covered by an earlier one
+// of its batch is traced again, so the result is that of one thread.
+inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
+                                      const FollowSettings& settings, int num_threads,
+                                      std::vector<StartOutcome>* outcomes) {
+  constexpr int64_t kBatch = 256;
+  Coverage covered;
+  for (const EdgeIndex* chains : views) covered.emplace_back(chains->num_points());
+  const EdgeTracer tracer(views, settings, covered);
+  std::vector<Edge3D> edges, batch(kBatch);
+  outcomes->assign(pepcs.num_starts, StartOutcome::kCovered);
+  const auto trace = [&](int64_t i, Edge3D* edge) {
+    (*outcomes)[i] = tracer.Trace(pepcs.starts[i], pepcs.candidates + pepcs.offsets[i],
+                                  pepcs.offsets[i + 1] - pepcs.offsets[i], edge);
+  };
+  for (int64_t begin = 0; begin < pepcs.num_starts; begin += kBatch) {
+    const int64_t count = std::min(kBatch, pepcs.num_starts - begin);
+    ParallelBlocks(count, num_threads, 8, [&](int64_t k) { trace(begin + k, &batch[k]); });
+    for (int64_t k = 0; k < count; ++k) {
+      const int64_t i = begin + k;
+      if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
+      if (IsCovered(pepcs.starts[i], covered) || RunsIntoCovered(batch[k], covered)) {
+        trace(i, &batch[k]);
+        if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
+      }
+      MarkEdge(views, batch[k], &covered);
+      edges.push_back(std::move(batch[k]));
+    }
+  }
+  return edges;
+}
+
+}  // namespace colmap_edges
