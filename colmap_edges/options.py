@@ -409,8 +409,8 @@ class MeshingOptions(Options):
 
     method: str = option(
         "graphcut",
-        "How free cells are told from solid ones: minimum cut, votes of rays, or votes with a "
-        "region that grows as a manifold (the paper's)",
+        "How free cells are told from solid ones: minimum cut, votes of rays, or votes of rays "
+        "and a sweep that makes the boundary a manifold (the paper's)",
         choices=("graphcut", "carve", "manifold"),
         basic=True,
     )
@@ -439,16 +439,31 @@ class MeshingOptions(Options):
         basic=True,
     )
     vote_crossed: float = option(
-        1.0, "carve, manifold: vote of a ray for a cell it crosses (w1)", within=(0, 1000)
+        1.0,
+        "carve, manifold: vote of a ray for each cell it crosses (the paper's w1, 1)",
+        within=(0, 1000),
     )
     vote_near: float = option(
-        0.2, "carve, manifold: vote for the cells around (w2)", within=(0, 1000)
+        0.0,
+        "carve, manifold: vote for the neighbours of these cells (the paper's w2, 0.2)",
+        within=(0, 1000),
     )
     vote_far: float = option(
-        0.0, "carve, manifold: vote for the cells around those (w3)", within=(0, 1000)
+        0.0,
+        "carve, manifold: vote for the neighbours of those (the paper's w3, 0)",
+        within=(0, 1000),
+    )
+    vote_behind: float = option(
+        1.0,
+        "carve, manifold: vote of a ray against each of the two cells behind its point, so that a "
+        "few wrong rays do not open a surface that many rays see; 0, as in the paper, counts none",
+        within=(0, 1000),
     )
     vote_threshold: float = option(
-        1.0, "carve, manifold: votes that make a cell free", within=(0.01, 1e6)
+        2.1,
+        "carve, manifold: votes that make a cell free; above 2, no two rays alone do (the paper "
+        "with w2 0.2: 1)",
+        within=(0.01, 1e6),
     )
     merge_factor: float = option(
         0.05,

@@ -55,8 +55,9 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
                      const Matrix<double, 3>& background_directions, const std::string& method,
                      double sigma_factor, double quality_weight, double edge_solid_weight,
                      double background_weight, const std::array<double, 3>& vote_weights,
-                     double vote_threshold, double merge_factor, double min_segment_factor,
-                     double long_facet_factor, int min_component_faces, int num_threads) {
+                     double vote_behind, double vote_threshold, double merge_factor,
+                     double min_segment_factor, double long_facet_factor, int min_component_faces,
+                     int num_threads) {
   const mesher::MesherInput input{ToPoints(points),
                                   ToRows(offsets, cameras),
                                   ToPoints(centers),
@@ -69,7 +70,7 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
   options.min_segment_factor = min_segment_factor;
   options.visibility = {sigma_factor, quality_weight, edge_solid_weight, background_weight,
                         num_threads};
-  options.votes = {vote_weights, vote_threshold, num_threads};
+  options.votes = {vote_weights, vote_behind, vote_threshold, background_weight, num_threads};
   options.surface = {long_facet_factor, min_component_faces};
   mesher::MesherResult result;
   {
@@ -88,7 +89,7 @@ NB_MODULE(_mesher, m) {
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,
         "background_directions"_a, nb::kw_only(), "method"_a, "sigma_factor"_a, "quality_weight"_a,
-        "edge_solid_weight"_a, "background_weight"_a, "vote_weights"_a, "vote_threshold"_a,
-        "merge_factor"_a, "min_segment_factor"_a, "long_facet_factor"_a, "min_component_faces"_a,
-        "num_threads"_a);
+        "edge_solid_weight"_a, "background_weight"_a, "vote_weights"_a, "vote_behind"_a,
+        "vote_threshold"_a, "merge_factor"_a, "min_segment_factor"_a, "long_facet_factor"_a,
+        "min_component_faces"_a, "num_threads"_a);
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Free space by votes: every ray votes for the cells it crosses and for those around them.
+// Free space by votes: every ray votes for the cells it crosses and for those around them, and
+// against the two cells right behind its point.
 #pragma once
 
 #include <array>
@@ -12,12 +13,15 @@ namespace mesher {
 
 struct VoteOptions {
   // Of one ray: for the cells it crosses, for their neighbors and for the neighbors of those.
-  std::array<double, 3> weights{1, 0.2, 0};
-  double threshold = 1;  // votes that make a cell free
+  std::array<double, 3> weights{1, 0, 0};
+  double behind = 1;              // of one ray, against each of the two cells that follow its point
+  double threshold = 2.1;         // votes that make a cell free
+  double background_weight = 16;  // of a ray to the background against one to a point
   int num_threads = 1;
 };
 
-// Votes of all rays for each cell; see VisibilityProblem for `rays`.
+// Votes of all rays for each cell to be free, less those against it; see VisibilityProblem for
+// `rays`.
 std::vector<double> CountVotes(const Triangulation& triangulation, const Rows& rays,
                                const std::vector<Vec3>& cameras,
                                const std::vector<BackgroundRay>& background,

@@ -7,7 +7,7 @@
 #include <stdexcept>
 
 #include "conforming.h"
-#include "manifold_growth.h"
+#include "manifold_sweep.h"
 #include "merging.h"
 #include "min_cut.h"
 
@@ -274,11 +274,15 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
     result.stats["cut_value"] = static_cast<double>(cut.flow) / kRayWeight;
     return std::move(cut.is_source);
   }
-  const auto votes =
+  auto votes =
       CountVotes(triangulation, scene.rays, scene.cameras, scene.background, options.votes);
   watch.Lap("visibility");
-  auto is_free = FreeByVotes(votes, options.votes.threshold);
-  return options.method == "carve" ? is_free : GrowManifold(triangulation, votes, is_free);
+  if (options.method == "carve") return FreeByVotes(votes, options.votes.threshold);
+  for (double& vote : votes) vote -= options.votes.threshold;
+  ManifoldRegion region = SweepManifold(triangulation, votes);
+  result.stats["cells_closed"] = region.cells_closed;
+  result.stats["cells_opened"] = region.cells_opened;
+  return std::move(region.is_free);
 }
 
 // How far away each vertex is seen from: the distance of the nearest of its cameras, or the median

@@ -15,7 +15,7 @@
 #include <set>
 
 #include "free_space.h"
-#include "manifold_growth.h"
+#include "manifold_sweep.h"
 #include "merging.h"
 #include "mesher.h"
 #include "min_cut.h"
@@ -264,33 +264,80 @@ void TestSurfaceOfRandomLabels() {
   }
 }
 
-bool IsAddable(const Triangulation& triangulation, std::vector<std::uint8_t> region, Index cell) {
-  region[cell] = 1;
+// Whether one component of cells at most is on each side, by union of all pairs that share a facet.
+bool IsDisk(const Triangulation& triangulation, const std::vector<std::uint8_t>& region, Index v) {
+  const std::vector<Index> star(triangulation.stars.begin(v), triangulation.stars.end(v));
+  int parts[2] = {0, 0};
+  std::set<Index> seen;
+  for (const Index seed : star) {
+    if (seen.count(seed)) continue;
+    ++parts[region[seed]];
+    std::vector<Index> reached{seed};
+    for (std::size_t i = 0; i < reached.size(); ++i) {
+      if (!seen.insert(reached[i]).second) continue;
+      for (const Index other : star) {
+        const auto &a = triangulation.cells[other].vertices,
+                   &b = triangulation.cells[reached[i]].vertices;
+        const auto shared = std::count_if(
+            a.begin(), a.end(), [&](Index w) { return std::count(b.begin(), b.end(), w); });
+        if (shared == 3 && region[other] == region[seed]) reached.push_back(other);
+      }
+    }
+  }
+  return parts[0] <= 1 && parts[1] <= 1;
+}
+
+bool MayFlip(const Triangulation& triangulation, std::vector<std::uint8_t> region, Index cell) {
+  region[cell] ^= 1;
   const auto& vertices = triangulation.cells[cell].vertices;
   return std::all_of(vertices.begin(), vertices.end(), [&](Index v) {
     return v == kInfinite || IsRegular(triangulation, region, v);
   });
 }
 
-// Random labels are far from a manifold: growth has to stop, but not before it must.
-void TestGrowthIsRegularAndMaximal() {
-  for (int round = 0; round < 30; ++round) {
+// Random votes are far from a manifold, ties included: the sweep has to end, with a manifold that
+// no single cell brings nearer to the votes.
+void TestSweepEndsWithTheNearestManifold() {
+  for (int round = 0; round < 60; ++round) {
     Random random(round);
-    const auto points = Sorted(RandomPoints(150, random));
+    const auto points = Sorted(round % 2 ? GridPoints(5) : RandomPoints(150, random));
     const Triangulation triangulation = DelaunayBuilder(points).Flatten();
     std::vector<double> votes(triangulation.cells.size());
-    for (double& vote : votes) vote = random() % 10;
-    const auto is_free = FreeByVotes(votes, 3);
-    const auto region = GrowManifold(triangulation, votes, is_free);
-    Check(std::count(region.begin(), region.end(), 1) > 0, "nothing grows", round);
+    for (double& vote : votes) vote = round % 3 ? int(random() % 20) - 10 : int(random() % 2) - 1;
+    const ManifoldRegion region = SweepManifold(triangulation, votes);
+    Index closed = 0, opened = 0;
     for (Index c = 0; c < triangulation.num_cells(); ++c) {
-      Check(!region[c] || is_free[c], "growth took a solid cell", round);
-      if (!region[c] && is_free[c])
-        Check(!IsAddable(triangulation, region, c), "growth stopped early", round);
+      const bool is_voted = votes[c] >= 0;
+      closed += is_voted && !region.is_free[c];
+      opened += !is_voted && region.is_free[c];
+      if (bool(region.is_free[c]) != is_voted)
+        Check(!MayFlip(triangulation, region.is_free, c), "the sweep stopped early", round);
     }
+    Check(closed == region.cells_closed && opened == region.cells_opened, "miscounted", round);
     for (Index v = 0; v < triangulation.num_vertices(); ++v)
-      Check(IsRegular(triangulation, region, v), "growth left a vertex that is no disk", round);
+      Check(IsDisk(triangulation, region.is_free, v), "a vertex is no disk", round);
   }
+}
+
+// What is a manifold already stays as it is, whatever its genus: here a ring of cubes' cells.
+void TestSweepKeepsManifolds() {
+  const auto points = Sorted(GridPoints(6));
+  const Triangulation triangulation = DelaunayBuilder(points).Flatten();
+  std::vector<double> votes(triangulation.cells.size(), 5);
+  for (Index c = 0; c < triangulation.num_cells(); ++c) {
+    const Cell& cell = triangulation.cells[c];
+    if (cell.IsInfinite()) continue;
+    Vec3 middle;
+    for (Index v : cell.vertices) middle = middle + 0.25 * triangulation.points[v];
+    const auto is_middle = [](double x) { return x > 2 && x < 3; };
+    const auto is_inside = [](double x) { return x > 1 && x < 4; };
+    if (is_inside(middle.x) && is_inside(middle.y) && is_middle(middle.z) &&
+        !(is_middle(middle.x) && is_middle(middle.y)))
+      votes[c] = -5;
+  }
+  const ManifoldRegion region = SweepManifold(triangulation, votes);
+  Check(region.cells_closed == 0 && region.cells_opened == 0, "the sweep changed a ring", 0);
+  Check(std::count(region.is_free.begin(), region.is_free.end(), 0) > 0, "no ring", 0);
 }
 
 void TestRepresentativesEqualBruteForce() {
@@ -363,7 +410,8 @@ int main() {
   mesher::TestWalkerOnGrids();
   mesher::TestCutEqualsBoost();
   mesher::TestSurfaceOfRandomLabels();
-  mesher::TestGrowthIsRegularAndMaximal();
+  mesher::TestSweepEndsWithTheNearestManifold();
+  mesher::TestSweepKeepsManifolds();
   mesher::TestRepresentativesEqualBruteForce();
   mesher::TestAllMethodsOnHardInput();
   std::puts("all passed");

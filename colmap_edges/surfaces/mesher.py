@@ -136,9 +136,8 @@ def mesh_points(
 ) -> Mesh:
     """Mesh points that cameras see.
 
-    Points with coordinates that are not finite are left out; coinciding points, and nearly
-    coinciding ones of edges, become one that all their cameras see. The result does not depend on
-    the order of points and rays, nor on the number of threads.
+    Points that are not finite are left out; coinciding points, and nearly coinciding ones of
+    edges, become one that all their cameras see. The order of points and rays does not matter.
 
     Args:
         points: (N, 3) float64.
@@ -174,6 +173,7 @@ def mesh_points(
         edge_solid_weight=options.edge_solid_weight,
         background_weight=options.background_weight,
         vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
+        vote_behind=options.vote_behind,
         vote_threshold=options.vote_threshold,
         merge_factor=options.merge_factor,
         min_segment_factor=options.min_segment_factor and max(options.min_segment_factor, FINEST),

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Free space whose boundary is a 2-manifold.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "triangulation.h"
+
+namespace mesher {
+
+struct ManifoldRegion {
+  std::vector<std::uint8_t> is_free;
+  Index cells_closed = 0;  // free by votes, but solid in the region
+  Index cells_opened = 0;  // solid by votes, but free in the region
+};
+
+// The region of free cells that has a 2-manifold for a boundary and hardly differs from the cells
+// that votes make free. `votes` are those beyond the threshold: cells from 0 are free.
+//
+// Growing a region cell by cell from the most voted one (Litvinov & Lhuillier 2013, Romanoni &
+// Matteucci 2015) keeps a manifold at every step, but is cornered by the many vertices where voted
+// cells touch in a vertex or along an edge only. This sweep begins with all voted cells and repairs
+// these critical vertices: of several fans of free (or of solid) cells around a vertex, connected
+// through facets, the one whose votes are least against it changes sides as a whole, until one fan
+// of each remains. That may make neighboring vertices critical, which are repaired in turn. Cells
+// pay for changing sides often, and stay solid after `kMaxFlips` changes, so that the repair ends.
+// Then the region grows and shrinks cell by cell towards the votes, as long as it stays a manifold.
+ManifoldRegion SweepManifold(const Triangulation& triangulation, const std::vector<double>& votes);
+
+// Whether the cells around a vertex that are in `region`, and those that are not, each form at most
+// one component connected through facets: then its boundary is a disk there.
+bool IsRegular(const Triangulation& triangulation, const std::vector<std::uint8_t>& region,
+               Index vertex);
+
+}  // namespace mesher
