@@ -86,7 +86,7 @@ class ViewSelectionOptions(Options):
         "num_neighbors at least",
         within=(2, 100),
     )
-    num_witnesses: int = option(
+    num_observing_views: int = option(
         40,
         "Largest number of views in which observations of an edge are looked for",
         within=(2, 1000),
@@ -99,11 +99,11 @@ class ViewSelectionOptions(Options):
     max_angle_deg: float = option(
         60.0,
         "Largest triangulation angle between compared views, in degrees; where too few are within "
-        "it, max_witness_angle_deg counts",
+        "it, max_observing_angle_deg counts",
         within=(1, 180),
         basic=True,
     )
-    max_witness_angle_deg: float = option(
+    max_observing_angle_deg: float = option(
         120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
@@ -137,7 +137,7 @@ class ChainDepthOptions(Options):
     detection_rate: float = option(
         0.8, "Chance that an edge that is not hidden is detected", within=(0.01, 0.95)
     )
-    none_score: float = option(
+    min_log_likelihood_ratio: float = option(
         3.0,
         "Log likelihood ratio that the agreement of views must exceed to count",
         within=(-10, 50),
@@ -204,7 +204,7 @@ class TracingOptions(Options):
         within=(1, 10),
         basic=True,
     )
-    max_cross_check_px: float = option(
+    max_inconsistency_px: float = option(
         3.0,
         "Largest difference of two views' depths of one point, in pixels of disparity",
         within=(0.05, 50),
@@ -544,14 +544,14 @@ class PipelineOptions(Options):
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "detection": {"min_blur_px": 0.0},
-        "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_witnesses": 20},
+        "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_observing_views": 20},
         "chain_depth": {"sample_step_px": 36},
         "tracing": {"point_spacing_px": 6},
     },
     "medium": {},
     "high": {
         "detection": {"min_blur_px": 1.2},
-        "view_selection": {"num_neighbors": 16, "num_witnesses": 60},
+        "view_selection": {"num_neighbors": 16, "num_observing_views": 60},
         "chain_depth": {"sample_step_px": 8},
         "tracing": {"point_spacing_px": 3},
     },

@@ -15,7 +15,12 @@ from colmap_edges.edges2d.detection import Chains, detect_chains
 from colmap_edges.edges2d.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edges2d.masking import outside_mask
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images.background import NO_BACKDROP, Backdrop, masked_backdrop, plain_backdrop
+from colmap_edges.images.background import (
+    NO_BACKGROUND_MASK,
+    BackgroundMask,
+    masked_background,
+    plain_background,
+)
 from colmap_edges.images.files import colors_at, decode_image, gray_of, path_of_image, read_bytes
 from colmap_edges.images.masks import MaskFile, decode_mask, read_mask
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
@@ -39,14 +44,14 @@ class DetectedEdges:
         dropped: (K, 2) points of chains that are not in the graph, image pixels.
         num_chains: chains of the detector, before they are joined.
         num_chain_pixels: their points.
-        backdrop: the plain backdrop, where the image has one.
+        background_mask: the plain backdrop, where the image has one.
     """
 
     graph: EdgeGraph
     dropped: FloatArray
     num_chains: int
     num_chain_pixels: int
-    backdrop: Backdrop = NO_BACKDROP
+    background_mask: BackgroundMask = NO_BACKGROUND_MASK
 
 
 class Visitor(Protocol):
@@ -111,7 +116,7 @@ class ImageRecord:
         key: key of its graph in the cache; empty without a cache.
         masked: whether it has a mask.
         reused: whether its graph was there.
-        backdrop: what the image shows of the background.
+        background_mask: what the image shows of the background.
         damage: why the image could not be read; none when it could.
         visited: what the visitor gave back.
     """
@@ -120,7 +125,7 @@ class ImageRecord:
     key: str = ""
     masked: bool = False
     reused: bool = False
-    backdrop: Backdrop = NO_BACKDROP
+    background_mask: BackgroundMask = NO_BACKGROUND_MASK
     damage: ImageError | None = field(default=None)
     visited: Any = None
 
@@ -178,16 +183,16 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
             return image if entry is None else decode_image(data, path, view)
 
         visited = work.visitor.visit(index, view, read, found)
-    backdrop = found.backdrop
+    background_mask = found.background_mask
     if work.masks_are_background:
-        backdrop = NO_BACKDROP if usable is None else masked_backdrop(usable)
+        background_mask = NO_BACKGROUND_MASK if usable is None else masked_background(usable)
     record = ImageRecord(
         counts=counts_of(found),
         key=key,
         masked=mask is not None,
         reused=entry is not None,
         visited=visited,
-        backdrop=backdrop,
+        background_mask=background_mask,
     )
     return found.graph, record
 
@@ -205,7 +210,7 @@ def detect_edges(
         dropped=dropped,
         num_chains=len(chains.offsets) - 1,
         num_chain_pixels=len(chains.points),
-        backdrop=plain_backdrop(image),
+        background_mask=plain_background(image),
     )
 
 
@@ -232,7 +237,9 @@ def arrays_of(found: DetectedEdges) -> Arrays:
     arrays = {entry.name: getattr(found.graph, entry.name) for entry in fields(EdgeGraph)}
     counts = np.array([found.num_chains, found.num_chain_pixels])
     arrays |= {"dropped": found.dropped, "num_chains_and_pixels": counts}
-    return arrays | {f"backdrop_{name}": array for name, array in vars(found.backdrop).items()}
+    return arrays | {
+        f"background_mask_{name}": array for name, array in vars(found.background_mask).items()
+    }
 
 
 def edges_from(arrays: Arrays) -> DetectedEdges:
@@ -243,7 +250,9 @@ def edges_from(arrays: Arrays) -> DetectedEdges:
         dropped=arrays["dropped"],
         num_chains=num_chains,
         num_chain_pixels=num_chain_pixels,
-        backdrop=Backdrop(**{e.name: arrays[f"backdrop_{e.name}"] for e in fields(Backdrop)}),
+        background_mask=BackgroundMask(
+            **{e.name: arrays[f"background_mask_{e.name}"] for e in fields(BackgroundMask)}
+        ),
     )
 
 

@@ -32,7 +32,7 @@ NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
 
 
-def enlarged(model: Model, image_path: Path, options: DetectionOptions) -> Model:
+def upsampled(model: Model, image_path: Path, options: DetectionOptions) -> Model:
     """The model with views enlarged as far as their images' sharpness asks for.
 
     Args:

@@ -42,7 +42,7 @@ class BackgroundRays(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backdrop:
+class BackgroundMask:
     """What of an image is seen to be background.
 
     Attributes:
@@ -66,40 +66,40 @@ class Backdrop:
         return np.unpackbits(self.packed_body, axis=1, count=int(self.body_width[0])) > 0
 
 
-NO_BACKDROP = Backdrop(
+NO_BACKGROUND_MASK = BackgroundMask(
     packed_body=np.zeros((0, 0), np.uint8),
     body_width=np.zeros(1, np.int64),
     body_pixels=np.zeros(2, np.int64),
 )
 
 
-def plain_backdrop(image: Picture) -> Backdrop:
+def plain_background(image: Picture) -> BackgroundMask:
     """The plain backdrop of an image (H, W, 3) uint8, if the image's border shows nothing else."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     color = np.rint(np.median(border, axis=0))
     low, high = color - MAX_DEVIATION, color + MAX_DEVIATION
     on_border = ((border >= low) & (border <= high)).all(axis=1)
     if on_border.mean() < MIN_BORDER_RATIO:
-        return NO_BACKDROP
+        return NO_BACKGROUND_MASK
     plain = cv2.inRange(image, low, high)
     inner = cv2.erode(255 - plain, square(BORDER_PX)) > 0
     if not inner.any():
-        return NO_BACKDROP  # nothing in view: a blank image rather
+        return NO_BACKGROUND_MASK  # nothing in view: a blank image rather
     near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
     return kept(plain == 0, np.array([inner.sum(), (inner & near).sum()]))
 
 
-def masked_backdrop(mask: BoolArray) -> Backdrop:
+def masked_background(mask: BoolArray) -> BackgroundMask:
     """The background where the mask (H, W) of what may show edges is false."""
-    return NO_BACKDROP if mask.all() else kept(mask, np.array([mask.sum(), 0]))
+    return NO_BACKGROUND_MASK if mask.all() else kept(mask, np.array([mask.sum(), 0]))
 
 
-def kept(body: BoolArray, body_pixels: IntArray) -> Backdrop:
+def kept(body: BoolArray, body_pixels: IntArray) -> BackgroundMask:
     """The backdrop around a body (H, W)."""
     factor = min(1.0, MAX_MASK_PX / max(body.shape))
     size = [max(1, round(side * factor)) for side in body.shape[::-1]]
     smaller = cv2.resize(255 * body.astype(np.uint8), size, interpolation=cv2.INTER_AREA) >= 128
-    return Backdrop(
+    return BackgroundMask(
         packed_body=np.packbits(smaller, axis=1),
         body_width=np.array([smaller.shape[1]]),
         body_pixels=body_pixels,
@@ -107,27 +107,27 @@ def kept(body: BoolArray, body_pixels: IntArray) -> Backdrop:
 
 
 def background_rays(
-    views: Sequence[View], backdrops: Sequence[Backdrop], are_masks: bool
+    views: Sequence[View], background_masks: Sequence[BackgroundMask], are_masks: bool
 ) -> BackgroundRays | None:
     """The lines of sight to the background of all views.
 
     Args:
         views: the V views.
-        backdrops: (V,) what their images show of it.
+        background_masks: (V,) what their images show of it.
         are_masks: whether masks say so, who are believed each.
 
     Returns:
         The rays in the order of the views; none where no background is believed to be seen.
     """
-    seen = sum(backdrop.is_seen for backdrop in backdrops)
-    if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(backdrops)):
+    seen = sum(mask.is_seen for mask in background_masks)
+    if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(background_masks)):
         return None
-    with_holes = shows_holes(backdrops)
+    with_holes = shows_holes(background_masks)
     cameras, directions = [], []
-    for index, (view, backdrop) in enumerate(zip(views, backdrops, strict=True)):
-        if not backdrop.is_seen:
+    for index, (view, background_mask) in enumerate(zip(views, background_masks, strict=True)):
+        if not background_mask.is_seen:
             continue
-        body = backdrop.body()
+        body = background_mask.body()
         scale = np.array([view.width, view.height]) / body.shape[::-1]
         rays = view.rays((shown_pixels(body, with_holes) + 0.5) * scale)
         rays = rays[np.isfinite(rays).all(axis=1)]
@@ -136,9 +136,9 @@ def background_rays(
     return BackgroundRays(np.concatenate(cameras), np.concatenate(directions))
 
 
-def shows_holes(backdrops: Sequence[Backdrop]) -> bool:
+def shows_holes(background_masks: Sequence[BackgroundMask]) -> bool:
     """Whether what bodies enclose of the backdrop's colour is seen through holes."""
-    body, near = np.sum([backdrop.body_pixels for backdrop in backdrops], axis=0).tolist()
+    body, near = np.sum([mask.body_pixels for mask in background_masks], axis=0).tolist()
     return bool(near <= MAX_NEAR_RATIO * body)
 
 

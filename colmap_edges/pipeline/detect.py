@@ -24,7 +24,7 @@ from colmap_edges.edges2d.image_graphs import (
     work_on_image,
 )
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images.background import Backdrop
+from colmap_edges.images.background import BackgroundMask
 from colmap_edges.images.files import encoded, path_of_image, single_threaded_opencv
 from colmap_edges.options import PipelineOptions
 from colmap_edges.report.overlay import draw_edge_graph
@@ -41,12 +41,12 @@ class Detection:
     Attributes:
         graphs: the 2D edge graph of each view.
         keys: (V,) keys of the graphs in the cache; none without a cache.
-        backdrops: (V,) what each image shows of the background.
+        background_masks: (V,) what each image shows of the background.
     """
 
     graphs: Graphs
     keys: tuple[str, ...] = ()
-    backdrops: tuple[Backdrop, ...] = ()
+    background_masks: tuple[BackgroundMask, ...] = ()
 
 
 def detect_stage(
@@ -92,7 +92,7 @@ def detect_stage(
     return Detection(
         graphs=graphs,
         keys=tuple(record.key for record in records if record.key),
-        backdrops=tuple(record.backdrop for record in records),
+        background_masks=tuple(record.background_mask for record in records),
     )
 
 

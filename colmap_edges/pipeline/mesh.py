@@ -8,7 +8,7 @@ from pathlib import Path
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import TracedEdges
 from colmap_edges.export.meshes import write_mesh
-from colmap_edges.images.background import Backdrop
+from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
@@ -31,15 +31,15 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-    backdrops: Sequence[Backdrop] = (),
+    background_masks: Sequence[BackgroundMask] = (),
 ) -> Mesh:
     """Mesh a model's points and edges; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
         curves = [traced.edges, traced.contours] if traced else []
         background = None
-        if traced and backdrops and options.meshing.background_weight:
+        if traced and background_masks and options.meshing.background_weight:
             are_masks = options.masks_are_background
-            background = find_background(model, backdrops, are_masks, traced.edges)
+            background = find_background(model, background_masks, are_masks, traced.edges)
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background)
         mesh = finished(mesh, extended, options.meshing)

@@ -10,7 +10,7 @@ from colmap_edges.colmap.model import model_from_reconstruction, observation_res
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.upsampling import enlarged
+from colmap_edges.edges2d.upsampling import upsampled
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.read import check_model, check_pictures
@@ -82,7 +82,7 @@ def reconstruct(
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
     check_pictures(model, image_path, mask_path, options)
-    model = enlarged(model, image_path, options.detection)
+    model = upsampled(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
         model, traced = edge_stages(model, detection, options, stages, workers)
@@ -95,7 +95,9 @@ def reconstruct(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=find_background(model, detection.backdrops, options.masks_are_background, edges),
+        background=find_background(
+            model, detection.background_masks, options.masks_are_background, edges
+        ),
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )

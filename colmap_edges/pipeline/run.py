@@ -8,7 +8,7 @@ from typing import Any
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
-from colmap_edges.edges2d.upsampling import enlarged
+from colmap_edges.edges2d.upsampling import upsampled
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
@@ -101,7 +101,7 @@ def run_edges(
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`."""
     images, masks = image_folder(paths), paths.mask_path
-    model = enlarged(model, images, options.detection)
+    model = upsampled(model, images, options.detection)
     if command == "detect":
         check_file_names(model.views)
         detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
@@ -121,6 +121,8 @@ def run_edges(
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        mesh = mesh_stage(model, traced, extended, folder, options, stages, detection.backdrops)
+        mesh = mesh_stage(
+            model, traced, extended, folder, options, stages, detection.background_masks
+        )
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)

@@ -73,7 +73,7 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
     return replace(
         options,
         chain_depth=derived(depths, sample_step_px=4 * depths.sample_step_px // 5),
-        view_selection=replace(selection, max_witness_angle_deg=selection.max_angle_deg),
+        view_selection=replace(selection, max_observing_angle_deg=selection.max_angle_deg),
         refinement=replace(options.refinement, side_gray_weight=0.0),
         tracing=replace(options.tracing, num_rounds=1),
     )

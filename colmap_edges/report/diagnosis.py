@@ -203,8 +203,8 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "samples_confirmed",
             MIN_CONFIRMED_SHARE,
             "depths were not found again from another view",
-            "check the poses; allow larger differences with --Tracing.max_cross_check_px "
-            f"(now {tracing.max_cross_check_px:g})",
+            "check the poses; allow larger differences with --Tracing.max_inconsistency_px "
+            f"(now {tracing.max_inconsistency_px:g})",
         ),
         (
             "samples_confirmed",

@@ -27,7 +27,12 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
-from colmap_edges.images.background import Backdrop, BackgroundRays, background_rays, shows_holes
+from colmap_edges.images.background import (
+    BackgroundMask,
+    BackgroundRays,
+    background_rays,
+    shows_holes,
+)
 from colmap_edges.images.files import square
 
 logger = logging.getLogger(__name__)
@@ -112,27 +117,27 @@ class Body(NamedTuple):
 
 
 def find_background(
-    model: Model, backdrops: Sequence[Backdrop], are_masks: bool, edges: Edges3D
+    model: Model, background_masks: Sequence[BackgroundMask], are_masks: bool, edges: Edges3D
 ) -> Background | None:
     """What the sight of the background says; none where none is believed to be seen.
 
     Args:
         model: gives the V views, and SfM points where there are no edges.
-        backdrops: (V,) what their images show of it.
+        background_masks: (V,) what their images show of it.
         are_masks: whether masks say so, who are believed each.
         edges: the 3D edges, whose silhouettes need no other points.
     """
-    rays = background_rays(model.views, backdrops, are_masks)
+    rays = background_rays(model.views, background_masks, are_masks)
     if rays is None:
         return None
-    if not any(backdrop.body_pixels[0] for backdrop in backdrops):
+    if not any(mask.body_pixels[0] for mask in background_masks):
         logger.warning(
             "masks_are_background is 1, but masks hide all of every image; the mesh is made "
             "without them; invert them if they are the other way round: black hides"
         )
         return None
     known = edges.points if edges.num_points else model.points3D_xyz
-    bodies = spread_bodies(model.views, backdrops, known)
+    bodies = spread_bodies(model.views, background_masks, known)
     contradicted = contradicted_share(list(bodies.values()), known)
     if contradicted > MAX_CONTRADICTED:
         if not are_masks:
@@ -143,7 +148,7 @@ def find_background(
             100 * contradicted,
         )
     # Bodies as bright as the backdrop may seem cut off.
-    if not shows_holes(backdrops):
+    if not shows_holes(background_masks):
         return Background(rays, NO_POINTS)
     if not edges.num_points:  # SfM points are of the background, too
         known = known[within(list(bodies.values()), known)]
@@ -151,14 +156,14 @@ def find_background(
 
 
 def spread_bodies(
-    views: Sequence[View], backdrops: Sequence[Backdrop], known: FloatArray
+    views: Sequence[View], background_masks: Sequence[BackgroundMask], known: FloatArray
 ) -> dict[int, Body]:
     """What is seen of bodies by the indices of `NUM_VIEWS` views, spread around (N, 3) points."""
-    seen = [i for i, backdrop in enumerate(backdrops) if backdrop.is_seen]
+    seen = [i for i, background_mask in enumerate(background_masks) if background_mask.is_seen]
     center = known.mean(axis=0) if len(known) else np.zeros(3)
     away = np.array([views[i].center for i in seen]) - center
     chosen = np.sort(spread(away, NUM_VIEWS)).tolist()
-    return {seen[k]: Body(views[seen[k]], backdrops[seen[k]].body()) for k in chosen}
+    return {seen[k]: Body(views[seen[k]], background_masks[seen[k]].body()) for k in chosen}
 
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:

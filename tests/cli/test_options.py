@@ -112,9 +112,9 @@ def test_numbers_of_numpy_become_those_of_json():
 
 
 def test_derived_values_end_where_their_range_does():
-    options = ChainDepthOptions(none_score=-9.0, sample_step_px=900)
-    options = derived(options, none_score=-11.0, sample_step_px=3600)
-    assert (options.none_score, options.sample_step_px) == (-10.0, 1000)
+    options = ChainDepthOptions(min_log_likelihood_ratio=-9.0, sample_step_px=900)
+    options = derived(options, min_log_likelihood_ratio=-11.0, sample_step_px=3600)
+    assert (options.min_log_likelihood_ratio, options.sample_step_px) == (-10.0, 1000)
 
 
 def test_every_option_has_a_line_of_help():
@@ -137,7 +137,7 @@ def test_groups_are_frozen_and_made_afresh():
 def test_presets():
     assert preset("medium") == PipelineOptions()
     low, high = preset("low"), preset("high")
-    for name in ("num_neighbors", "num_witnesses"):
+    for name in ("num_neighbors", "num_observing_views"):
         values = [getattr(p.view_selection, name) for p in (low, PipelineOptions(), high)]
         assert values == sorted(set(values))
     with pytest.raises(OptionError, match="quality is 'best'; choose one of: low, medium, high"):

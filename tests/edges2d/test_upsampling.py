@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from colmap_edges.colmap.model import load_model
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.edges2d.detection import detect_chains
-from colmap_edges.edges2d.upsampling import enlarged, measure_blur
-from colmap_edges.edges3d.chains.tracing import in_enlarged_pixels
+from colmap_edges.edges2d.upsampling import measure_blur, upsampled
+from colmap_edges.edges3d.chains.tracing import in_upsampled_pixels
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import gray_of, read_image
 from colmap_edges.options import DetectionOptions, PipelineOptions
@@ -74,7 +74,7 @@ def scene_of(model, folder, images):
 
 def scale_of(model, folder, **options):
     """The one scale of all views."""
-    found = enlarged(model, folder, DetectionOptions(**options))
+    found = upsampled(model, folder, DetectionOptions(**options))
     [scale] = {view.scale for view in found.views}
     return scale
 
@@ -111,7 +111,7 @@ def test_an_image_of_another_size_is_told(scene_model, tmp_path):
     model = scene_of(scene_model, tmp_path, [shapes(0.5)] * 2)
     views = (model.views[0], replace(model.views[1], width=SIZE[0] + 1))
     with pytest.raises(ColmapEdgesError, match="its camera 321x240"):
-        enlarged(replace(model, views=views), tmp_path, OPTIONS)
+        upsampled(replace(model, views=views), tmp_path, OPTIONS)
 
 
 @pytest.mark.parametrize("scale", [1.25, 1.5, 2.0])
@@ -195,9 +195,9 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
 
 def test_tolerances_are_in_pixels_of_the_given_images():
     given = PipelineOptions()
-    used = in_enlarged_pixels(given, 1.5)
+    used = in_upsampled_pixels(given, 1.5)
     assert used.chain_depth.max_disagreement_px == 1.5 * given.chain_depth.max_disagreement_px
     assert used.refinement.search_radius_px == 1.5 * given.refinement.search_radius_px
     assert used.refinement.max_residual_px == 1.5 * given.refinement.max_residual_px
     assert used.chain_depth.sample_step_px == given.chain_depth.sample_step_px
-    assert in_enlarged_pixels(given, 1.0) == given
+    assert in_upsampled_pixels(given, 1.0) == given

@@ -13,11 +13,11 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import OptionError
 from colmap_edges.images.background import (
     MAX_DEVIATION,
-    NO_BACKDROP,
-    Backdrop,
+    NO_BACKGROUND_MASK,
+    BackgroundMask,
     background_rays,
-    masked_backdrop,
-    plain_backdrop,
+    masked_background,
+    plain_background,
     shown_pixels,
 )
 from colmap_edges.options import PipelineOptions
@@ -40,9 +40,9 @@ def picture(color=(255, 255, 255), body=GRAY, height=90, width=120):
     return image
 
 
-def shown(backdrop, with_holes):
+def shown(background_mask, with_holes):
     """The picture of what is sampled, pixel by pixel."""
-    body = backdrop.body()
+    body = background_mask.body()
     found = np.zeros(body.shape, bool)
     columns, rows = shown_pixels(body, with_holes).T
     found[rows, columns] = True
@@ -53,24 +53,24 @@ def shown(backdrop, with_holes):
 def test_around_and_within_a_body(color):
     """Every pixel is sampled of so small an image, but next to the body and the image's border."""
     image = picture(color)
-    backdrop = plain_backdrop(image)
-    around = shown(backdrop, with_holes=False)
-    enclosed = shown(backdrop, with_holes=True) & ~around
+    background_mask = plain_background(image)
+    around = shown(background_mask, with_holes=False)
+    enclosed = shown(background_mask, with_holes=True) & ~around
     expected = np.ones(image.shape[:2], bool)
     expected[19:72, 29:92] = False
     np.testing.assert_array_equal(around, expected)
     assert np.array_equal(np.argwhere(enclosed)[[0, -1]], [[36, 51], [54, 69]])
     assert enclosed.sum() == 19 * 19
-    assert backdrop.is_seen
-    assert backdrop.body_pixels[1] == 0
+    assert background_mask.is_seen
+    assert background_mask.body_pixels[1] == 0
 
 
 def test_noise_within_the_deviation_is_plain():
     rng = np.random.default_rng(0)
     image = picture((200, 200, 200)).astype(int)
     noisy = image + rng.integers(-MAX_DEVIATION, MAX_DEVIATION + 1, image.shape)
-    backdrop = plain_backdrop(noisy.astype(np.uint8))
-    np.testing.assert_array_equal(backdrop.body(), plain_backdrop(picture()).body())
+    background_mask = plain_background(noisy.astype(np.uint8))
+    np.testing.assert_array_equal(background_mask.body(), plain_background(picture()).body())
 
 
 def clutter(image):
@@ -88,7 +88,7 @@ def gradient(image):
 @pytest.mark.parametrize("change", [clutter, gradient, lambda image: image[:, :0:-1] * 0 + 7])
 def test_other_backgrounds_are_left_alone(change):
     """Clutter, a gradient, and an image that shows nothing at all."""
-    assert not plain_backdrop(np.ascontiguousarray(change(picture()), np.uint8)).is_seen
+    assert not plain_background(np.ascontiguousarray(change(picture()), np.uint8)).is_seen
 
 
 def test_samples_are_a_grid_of_about_as_many():
@@ -103,11 +103,11 @@ def test_large_masks_are_kept_smaller():
     """Rays still go through pixels of the image."""
     body = np.zeros((3000, 4000), bool)
     body[:, :2000] = True
-    backdrop = masked_backdrop(body)
-    assert backdrop.body().shape == (1500, 2000)
-    assert backdrop.packed_body.nbytes == 1500 * 250
+    background_mask = masked_background(body)
+    assert background_mask.body().shape == (1500, 2000)
+    assert background_mask.packed_body.nbytes == 1500 * 250
     view = replace(make_view(np.eye(3), np.zeros(3)), width=4000, height=3000)
-    rays = background_rays([view], [backdrop], True)
+    rays = background_rays([view], [background_mask], True)
     pixels, _ = view.project(rays.directions)
     assert len(pixels) == pytest.approx(5000, rel=0.05)
     assert 2000 < pixels[:, 0].min() < 2100
@@ -116,9 +116,9 @@ def test_large_masks_are_kept_smaller():
 
 def test_rays_go_through_the_pixels():
     views = [make_view(np.eye(3), np.zeros(3)), make_view(np.diag([-1.0, 1, -1]), np.ones(3), 1)]
-    backdrop = plain_backdrop(picture(height=480, width=640))
-    rays = background_rays(views, [backdrop] * 2, False)
-    pixels = shown_pixels(backdrop.body(), with_holes=True) + 0.5
+    background_mask = plain_background(picture(height=480, width=640))
+    rays = background_rays(views, [background_mask] * 2, False)
+    pixels = shown_pixels(background_mask.body(), with_holes=True) + 0.5
     for index, view in enumerate(views):
         points = view.center + 3.0 * rays.directions[rays.cameras == index]
         found, depths = view.project(points)
@@ -128,13 +128,16 @@ def test_rays_go_through_the_pixels():
 
 def test_a_backdrop_is_believed_when_nearly_all_views_show_it():
     views = [make_view(np.eye(3), np.zeros(3), i) for i in range(20)]
-    backdrop = plain_backdrop(picture(height=480, width=640))
-    count = len(shown_pixels(backdrop.body(), with_holes=True))
+    background_mask = plain_background(picture(height=480, width=640))
+    count = len(shown_pixels(background_mask.body(), with_holes=True))
     for missing, expected in ((0, 20), (2, 18), (3, 0), (20, 0)):
-        backdrops = [NO_BACKDROP] * missing + [backdrop] * (20 - missing)
-        rays = background_rays(views, backdrops, False)
+        background_masks = [NO_BACKGROUND_MASK] * missing + [background_mask] * (20 - missing)
+        rays = background_rays(views, background_masks, False)
         assert (len(rays.cameras) if rays else 0) == expected * count
-    assert len(background_rays(views, [NO_BACKDROP] * 19 + [backdrop], True).cameras) == count
+    assert (
+        len(background_rays(views, [NO_BACKGROUND_MASK] * 19 + [background_mask], True).cameras)
+        == count
+    )
 
 
 def test_holes_are_believed_when_the_body_is_nowhere_as_bright():
@@ -144,9 +147,9 @@ def test_holes_are_believed_when_the_body_is_nowhere_as_bright():
     bright = dark.copy()
     bright[22:30, 32:88] = 255 - MAX_DEVIATION - 1
     for image, with_holes in ((dark, True), (bright, False)):
-        backdrop = plain_backdrop(image)
-        rays = background_rays([view], [backdrop], False)
-        counts = [len(shown_pixels(backdrop.body(), holes)) for holes in (False, True)]
+        background_mask = plain_background(image)
+        rays = background_rays([view], [background_mask], False)
+        counts = [len(shown_pixels(background_mask.body(), holes)) for holes in (False, True)]
         assert counts[0] < counts[1]
         assert len(rays.cameras) == counts[with_holes]
 
@@ -155,8 +158,8 @@ def test_pixels_that_the_lens_cannot_see_have_no_ray():
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL_FISHEYE", 100.0, 640, 480)
     camera.params = [100.0, 320.0, 240.0, -0.3]
     view = make_view(np.eye(3), np.zeros(3), camera=camera)
-    backdrop = masked_backdrop(np.zeros((480, 640), bool))
-    rays = background_rays([view], [backdrop], True)
+    background_mask = masked_background(np.zeros((480, 640), bool))
+    rays = background_rays([view], [background_mask], True)
     assert 0 < len(rays.cameras) < 0.5 * 10_000
     assert np.isfinite(rays.directions).all()
 
@@ -223,8 +226,8 @@ def test_masked_views_without_masks_show_no_background(small, tmp_path):
     model = load_model(small[1])
     options = PipelineOptions(masks_are_background=True)
     store = detect_stage(model, small[0], options, Stages(), mask_path=masks)
-    assert sum(backdrop.is_seen for backdrop in store.backdrops) == 2
-    assert isinstance(store.backdrops[0], Backdrop)
+    assert sum(mask.is_seen for mask in store.background_masks) == 2
+    assert isinstance(store.background_masks[0], BackgroundMask)
 
 
 def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):

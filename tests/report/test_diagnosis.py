@@ -91,7 +91,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"trace": {"samples_confirmed": 70, "samples_in_runs": 60}},
             "90 % of 700 depths were not found again",
-            "--Tracing.max_cross_check_px (now 3)",
+            "--Tracing.max_inconsistency_px (now 3)",
         ),
         ({"trace": {"samples_in_runs": 60}}, "90 % of 600", "--Tracing.min_agreeing_views"),
         (

@@ -177,6 +177,9 @@ def tracing_input(views, graphs) -> TracingInput:
     """Views that are all compared with each other, with their graphs."""
     others = [np.delete(np.arange(len(views)), view) for view in range(len(views))]
     near = Neighborhood(
-        neighbors=tuple(others), later_neighbors=tuple(others), witnesses=tuple(others), ranges=()
+        neighbors=tuple(others),
+        later_neighbors=tuple(others),
+        observing_views=tuple(others),
+        ranges=(),
     )
     return make_input(model_of(views), Graphs.of(graphs), near)

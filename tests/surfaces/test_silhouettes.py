@@ -9,7 +9,7 @@ from curves import looking
 from solid_points import as_trimesh, fibonacci_sphere
 
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.images.background import NO_BACKDROP, background_rays, masked_backdrop
+from colmap_edges.images.background import NO_BACKGROUND_MASK, background_rays, masked_background
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces import mesher as meshing
 from colmap_edges.surfaces.silhouettes import (
@@ -78,7 +78,7 @@ def test_points_make_the_mesh_of_a_ball(ball):
     """Two points known of it, and its silhouettes, are enough."""
     views = [body.view for body in ball]
     found = silhouette_points(dict(enumerate(ball)), CORNERS)
-    rays = background_rays(views, [masked_backdrop(body.mask) for body in ball], True)
+    rays = background_rays(views, [masked_background(body.mask) for body in ball], True)
     centers = np.array([view.center for view in views])
     mesh = meshing.mesh_points(*found, centers, MeshingOptions(), background=rays)
     solid = as_trimesh(mesh)
@@ -192,12 +192,12 @@ def on_ball(ball, scene_model, scene_edges):
 def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
     """Without edges and SfM points, and where bodies are as bright as the backdrop."""
     model, edges = on_ball
-    backdrops = [masked_backdrop(body.mask) for body in ball]
-    bright = [replace(each, body_pixels=np.array([100, 1])) for each in backdrops]
+    background_masks = [masked_background(body.mask) for body in ball]
+    bright = [replace(each, body_pixels=np.array([100, 1])) for each in background_masks]
     bare = replace(model, points3D_xyz=np.zeros((0, 3)))
     model = replace(model, points3D_xyz=edges.points)
     for given, known, seen in (
-        (bare, Edges3D.none(), backdrops),
+        (bare, Edges3D.none(), background_masks),
         (model, edges, bright),
         (model, Edges3D.none(), bright),
     ):
@@ -209,11 +209,11 @@ def test_rays_alone_where_nothing_more_is_known(ball, on_ball):
 def test_sfm_points_of_bodies_do_where_there_are_no_edges(ball, on_ball):
     """Points of what stands around do not count."""
     model, edges = on_ball
-    backdrops = [masked_backdrop(body.mask) for body in ball]
+    background_masks = [masked_background(body.mask) for body in ball]
     around = 50.0 * fibonacci_sphere(10 * edges.num_points)
     some = np.concatenate([edges.points[::40], around])
     model = replace(model, points3D_xyz=some)
-    found = find_background(model, backdrops, True, Edges3D.none())
+    found = find_background(model, background_masks, True, Edges3D.none())
     points = found.silhouettes.points
     assert len(points) > 500
     assert np.percentile(np.abs(np.linalg.norm(points, axis=1) - RADIUS), 95) < 0.02
@@ -222,7 +222,7 @@ def test_sfm_points_of_bodies_do_where_there_are_no_edges(ball, on_ball):
 def test_masks_of_nothing_are_not_believed(ball, on_ball, caplog):
     """Inverted masks of a scene that fills its images hide all of them."""
     model, edges = on_ball
-    black = [masked_backdrop(np.zeros((40, 60), bool))] * len(ball)
+    black = [masked_background(np.zeros((40, 60), bool))] * len(ball)
     assert find_background(model, black, True, edges) is None
     assert "masks hide all of every image" in caplog.text
 
@@ -230,9 +230,9 @@ def test_masks_of_nothing_are_not_believed(ball, on_ball, caplog):
 def test_edges_and_contours_without_points_change_nothing(ball, on_ball):
     """Curves of which there are none come before the points of silhouettes."""
     model, edges = on_ball
-    backdrops = [masked_backdrop(body.mask) for body in ball]
+    background_masks = [masked_background(body.mask) for body in ball]
     found = replace(
-        find_background(model, backdrops, False, edges),
+        find_background(model, background_masks, False, edges),
         silhouettes=silhouette_points(dict(enumerate(ball)), CORNERS),
     )
     assert len(found.silhouettes.points) > 0
@@ -247,8 +247,8 @@ def test_edges_and_contours_without_points_change_nothing(ball, on_ball):
 def test_frames_around_images_are_no_background(ball, on_ball, caplog):
     """What a fisheye lens shows is framed by black; but points project there."""
     x, y = np.meshgrid(np.arange(640) - 320, np.arange(480) - 240)
-    frame = masked_backdrop(x**2 + y**2 < 60**2)
-    known = [masked_backdrop(body.mask) for body in ball]
+    frame = masked_background(x**2 + y**2 < 60**2)
+    known = [masked_background(body.mask) for body in ball]
     framed = [Body(body.view, frame.body()) for body in ball]
     assert contradicted_share(ball, on_ball[1].points) < 0.001
     assert contradicted_share(framed, on_ball[1].points) > 0.5
@@ -260,10 +260,10 @@ def test_frames_around_images_are_no_background(ball, on_ball, caplog):
 
 
 def test_masks_come_back_as_they_were(ball):
-    backdrop = masked_backdrop(ball[0].mask)
-    np.testing.assert_array_equal(backdrop.body(), ball[0].mask)
-    wide = masked_backdrop(np.arange(4001) < np.full((100, 1), 2000))
+    background_mask = masked_background(ball[0].mask)
+    np.testing.assert_array_equal(background_mask.body(), ball[0].mask)
+    wide = masked_background(np.arange(4001) < np.full((100, 1), 2000))
     assert wide.body().shape == (50, 2000)
     assert wide.body().mean() == pytest.approx(0.5, abs=1e-3)
-    assert not masked_backdrop(np.ones((40, 60), bool)).is_seen
-    assert NO_BACKDROP.body().size == 0
+    assert not masked_background(np.ones((40, 60), bool)).is_seen
+    assert NO_BACKGROUND_MASK.body().size == 0

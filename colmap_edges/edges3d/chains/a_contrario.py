@@ -23,7 +23,7 @@ MIN_LOG = -12.0  # one point alone is not trusted further
 
 
 def chance_of_observations(
-    driver: View,
+    reference: View,
     curves: Curves,
     residuals: FloatArray,
     displacements: FloatArray,
@@ -35,7 +35,7 @@ def chance_of_observations(
     """(N,) log10 of the chance that as many views observe a point of a curve.
 
     Args:
-        driver: the view on whose chains the curves are.
+        reference: the view on whose chains the curves are.
         curves: the curves, N points.
         residuals: (N, K) distances to the chains that observe them, in pixels; NaN where none.
         displacements: (N,) change of inverse depth that moves the point one pixel in the views.
@@ -45,12 +45,12 @@ def chance_of_observations(
         num_threads: threads to use.
     """
     ids, count = curves.curve_ids, len(curves.offsets) - 1
-    visible = count_in_image(lift(driver, curves.ideal, curves.inverse_depths), views)
+    visible = count_in_image(lift(reference, curves.ideal, curves.inverse_depths), views)
     observed = np.sum(np.abs(residuals) <= CLOSE_PX, axis=1)
     signs = np.where(ids % 2 == 0, 1, -1)
     moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
     positions = associate(
-        driver, moved, edge_indexes, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+        reference, moved, edge_indexes, CLOSE_PX, options.max_tangent_angle_deg, num_threads
     )
     seen = np.isfinite(drop_lone(positions, curves.offsets)).sum(axis=1)
     hits = np.bincount(ids, weights=seen, minlength=count)

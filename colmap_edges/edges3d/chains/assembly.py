@@ -51,7 +51,7 @@ def link(
 
 
 def make_edges(given: TracingInput, parts: list[Traced]) -> Edges3D:
-    """Put the curves of all drivers together as 3D edges with tracks."""
+    """Put the curves of all reference views together as 3D edges with tracks."""
     lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.offsets) for part in parts)])
     places = ChainObservations.concatenated([part.observations for part in parts])
     observations, colors = look_up(given, places)

@@ -52,10 +52,10 @@ def without_repeats(
     covered = nothing_covered(whole.polyline_offsets)
     firsts = []
     for contours in kept.contours:
-        # On the driver's chains, unless something hides them there.
-        own = contours.observations.keep(contours.observations.views == contours.driver)
+        # On the reference view's chains, unless something hides them there.
+        own = contours.observations.keep(contours.observations.views == contours.reference)
         free = np.ones(len(contours.points), bool)
-        free[own.points] = ~covered[contours.driver][own.positions.astype(np.int64)]
+        free[own.points] = ~covered[contours.reference][own.positions.astype(np.int64)]
         pieces, lasting = find_pieces(contours, free, np.inf, options)
         first = chosen(contours, pieces, free & lasting[pieces])
         mark_covered(covered, whole.polyline_offsets, first.observations, options.point_spacing_px)

@@ -13,12 +13,12 @@ from colmap_edges.core.polylines import curve_tangents
 
 @dataclass(frozen=True, kw_only=True)
 class Curves:
-    """Curves on chains of one driver view.
+    """Curves on chains of one reference view.
 
     Attributes:
-        ideal: (N, 2) float64 points on the driver's chains, ideal pixels.
-        inverse_depths: (N,) float64 in the driver.
-        indices: (N,) int64 the same in the driver's graph.
+        ideal: (N, 2) float64 points on the reference view's chains, ideal pixels.
+        inverse_depths: (N,) float64 in the reference.
+        indices: (N,) int64 the same in the reference view's graph.
         offsets: (E + 1,) int64 CSR of the points by curve.
         sides: (N,) int8 +1 or -1, the side of the tangent on which the edge is bright.
     """
@@ -31,7 +31,7 @@ class Curves:
 
     @property
     def normals(self) -> FloatArray:
-        """(N, 2) unit normals of the curves in the driver's image."""
+        """(N, 2) unit normals of the curves in the reference view's image."""
         tangents = curve_tangents(self.ideal, self.offsets)
         tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
         return np.column_stack([-tangents[:, 1], tangents[:, 0]])
@@ -54,6 +54,6 @@ class Curves:
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
-    """The curves at new depths; a depth that left the front of the driver stays as it was."""
+    """The curves at new depths; a depth that left the front of the reference stays as it was."""
     depths = np.where(inverse_depths > 0, inverse_depths, curves.inverse_depths)
     return replace(curves, inverse_depths=depths)

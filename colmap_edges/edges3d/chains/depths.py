@@ -121,7 +121,7 @@ def compute_chain_depths(
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         visibility_rate=options.visibility_rate,
         detection_rate=options.detection_rate,
-        none_score=options.none_score,
+        min_log_likelihood_ratio=options.min_log_likelihood_ratio,
         break_penalty=options.break_penalty,
         max_clusters=options.max_clusters,
         num_threads=num_threads,

@@ -23,15 +23,15 @@ INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence
 
 @dataclass(frozen=True, kw_only=True)
 class Traced:
-    """Curves of one driver with their observations.
+    """Curves of one reference with their observations.
 
     Attributes:
         points: (N, 3) world points.
-        sigmas: (N,) standard deviation along the driver's ray, world units.
+        sigmas: (N,) standard deviation along the reference view's ray, world units.
         offsets: (E + 1,) CSR of the points by curve.
-        driver: the view on whose chains they are.
-        observations: where they are observed on the views' chains, the driver's first.
-        uncertainties: (N,) the same standard deviation in pixels of the driver.
+        reference: the view on whose chains they are.
+        observations: where they are observed on the views' chains, the reference view's first.
+        uncertainties: (N,) the same standard deviation in pixels of the reference.
         residuals: (N,) mean distance to the other views' chains that observe it, in pixels.
         log_chances: (N,) log10 of the chance of as many observations.
     """
@@ -42,7 +42,7 @@ class Traced:
     residuals: FloatArray
     log_chances: FloatArray
     offsets: IntArray
-    driver: int
+    reference: int
     observations: ChainObservations
 
 
@@ -51,7 +51,7 @@ class Limits:
     """What a curve may have at most.
 
     Attributes:
-        uncertainty_px: a point's standard deviation along the driver's ray, in pixels.
+        uncertainty_px: a point's standard deviation along the reference view's ray, in pixels.
         residual_px: the scatter of a piece's observations.
         log_chance: log10 of the chance of a piece.
     """
@@ -66,7 +66,7 @@ class Sorted:
     """What is kept of traced curves.
 
     Attributes:
-        edges: pieces of every driver's curves that lie still.
+        edges: pieces of every reference view's curves that lie still.
         contours: view-dependent contours: those that scatter around any fixed curve.
         limits: what they were judged by.
     """
@@ -87,7 +87,7 @@ def sort_out(
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.
-        traced: the curves of every driver.
+        traced: the curves of every reference.
         options: ratios to the scene's own medians, which make the limits.
         num_threads: threads to use; the result does not depend on it.
         limits: those to take instead.
@@ -149,7 +149,7 @@ def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> 
     of contours, of which scenes of smooth bodies may have as many points.
 
     Args:
-        traced: the curves of every driver.
+        traced: the curves of every reference.
         options: ratios to the medians.
         scale: how many times the images are enlarged.
     """
@@ -172,7 +172,7 @@ def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
 
 
 def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | None) -> BoolArray:
-    """(N,) which points of one driver are observed enough, on pieces that chance did not make.
+    """(N,) which points of one reference are observed enough, on pieces that chance did not make.
 
     Where `limits` are known these are pieces of edges, not of contours.
     """
@@ -281,6 +281,6 @@ def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
         residuals=traced.residuals[keep],
         log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
-        driver=traced.driver,
+        reference=traced.reference,
         observations=traced.observations.select(np.flatnonzero(keep)),
     )

@@ -20,7 +20,7 @@ class Sums:
 
     An observation has a residual, its signed distance across the chain in pixels, a slope, by
     which that changes with inverse depth, and one across, by which it changes with a shift of the
-    driver's pixel along a given direction.
+    reference view's pixel along a given direction.
 
     Attributes:
         slope_slope: squared slopes.
@@ -42,7 +42,7 @@ class Sums:
 
 
 def associate(
-    driver: View,
+    reference: View,
     curves: Curves,
     edge_indexes: list[_kernels.EdgeIndex],
     max_distance_px: float,
@@ -50,7 +50,7 @@ def associate(
     num_threads: int,
 ) -> FloatArray:
     """(N, K) positions on the chains of K views that observe the points; NaN where none."""
-    points = lift(driver, curves.ideal, curves.inverse_depths)
+    points = lift(reference, curves.ideal, curves.inverse_depths)
     tangents = curve_tangents(points, curves.offsets)
     cosine = float(np.cos(np.radians(max_angle_deg)))
     positions: FloatArray = _kernels.associate(
@@ -61,7 +61,7 @@ def associate(
 
 
 def sum_observations(
-    driver: View,
+    reference: View,
     curves: Curves,
     edge_indexes: list[_kernels.EdgeIndex],
     positions: FloatArray,
@@ -72,26 +72,31 @@ def sum_observations(
     """Sums over the observations of every point at the present depths.
 
     Args:
-        driver: the view on whose chains the curves are.
+        reference: the view on whose chains the curves are.
         curves: the curves, N points.
         edge_indexes: the chains of K views.
         positions: (N, K) positions on the chains that observe the points; NaN where none.
-        directions: (N, 2) unit directions in the driver's image in which points may move.
+        directions: (N, 2) unit directions in the reference view's image in which points may move.
         robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
         num_threads: threads to use; the result does not depend on it.
     """
     sums = _kernels.sum_observations(
-        *placed(driver, curves), directions, positions, edge_indexes, robust_scale_px, num_threads
+        *placed(reference, curves),
+        directions,
+        positions,
+        edge_indexes,
+        robust_scale_px,
+        num_threads,
     )
     return Sums(**{entry.name: row for entry, row in zip(fields(Sums), sums, strict=True)})
 
 
 def placed(
-    driver: View, curves: Curves
+    reference: View, curves: Curves
 ) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
-    """The driver's pose and focal length, and the curves' pixels and inverse depths."""
-    rotation, translation = driver.rotation, driver.translation
-    return rotation, translation, driver.focal_px, curves.ideal, curves.inverse_depths
+    """The reference view's pose and focal length, and the curves' pixels and inverse depths."""
+    rotation, translation = reference.rotation, reference.translation
+    return rotation, translation, reference.focal_px, curves.ideal, curves.inverse_depths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,14 +104,14 @@ class Observers:
     """The views that curves are refined on.
 
     Attributes:
-        driver: the view on whose chains the curves are.
+        reference: the view on whose chains the curves are.
         own: its chains, in the kernels' form.
         others: the chains of the K views that may observe the curves.
         options: how near and how parallel an observation is, noise and smoothness.
         num_threads: threads to use; no result depends on it.
     """
 
-    driver: View
+    reference: View
     own: _kernels.EdgeIndex
     others: list[_kernels.EdgeIndex]
     options: RefinementOptions
@@ -115,7 +120,7 @@ class Observers:
     def find(self, curves: Curves, radius_px: float) -> FloatArray:
         """(N, K) positions at which the curves are observed within a radius; NaN where not."""
         angle = self.options.max_tangent_angle_deg
-        found = associate(self.driver, curves, self.others, radius_px, angle, self.num_threads)
+        found = associate(self.reference, curves, self.others, radius_px, angle, self.num_threads)
         return drop_lone(found, curves.offsets)
 
     def sums(
@@ -125,7 +130,7 @@ class Observers:
         directions = np.zeros_like(curves.ideal) if directions is None else directions
         scale = self.options.robust_scale_px
         return sum_observations(
-            self.driver, curves, self.others, positions, directions, scale, self.num_threads
+            self.reference, curves, self.others, positions, directions, scale, self.num_threads
         )
 
 

@@ -1,8 +1,8 @@
 """Least squares on the depths of curves: normal residuals in all views, smooth along the curve.
 
-A curve is a run of points on a chain of one view, its driver; the unknown of each point is its
-inverse depth there, and in the end how far it lies off that chain. An observation on a chain of
-another view says only how far the point lies across that chain, since an edge point may slide
+A curve is a run of points on a chain of one view, its reference view; the unknown of each point is
+its inverse depth there, and in the end how far it lies off that chain. An observation on a chain
+of another view says only how far the point lies across that chain, since an edge point may slide
 along its edge. On a straight edge inverse depth is affine along the image line, so the smoothness
 term, a second difference, costs nothing there; where an edge runs along the epipolar lines of all
 views it carries depth in from the ends.
@@ -53,16 +53,16 @@ def depth_step(curves: Curves, sums: Sums, options: RefinementOptions) -> FloatA
 def joint_step(
     curves: Curves, sums: Sums, options: RefinementOptions
 ) -> tuple[FloatArray, FloatArray]:
-    """One Gauss-Newton step in which the driver's chain is one observation of many.
+    """One Gauss-Newton step in which the reference view's chain is one observation of many.
 
     A point may leave it, across. How far is a point's own affair, so that it is eliminated (Schur
     complement) before the depths are solved for.
 
     Returns:
-        (N,) changes of inverse depth and (N,) shifts across the driver's chain in pixels.
+        (N,) changes of inverse depth and (N,) shifts across the reference view's chain in pixels.
     """
     shared, pull = sums.slope_across, -sums.across_residual
-    stiffness = sums.across_across + 1  # the driver's own residual is zero
+    stiffness = sums.across_across + 1  # the reference view's own residual is zero
     information = np.maximum(sums.slope_slope - shared**2 / stiffness, 0)
     gradient = -sums.slope_residual - shared * pull / stiffness
     changes = solve_smooth(curves, information, gradient, typical_speed(sums), options)
@@ -114,7 +114,7 @@ def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def refine_curves(
-    driver: View,
+    reference: View,
     own: _kernels.EdgeIndex,
     curves: Curves,
     edge_indexes: list[_kernels.EdgeIndex],
@@ -124,7 +124,7 @@ def refine_curves(
     """Refine the depths of curves on their observations.
 
     Args:
-        driver: the view on whose chains the curves are.
+        reference: the view on whose chains the curves are.
         own: its chains, in the kernels' form.
         curves: the curves, N points, at depths near enough to find their observations.
         edge_indexes: the chains of the K views that may observe them.
@@ -135,7 +135,7 @@ def refine_curves(
         The curves at their new depths, with (N, K) observations and (N,) standard deviations.
     """
     observers = Observers(
-        driver=driver, own=own, others=edge_indexes, options=options, num_threads=num_threads
+        reference=reference, own=own, others=edge_indexes, options=options, num_threads=num_threads
     )
     for radius in (options.search_radius_px, options.search_radius_px / 2):
         positions = observers.find(curves, radius)
@@ -150,7 +150,7 @@ def refine_curves(
     positions = observers.find(curves, options.max_residual_px)
     curves, positions, information = align_side_gray(curves, positions, observers)
     residuals, slopes2 = _kernels.observation_residuals(
-        *placed(driver, curves), positions, edge_indexes, num_threads
+        *placed(reference, curves), positions, edge_indexes, num_threads
     )
     with np.errstate(divide="ignore"):
         sigmas = options.noise_px / np.sqrt(slopes2 + information)
@@ -196,7 +196,7 @@ def aligned(
     for reach in GRAY_REACHES:
         sums = observers.sums(curves, positions)
         information, gradient = weight * _kernels.sum_side_gray(
-            *placed(observers.driver, curves),
+            *placed(observers.reference, curves),
             positions,
             observers.others,
             observers.own,
@@ -215,10 +215,10 @@ def aligned(
         )
         curves = replace_depths(curves, curves.inverse_depths + changes)
         positions = _kernels.slide_positions(
-            *placed(observers.driver, curves), positions, observers.others, num_threads
+            *placed(observers.reference, curves), positions, observers.others, num_threads
         )
     residuals, _ = _kernels.observation_residuals(
-        *placed(observers.driver, curves), positions, observers.others, num_threads
+        *placed(observers.reference, curves), positions, observers.others, num_threads
     )
     near = np.abs(residuals) <= options.max_residual_px
     return curves, drop_lone(np.where(near, positions, np.nan), curves.offsets), information

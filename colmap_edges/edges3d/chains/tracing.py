@@ -1,7 +1,8 @@
 """2D edge graphs -> 3D edges: depths along chains, checked, joined to curves and refined.
 
-Views drive in turn. What a driver's curves cover in the other views is marked, so that each edge
-of the given is traced once, by the view that sees it best (paper: 3D edge reconstruction).
+Each view in turn is the reference view. What its curves cover in the other views is marked, so
+that each edge of the scene is traced once, by the view that sees it best (paper: 3D edge
+reconstruction).
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def trace_edges(
     if workers is None:
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
-    options = in_enlarged_pixels(options, model.scale)
+    options = in_upsampled_pixels(options, model.scale)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, None, workers, advance)
@@ -97,7 +98,7 @@ def trace_edges(
 def with_side_likelihoods(
     given: TracingInput, near: Neighborhood, options: PipelineOptions, num_threads: int
 ) -> TracingInput:
-    """The given with what its views tell of the sides of edges."""
+    """The same with what its views tell of the sides of edges."""
     learned = learn_side_likelihoods(
         given, near.ranges, options.chain_depth, options.random_seed, num_threads
     )
@@ -119,7 +120,7 @@ def trace_round(
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
     depths = find_depths(given, near, order, options.chain_depth, workers, advance)
     agreeing = {
-        view: count_agreeing_views(given, depths, view, options.tracing.max_cross_check_px)
+        view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
         for view in order.tolist()
     }
     counts = [agreeing[view] for view in range(len(order))]
@@ -128,7 +129,7 @@ def trace_round(
     return traced, count_samples(depths, counts, in_runs)
 
 
-def in_enlarged_pixels(options: PipelineOptions, scale: float) -> PipelineOptions:
+def in_upsampled_pixels(options: PipelineOptions, scale: float) -> PipelineOptions:
     """Options whose tolerances are in pixels of images enlarged `scale` times.
 
     Poses and distortion are off by pixels of the images as they are given.
@@ -149,7 +150,10 @@ def for_what_remains(options: PipelineOptions) -> PipelineOptions:
     """Options of later rounds: where fewer chains are left, less agreement is enough."""
     return replace(
         options,
-        chain_depth=derived(options.chain_depth, none_score=options.chain_depth.none_score - 2),
+        chain_depth=derived(
+            options.chain_depth,
+            min_log_likelihood_ratio=options.chain_depth.min_log_likelihood_ratio - 2,
+        ),
         tracing=derived(options.tracing, min_agreeing_views=options.tracing.min_agreeing_views - 1),
     )
 
@@ -185,14 +189,14 @@ def trace_views(
 ) -> tuple[list[Traced], int]:
     """Curves of every view on what those before it left, the best view first.
 
-    Views that have no witness in common do not wait for each other.
+    Views that have no observing view in common do not wait for each other.
 
     Returns:
         The curves of each view that has any, and how many samples are in sure runs.
     """
     views = [given.views[view] for view in range(len(depths))]
-    worths = [worth_of(*of) for of in zip(views, depths, agreeing, strict=True)]
-    order = np.argsort([-worth for worth in worths], kind="stable")
+    scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
+    order = np.argsort([-worth for worth in scores], kind="stable")
     traced: dict[int, Traced] = {}
     covered = nothing_covered(given.polyline_offsets)
     in_runs = np.zeros(len(order), np.int64)
@@ -250,7 +254,7 @@ def curves_traced(
     return trace_view(given, view, curves, options, num_threads), in_runs
 
 
-def worth_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
+def score_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
     """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
     return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
@@ -281,19 +285,19 @@ def trace_view(
     options: PipelineOptions,
     num_threads: int,
 ) -> Traced:
-    """Refine the curves of one driver and find their observations."""
-    witnesses = given.observing_views[view]
-    driver = given.views[view]
-    views = [given.views[other] for other in witnesses.tolist()]
-    edge_indexes = [given.index(other) for other in witnesses.tolist()]
+    """Refine the curves of one reference and find their observations."""
+    observing_views = given.observing_views[view]
+    reference = given.views[view]
+    views = [given.views[other] for other in observing_views.tolist()]
+    edge_indexes = [given.index(other) for other in observing_views.tolist()]
     refined = refine_curves(
-        driver, given.index(view), curves, edge_indexes, options.refinement, num_threads
+        reference, given.index(view), curves, edge_indexes, options.refinement, num_threads
     )
     observed = np.isfinite(refined.positions).sum(axis=1)
     distances = np.nansum(np.abs(refined.residuals), axis=1)
     shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(
-        driver,
+        reference,
         refined.curves,
         refined.residuals,
         shift / options.refinement.noise_px,
@@ -304,15 +308,15 @@ def trace_view(
     )
     inverse_depths = refined.curves.inverse_depths
     return Traced(
-        points=lift(driver, refined.curves.ideal, inverse_depths),
+        points=lift(reference, refined.curves.ideal, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
-        uncertainties=refined.sigmas / inverse_depths * driver.focal_px,
+        uncertainties=refined.sigmas / inverse_depths * reference.focal_px,
         residuals=distances / np.maximum(observed, 1),
         log_chances=log_chances,
         offsets=refined.curves.offsets,
-        driver=view,
+        reference=view,
         observations=ChainObservations.of_table(
-            np.concatenate([[view], witnesses]),
+            np.concatenate([[view], observing_views]),
             np.column_stack([curves.indices, refined.positions]),
         ),
     )

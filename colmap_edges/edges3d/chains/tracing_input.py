@@ -114,7 +114,7 @@ def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput
         views=model.views,
         graphs=graphs,
         neighbors=near.neighbors,
-        observing_views=near.witnesses,
+        observing_views=near.observing_views,
         polyline_offsets=offsets,
         parts=Kept(num_kept),
         indexes=Kept(num_kept),

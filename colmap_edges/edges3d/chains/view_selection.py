@@ -74,13 +74,13 @@ class Neighborhood:
     Attributes:
         neighbors: per view its neighbours, indices into the model's views, best first.
         later_neighbors: the same and further ones, for later rounds.
-        witnesses: per view all views that may observe its edges, ascending.
+        observing_views: per view all views that may observe its edges, ascending.
         ranges: per view the inverse depths it sees and where.
     """
 
     neighbors: tuple[IntArray, ...]
     later_neighbors: tuple[IntArray, ...]
-    witnesses: tuple[IntArray, ...]
+    observing_views: tuple[IntArray, ...]
     ranges: tuple[DepthRange, ...]
 
 
@@ -93,7 +93,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
     ranges = inverse_depth_ranges(model, observed)
-    neighbors, witnesses = [], []
+    neighbors, observing_views = [], []
     for view in range(len(model.views)):
         near, wide = neighbor_scores(
             model, observed, observers, view, ranges[view].overall, options
@@ -106,12 +106,12 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
             chosen = np.concatenate([chosen, pick_diverse(model, view, aside, lacking)])
         neighbors.append(chosen)
         seeing = np.flatnonzero(wide > 0)
-        order = np.argsort(-wide[seeing], kind="stable")[: options.num_witnesses]
-        witnesses.append(np.sort(seeing[order]))
+        order = np.argsort(-wide[seeing], kind="stable")[: options.num_observing_views]
+        observing_views.append(np.sort(seeing[order]))
     return Neighborhood(
         neighbors=tuple(of[: options.num_neighbors] for of in neighbors),
         later_neighbors=tuple(neighbors),
-        witnesses=tuple(witnesses),
+        observing_views=tuple(observing_views),
         ranges=ranges,
     )
 
@@ -184,7 +184,7 @@ def neighbor_scores(
     inverse_depths: tuple[float, float],
     options: ViewSelectionOptions,
 ) -> FloatArray:
-    """(2, V) scores of every other view as a neighbour and as a witness.
+    """(2, V) scores of every other view as a neighbour and as an observing view.
 
     They are numbers of shared points, weighted by their angles.
 
@@ -211,14 +211,14 @@ def angle_weights(
 ) -> FloatArray:
     """(2, N) weight of the triangulation angle between two rays: 1 where it is wide enough.
 
-    That of neighbours and that of witnesses, which may look from further aside.
+    That of neighbours and that of observing_views, which may look from further aside.
     """
     cosines = np.einsum("ij,ij->i", rays, other_rays) / (
         np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
     )
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     narrow = np.minimum(angles / options.good_angle_deg, 1) ** 2
-    most = np.array([[options.max_angle_deg], [options.max_witness_angle_deg]])
+    most = np.array([[options.max_angle_deg], [options.max_observing_angle_deg]])
     weights: FloatArray = narrow * np.clip((most - angles) / options.good_angle_deg, 0, 1)
     return weights
 

@@ -24,7 +24,7 @@ nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const Edg
                             double max_disagreement_px,
                             InArray<float, nb::shape<256, 256>> side_likelihoods,
                             double min_angle_sin, double visibility_rate, double detection_rate,
-                            double none_score, double break_penalty, int max_clusters,
+                            double min_log_likelihood_ratio, double break_penalty, int max_clusters,
                             int num_threads) {
   CheckOffsets(sample_offsets, samples.size());
   for (size_t i = 0; i < samples.size(); ++i) {
@@ -45,7 +45,7 @@ nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const Edg
     result = ComputeChainDepths(
         source, neighbors, starts, offsets, ranges, steps,
         {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
-         detection_rate, none_score, break_penalty, max_clusters},
+         detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
         num_threads);
   }
   const size_t count = starts.size(), total = result.positions.size();
@@ -142,16 +142,16 @@ OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, do
                                   Points2D ideal, Doubles inverse_depths,
                                   InArray<double, nb::ndim<2>> positions,
                                   const std::vector<const EdgeIndex*>& views,
-                                  const EdgeIndex& driver, Longs indices, Longs offsets, int reach,
-                                  int window, int num_threads) {
+                                  const EdgeIndex& reference, Longs indices, Longs offsets,
+                                  int reach, int window, int num_threads) {
   const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
                                                  inverse_depths, ideal, positions, views);
   const size_t count = ideal.shape(0);
   if (indices.size() != count) throw std::invalid_argument("curves and indices differ in length");
   CheckOffsets(offsets, count);
   for (size_t i = 0; i < count; ++i) {
-    if (!(indices(i) >= 0 && indices(i) < driver.num_points())) {
-      throw std::invalid_argument("an index is not on a chain of the driver");
+    if (!(indices(i) >= 0 && indices(i) < reference.num_points())) {
+      throw std::invalid_argument("an index is not on a chain of the reference view");
     }
   }
   if (reach < 0 || window < 1) throw std::invalid_argument("reach or window is too small");
@@ -159,7 +159,7 @@ OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, do
   {
     nb::gil_scoped_release release;
     const std::vector<SideGraySums> sums =
-        SumSideGray(curves, driver, indices.data(), offsets.data(), int64_t(offsets.size()) - 1,
+        SumSideGray(curves, reference, indices.data(), offsets.data(), int64_t(offsets.size()) - 1,
                     {reach, window}, num_threads);
     for (size_t i = 0; i < count; ++i) {
       columns[i] = sums[i].information, columns[count + i] = sums[i].gradient;
@@ -211,7 +211,7 @@ void BindChains(nb::module_& m) {
   m.def("chain_depths", &ChainDepthsArrays, "source"_a, "neighbors"_a, "samples"_a,
         "sample_offsets"_a, "inverse_depths"_a, "steps"_a, "max_disagreement_px"_a,
         "side_likelihoods"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
-        "none_score"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
+        "min_log_likelihood_ratio"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
   m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
@@ -219,17 +219,18 @@ void BindChains(nb::module_& m) {
   m.def("sum_observations", &SumObservationsArray, "rotation"_a, "translation"_a, "focal"_a,
         "ideal"_a, "inverse_depths"_a, "directions"_a, "positions"_a, "views"_a,
         "robust_scale_px"_a, "num_threads"_a,
-        "(7, N) sums over the observations of each point of a driver's curves: of weight times "
+        "(7, N) sums over the observations of each point of a reference view's curves: of weight "
+        "times "
         "slope slope, slope residual, slope across, across across, across residual; of the squared "
         "speed; their number.");
   m.def("observation_residuals", &ObservationResidualsArrays, "rotation"_a, "translation"_a,
         "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
   m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a, "ideal"_a,
-        "inverse_depths"_a, "positions"_a, "views"_a, "driver"_a, "indices"_a, "offsets"_a,
+        "inverse_depths"_a, "positions"_a, "views"_a, "reference"_a, "indices"_a, "offsets"_a,
         "reach"_a, "window"_a, "num_threads"_a,
         "(2, N) information on inverse depth and gradient, in units of the noise of gray, from the "
-        "gray along the chains that observe curves and along the driver's own.");
+        "gray along the chains that observe curves and along the reference view's own.");
   m.def("slide_positions", &SlidePositionsArray, "rotation"_a, "translation"_a, "focal"_a,
         "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) positions nearest to the points on the chains that observed them.");

@@ -25,7 +25,7 @@ struct ChainDepthParameters {
   double min_angle_sin;    // between edge and epipolar line
   double visibility_rate;  // chance that an edge of one view is not hidden in another
   double detection_rate;   // chance that it is detected there if so
-  double none_score;       // what a cluster's log likelihood ratio must exceed
+  double min_log_likelihood_ratio;       // what a cluster's log likelihood ratio must exceed
   double break_penalty;    // for a change from one cluster to another that does not go on
   int max_clusters;
 };
@@ -353,7 +353,7 @@ inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
     score[t].assign(n + 1, 0), back[t].assign(n + 1, 0);
     const int before = t > 0 ? int(states[t - 1].size()) : 0;
     for (int k = 0; k <= n; ++k) {
-      const double own = k < n ? states[t][k].score - p.none_score : 0;
+      const double own = k < n ? states[t][k].score - p.min_log_likelihood_ratio : 0;
       double best = t > 0 ? -std::numeric_limits<double>::infinity() : 0;
       for (int j = 0; t > 0 && j <= before; ++j) {
         double penalty = j == before && k == n ? 0 : 0.5 * p.break_penalty;

@@ -12,21 +12,21 @@
 
 namespace colmap_edges {
 
-// N points on the chains of a driver, and the places on chains of K views that observe them.
+// N points on the chains of a reference, and the places on chains of K views that observe them.
 struct ObservedCurves {
-  Mat3 rotation;  // of the driver
+  Mat3 rotation;  // of the reference view
   Vec3 translation;
   double focal;
-  const double* ideal;           // (N, 2) pixels of the driver
+  const double* ideal;           // (N, 2) pixels of the reference view
   const double* inverse_depths;  // (N)
-  const double* directions;      // (N, 2) in which points may move in the driver's image
+  const double* directions;      // (N, 2) in which points may move in the reference view's image
   const double* positions;       // (N, K) on the views' chains; NaN where nothing observes
   int64_t num_points;
   std::vector<const EdgeIndex*> views;
 };
 
 // One observation of one point, in pixels: the distance across the chain, its changes with inverse
-// depth and with a shift of the driver's pixel, the change along the chain with inverse depth, and
+// depth and with a shift of the reference view's pixel, the change along the chain with inverse depth, and
 // the speed of the projection with that.
 struct Observation {
   double residual, slope, across, along, speed2;
@@ -72,7 +72,7 @@ class CurveObserver {
     return {x[0] / curves_.focal, x[1] / curves_.focal, 1};
   }
 
-  // Point i in the frame of view k, its depth in the driver taken as the unit.
+  // Point i in the frame of view k, its depth in the reference taken as the unit.
   Vec3 ToView(int64_t i, int64_t k, const Vec3& ray) const {
     const auto& [rotation, translation] = poses_[k];
     return Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
@@ -102,7 +102,7 @@ class CurveObserver {
   }
 
   const ObservedCurves& curves_;
-  std::vector<std::pair<Mat3, Vec3>> poses_;  // of the views, from the driver's frame
+  std::vector<std::pair<Mat3, Vec3>> poses_;  // of the views, from the reference view's frame
 };
 
 // The sums of each point. Residuals count by Geman and McClure's weights.

@@ -51,13 +51,13 @@ inline Grays SmoothGray(const EdgeIndex& view, double position, int64_t reach) {
   return mean;
 }
 
-// Compares the gray along curves of a driver with that along the chains that observe them.
+// Compares the gray along curves of a reference with that along the chains that observe them.
 class SideGray {
  public:
-  // indices: (N) of the curves' points in the driver's graph.
-  SideGray(const ObservedCurves& curves, const EdgeIndex& driver, const int64_t* indices,
+  // indices: (N) of the curves' points in the reference view's graph.
+  SideGray(const ObservedCurves& curves, const EdgeIndex& reference, const int64_t* indices,
            const SideGrayParameters& parameters)
-      : curves_(curves), observer_(curves), driver_(driver), indices_(indices), p_(parameters) {}
+      : curves_(curves), observer_(curves), driver_(reference), indices_(indices), p_(parameters) {}
 
   // Adds to the sums of the points first .. last - 1, which are one curve.
   void AddCurve(int64_t first, int64_t last, SideGraySums* sums) const {
@@ -87,7 +87,7 @@ class SideGray {
   static constexpr double kDensest = 0.4;    // pixels between points of a chain, for positions on
   static constexpr double kSparsest = 2;     // it to tell lengths
 
-  // The gray of one view less that of the driver, and how that changes with inverse depth.
+  // The gray of one view less that of the reference, and how that changes with inverse depth.
   struct Difference {
     double gray, slope;
   };
@@ -156,12 +156,12 @@ class SideGray {
 };
 
 // The sums of each point; offsets: CSR of the points by curve.
-inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves, const EdgeIndex& driver,
+inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves, const EdgeIndex& reference,
                                              const int64_t* indices, const int64_t* offsets,
                                              int64_t num_curves,
                                              const SideGrayParameters& parameters,
                                              int num_threads) {
-  const SideGray gray(curves, driver, indices, parameters);
+  const SideGray gray(curves, reference, indices, parameters);
   std::vector<SideGraySums> sums(curves.num_points);
   ParallelBlocks(num_curves, num_threads, 8,
                  [&](int64_t c) { gray.AddCurve(offsets[c], offsets[c + 1], sums.data()); });

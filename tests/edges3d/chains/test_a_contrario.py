@@ -25,7 +25,7 @@ LINE = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
 
 
 def curve_on_driver(curve=LINE, num_points=8):
-    """Points of a curve as the driver sees it, at their true depths."""
+    """Points of a curve as the reference sees it, at their true depths."""
     graph = known.graph_of(DRIVER, [curve])
     rows = np.linspace(5, len(graph.ideal) - 6, num_points).astype(np.int64)
     t = known.dense_parameters(DRIVER, curve)[rows]

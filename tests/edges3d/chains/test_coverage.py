@@ -99,11 +99,11 @@ def test_what_is_left_is_cut_where_curves_run():
     assert not keep_points(graph, keep).closed.any()
 
 
-def along(chain, views, points, driver_observes=True):
+def along(chain, views, points, reference_observes=True):
     """A curve on the same `points` of one chain in all `views`, on the chains of the first."""
     count = len(points)
     at = np.tile((chain + points)[:, None].astype(float), len(views))
-    if not driver_observes:
+    if not reference_observes:
         at[:, 0] = np.nan
     return Traced(
         points=np.column_stack([points, np.zeros((count, 2))]),
@@ -112,7 +112,7 @@ def along(chain, views, points, driver_observes=True):
         residuals=np.ones(count),
         log_chances=np.full(count, -4.0),
         offsets=np.array([0, count]),
-        driver=views[0],
+        reference=views[0],
         observations=ChainObservations.of_table(np.asarray(views), at),
     )
 
@@ -143,8 +143,8 @@ def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     first = along(0, [0, 1, 2], np.arange(40, 120, 4))
     again = along(0, [1, 0, 2], np.arange(20, 160, 4))
     elsewhere = along(0, [3, 4], np.arange(40, 120, 4))
-    not_in_driver = along(0, [2, 5, 6], np.arange(40, 120, 4), driver_observes=False)
-    contours = [first, again, elsewhere, not_in_driver]
+    not_in_reference = along(0, [2, 5, 6], np.arange(40, 120, 4), reference_observes=False)
+    contours = [first, again, elsewhere, not_in_reference]
     kept = Sorted(edges=[], contours=contours, limits=LIMITS)
     options = TracingOptions(point_spacing_px=4, min_curve_points=3)
     left, counts = without_repeats(fence, kept, options)

@@ -16,7 +16,7 @@ from colmap_edges.options import TracingOptions
 
 
 def traced_curves(log_chances, num_observations, lengths, residuals=0.0):
-    """Curves of one driver whose points have these chances, observations and residuals."""
+    """Curves of one reference whose points have these chances, observations and residuals."""
     count = len(log_chances)
     observed = np.arange(8)[None, :] < np.asarray(num_observations)[:, None]
     offsets = offsets_of(np.asarray(lengths, int))
@@ -27,7 +27,7 @@ def traced_curves(log_chances, num_observations, lengths, residuals=0.0):
         residuals=np.broadcast_to(np.asarray(residuals, float), count),
         log_chances=np.asarray(log_chances, float),
         offsets=offsets,
-        driver=0,
+        reference=0,
         observations=ChainObservations.of_table(np.arange(8), np.where(observed, 1.0, np.nan)),
     )
 

@@ -17,7 +17,7 @@ SPACING = 4  # points of a chain between two of a curve
 
 
 def curve_on(view, curve, *, shift_px=0.0, depth_factor=1.0):
-    """A curve of the driver `view` beside the true one, every 4 px, at wrong depths."""
+    """A curve of the reference view `view` beside the true one, every 4 px, at wrong depths."""
     graph = known.graph_of(view, [curve])
     rows = np.arange(0, len(graph.ideal), SPACING)
     t = known.dense_parameters(view, curve)[rows]
@@ -36,16 +36,16 @@ def chains_of(view, *curves):
     return make_edge_index(known.graph_of(view, list(curves)), view)
 
 
-def refined_distances(driver, curves, views, curve):
-    """Distances of the refined points to the true curve, in pixels of the driver."""
-    own, *edge_indexes = (chains_of(view, curve) for view in (driver, *views))
-    refined = refine_curves(driver, own, curves, edge_indexes, RefinementOptions(), 1)
-    points = lift(driver, refined.curves.ideal, refined.curves.inverse_depths)
+def refined_distances(reference, curves, views, curve):
+    """Distances of the refined points to the true curve, in pixels of the reference."""
+    own, *edge_indexes = (chains_of(view, curve) for view in (reference, *views))
+    refined = refine_curves(reference, own, curves, edge_indexes, RefinementOptions(), 1)
+    points = lift(reference, refined.curves.ideal, refined.curves.inverse_depths)
     dense = curve(np.linspace(0, 1, 20001))
     apart = np.linalg.norm(points[:, None] - dense[None, ::20], axis=2).argmin(axis=1) * 20
     near = np.clip(apart[:, None] + np.arange(-20, 21), 0, len(dense) - 1)
     nearest = np.linalg.norm(points[:, None] - dense[near], axis=2).min(axis=1)
-    return nearest * refined.curves.inverse_depths * driver.focal_px
+    return nearest * refined.curves.inverse_depths * reference.focal_px
 
 
 @pytest.mark.parametrize(
@@ -54,26 +54,26 @@ def refined_distances(driver, curves, views, curve):
     ids=["line", "circle"],
 )
 def test_wrong_depths_are_corrected(curve):
-    driver, *others = known.ring(7)
-    curves = curve_on(driver, curve, depth_factor=1.003)
-    assert np.median(refined_distances(driver, curves, others, curve)) < 0.03
+    reference, *others = known.ring(7)
+    curves = curve_on(reference, curve, depth_factor=1.003)
+    assert np.median(refined_distances(reference, curves, others, curve)) < 0.03
 
 
 def test_the_driver_is_one_observation_of_many():
     curve = known.line((-0.2, -0.3, -0.4), (0.2, 0.1, 0.5))
     views = known.ring(9)
-    driver, others = views[4], [*views[:4], *views[5:]]
-    curves = curve_on(driver, curve, shift_px=0.5)
-    # Kept on the driver's chain, every point would stay half a pixel off.
-    assert np.median(refined_distances(driver, curves, others, curve)) < 0.2
+    reference, others = views[4], [*views[:4], *views[5:]]
+    curves = curve_on(reference, curve, shift_px=0.5)
+    # Kept on the reference view's chain, every point would stay half a pixel off.
+    assert np.median(refined_distances(reference, curves, others, curve)) < 0.2
 
 
 def test_a_curve_that_nothing_observes_stays():
     curve = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
-    driver, *others = known.ring(4)
-    curves = curve_on(driver, curve)
-    own, none = chains_of(driver, curve), [chains_of(view) for view in others]
-    refined = refine_curves(driver, own, curves, none, RefinementOptions(), 1)
+    reference, *others = known.ring(4)
+    curves = curve_on(reference, curve)
+    own, none = chains_of(reference, curve), [chains_of(view) for view in others]
+    refined = refine_curves(reference, own, curves, none, RefinementOptions(), 1)
     assert np.allclose(refined.curves.ideal, curves.ideal)
     assert np.allclose(refined.curves.inverse_depths, curves.inverse_depths)
     assert np.isinf(refined.sigmas).all()
@@ -82,11 +82,11 @@ def test_a_curve_that_nothing_observes_stays():
 
 def test_depths_never_leave_the_front():
     curve = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
-    driver, *others = known.ring(4)
-    curves = curve_on(driver, curve)
+    reference, *others = known.ring(4)
+    curves = curve_on(reference, curve)
     curves = replace(curves, inverse_depths=np.full(len(curves.ideal), 1e-9))
-    own, *edge_indexes = (chains_of(view, curve) for view in (driver, *others))
-    refined = refine_curves(driver, own, curves, edge_indexes, RefinementOptions(), 1)
+    own, *edge_indexes = (chains_of(view, curve) for view in (reference, *others))
+    refined = refine_curves(reference, own, curves, edge_indexes, RefinementOptions(), 1)
     assert (refined.curves.inverse_depths > 0).all()
 
 
@@ -109,15 +109,15 @@ def gray_along(view, *, body_only=False, seed=0):
 
 @pytest.mark.parametrize("body_only", [False, True])
 def test_gray_beside_an_edge_along_the_baseline_tells_its_depth(body_only):
-    driver, *others = known.row(6)
-    own, *edge_indexes = (gray_along(view, body_only=body_only) for view in (driver, *others))
-    true = curve_on(driver, ALONG)
-    start = curve_on(driver, ALONG, depth_factor=1.004)
-    baseline_px = np.ptp([view.center[0] for view in others]) * driver.focal_px
+    reference, *others = known.row(6)
+    own, *edge_indexes = (gray_along(view, body_only=body_only) for view in (reference, *others))
+    true = curve_on(reference, ALONG)
+    start = curve_on(reference, ALONG, depth_factor=1.004)
+    baseline_px = np.ptp([view.center[0] for view in others]) * reference.focal_px
 
     def errors(weight):
         options = RefinementOptions(side_gray_weight=weight)
-        refined = refine_curves(driver, own, start, edge_indexes, options, 1)
+        refined = refine_curves(reference, own, start, edge_indexes, options, 1)
         wrong = refined.curves.inverse_depths - true.inverse_depths
         return np.median(np.abs(wrong)) * baseline_px, np.median(refined.sigmas) * baseline_px
 
@@ -129,12 +129,12 @@ def test_gray_beside_an_edge_along_the_baseline_tells_its_depth(body_only):
 
 
 def test_gray_that_is_the_same_everywhere_moves_nothing():
-    driver, *others = known.row(5)
-    own, *edge_indexes = (chains_of(view, ALONG) for view in (driver, *others))
-    start = curve_on(driver, ALONG, depth_factor=1.002)
-    refined = refine_curves(driver, own, start, edge_indexes, RefinementOptions(), 1)
+    reference, *others = known.row(5)
+    own, *edge_indexes = (chains_of(view, ALONG) for view in (reference, *others))
+    start = curve_on(reference, ALONG, depth_factor=1.002)
+    refined = refine_curves(reference, own, start, edge_indexes, RefinementOptions(), 1)
     plain = replace(RefinementOptions(), side_gray_weight=0.0)
-    alone = refine_curves(driver, own, start, edge_indexes, plain, 1)
+    alone = refine_curves(reference, own, start, edge_indexes, plain, 1)
     np.testing.assert_allclose(
         refined.curves.inverse_depths, alone.curves.inverse_depths, rtol=1e-6
     )

@@ -36,8 +36,8 @@ def test_neighbors_share_points():
     for view in range(8):
         group = set(range(4)) if view < 4 else set(range(4, 8))
         assert set(near.neighbors[view].tolist()) == group - {view}
-        assert set(near.witnesses[view].tolist()) == group - {view}
-        assert (np.diff(near.witnesses[view]) > 0).all()
+        assert set(near.observing_views[view].tolist()) == group - {view}
+        assert (np.diff(near.observing_views[view]) > 0).all()
 
 
 def test_neighbor_with_more_shared_points_is_better():
@@ -87,7 +87,7 @@ def test_later_rounds_compare_with_the_same_views_and_further_ones():
 def test_views_from_further_aside_fill_up():
     model = known.model_of(RING, ball(200, radius=0.1))
     options = ViewSelectionOptions(
-        max_angle_deg=40.0, max_witness_angle_deg=100.0, num_neighbors=12
+        max_angle_deg=40.0, max_observing_angle_deg=100.0, num_neighbors=12
     )
     for view, neighbors in enumerate(select_views(model, options).neighbors):
         assert len(set(neighbors.tolist())) == len(neighbors)
@@ -124,7 +124,7 @@ def test_view_that_looks_elsewhere_is_not_chosen(with_points):
     near = select_views(model, ViewSelectionOptions())
     for view in range(12):
         assert 12 not in near.neighbors[view]
-        assert 12 not in near.witnesses[view]
+        assert 12 not in near.observing_views[view]
         assert len(near.neighbors[view]) > 0
     assert not set(near.neighbors[12].tolist()) & {4, 5, 6}
 

@@ -66,7 +66,8 @@ def test_crossings_are_those_of_all_segments(seed):
             steps=1.0,
             max_disagreement_px=0.1,
             side_likelihoods=ANY_SIDES,
-            min_angle_sin=0.0, visibility_rate=1.0, detection_rate=0.6, none_score=-1e9,
+            min_angle_sin=0.0, visibility_rate=1.0, detection_rate=0.6,
+            min_log_likelihood_ratio=-1e9,
             break_penalty=0.0, max_clusters=6, num_threads=1,
         )  # fmt: skip
         start, end = (project(*pose, sample, rho) for rho in (low, high))

@@ -9,11 +9,11 @@ from random_chains import FOCAL, edge_index, neighbor, random_chains, random_pos
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
-def observed_reference(driver, ideal, inverse_depths, directions, positions, view, pose):
+def observed_reference(reference, ideal, inverse_depths, directions, positions, view, pose):
     """Residuals, slopes, slopes across and speeds of the points in one view; NaN where unseen."""
     seen = np.isfinite(positions)
-    rotation = pose[0] @ driver[0].T
-    translation = pose[1] - rotation @ driver[1]
+    rotation = pose[0] @ reference[0].T
+    translation = pose[1] - rotation @ reference[1]
 
     def projected(pixels, inverse):
         rays = np.column_stack([pixels / FOCAL, np.ones(len(pixels))])
@@ -35,7 +35,7 @@ def observed_reference(driver, ideal, inverse_depths, directions, positions, vie
 
 def test_sums_over_observations_are_those_of_finite_differences():
     rng = np.random.default_rng(5)
-    driver, poses, scale = random_pose(rng), [random_pose(rng) for _ in range(4)], 30.0
+    reference, poses, scale = random_pose(rng), [random_pose(rng) for _ in range(4)], 30.0
     chains = [random_chains(rng) for _ in poses]
     views = [edge_index(*parts, pose) for parts, pose in zip(chains, poses, strict=True)]
     count = 600
@@ -44,10 +44,10 @@ def test_sums_over_observations_are_those_of_finite_differences():
     positions = np.column_stack([rng.uniform(0, len(parts[0]), count) for parts in chains])
     positions[rng.random(positions.shape) < 0.3] = np.nan
     positions[0] = np.nan
-    curves = (*driver, FOCAL, ideal, inverse)
+    curves = (*reference, FOCAL, ideal, inverse)
     residuals, slopes, across, speeds = np.stack(
         [
-            observed_reference(driver, ideal, inverse, directions, positions[:, k], view, pose)
+            observed_reference(reference, ideal, inverse, directions, positions[:, k], view, pose)
             for k, (view, pose) in enumerate(zip(views, poses, strict=True))
         ],
         axis=2,
@@ -83,7 +83,7 @@ def smooth_gray(index, fraction, reach, sides, offsets, closed):
 
 
 def gray_differences(chain, sides, own, position, speed, reach):
-    """(2,) gray less the driver's, and (2,) its change with inverse depth; None off its scale."""
+    """(2,) gray less the reference view's, (2,) its change with inverse depth; None off scale."""
     points, _, offsets, closed = chain
     index, step = int(position), max(reach, 1)
     ends = (neighbor(index, steps, offsets, closed) for steps in (1, -1))
@@ -115,12 +115,12 @@ def add_side_gray(rows, window, information, gradient):
 @pytest.mark.parametrize("reach", [0, 2])
 def test_side_gray_is_that_of_plain_sums(reach):
     rng = np.random.default_rng(8)
-    driver, poses = random_pose(rng), [random_pose(rng) for _ in range(3)]
+    reference, poses = random_pose(rng), [random_pose(rng) for _ in range(3)]
     chains = [random_chains(rng) for _ in range(4)]
     grays = [rng.integers(0, 256, (len(chain[0]), 2)).astype(np.uint8) for chain in chains]
     own, *views = (
         edge_index(*chain, pose, sides=sides)
-        for chain, pose, sides in zip(chains, [driver, *poses], grays, strict=True)
+        for chain, pose, sides in zip(chains, [reference, *poses], grays, strict=True)
     )
     offsets, window = np.array([0, 5, 45, 120, 200]), 4
     count = offsets[-1]
@@ -128,11 +128,11 @@ def test_side_gray_is_that_of_plain_sums(reach):
     indices = rng.integers(0, len(chains[0][0]), count)
     positions = np.column_stack([rng.uniform(0, len(c[0]), count) for c in chains[1:]])
     positions[rng.random(positions.shape) < 0.2] = np.nan
-    curves = (*driver, FOCAL, ideal, inverse)
+    curves = (*reference, FOCAL, ideal, inverse)
     information, gradient = np.zeros(count), np.zeros(count)
     for k, pose in enumerate(poses):
-        rotation = pose[0] @ driver[0].T
-        translation = pose[1] - rotation @ driver[1]
+        rotation = pose[0] @ reference[0].T
+        translation = pose[1] - rotation @ reference[1]
         for first, last in pairwise(offsets):
             rows = ([], [])
             for i in range(first, last):
@@ -157,7 +157,7 @@ def test_side_gray_is_that_of_plain_sums(reach):
     np.testing.assert_allclose(sums[1], gradient, rtol=1e-5, atol=1e-6 * np.abs(gradient).max())
     again = _kernels.sum_side_gray(*curves, positions, views, *arguments, 3)
     assert again.tobytes() == sums.tobytes()
-    with pytest.raises(ValueError, match="not on a chain of the driver"):
+    with pytest.raises(ValueError, match="not on a chain of the reference view"):
         _kernels.sum_side_gray(
             *curves, positions, views, own, indices + 10**6, offsets, reach, window, 1
         )
