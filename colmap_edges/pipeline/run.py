@@ -83,10 +83,15 @@ def run(
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
             report["stages"] = stages.records()
-        report["files"] = file_sizes(folder)
-        text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
-        (folder / REPORT_NAME).write_text(text, encoding="utf-8")
+        write_record(folder, report)
     return report
+
+
+def write_record(folder: Path, report: dict[str, Any]) -> None:
+    """Write report.json, with the files of the folder by which it is known to be ours."""
+    report["files"] = file_sizes(folder)
+    text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
+    (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
 def run_edges(
