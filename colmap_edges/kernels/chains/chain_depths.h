@@ -22,11 +22,11 @@ struct ChainDepthParameters {
   // (256, 256) by the differences, in gray levels, of the dark and of the bright sides of an edge
   // in two views: how much likelier they are for one edge than by chance; 0 for no match.
   const float* side_likelihoods;
-  double min_angle_sin;    // between edge and epipolar line
-  double visibility_rate;  // chance that an edge of one view is not hidden in another
-  double detection_rate;   // chance that it is detected there if so
-  double min_log_likelihood_ratio;       // what a cluster's log likelihood ratio must exceed
-  double break_penalty;    // for a change from one cluster to another that does not go on
+  double min_angle_sin;             // between edge and epipolar line
+  double visibility_rate;           // chance that an edge of one view is not hidden in another
+  double detection_rate;            // chance that it is detected there if so
+  double min_log_likelihood_ratio;  // what a cluster's log likelihood ratio must exceed
+  double break_penalty;             // for a change from one cluster to another that does not go on
   int max_clusters;
 };
 

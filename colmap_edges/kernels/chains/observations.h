@@ -26,8 +26,8 @@ struct ObservedCurves {
 };
 
 // One observation of one point, in pixels: the distance across the chain, its changes with inverse
-// depth and with a shift of the reference view's pixel, the change along the chain with inverse depth, and
-// the speed of the projection with that.
+// depth and with a shift of the reference view's pixel, the change along the chain with inverse
+// depth, and the speed of the projection with that.
 struct Observation {
   double residual, slope, across, along, speed2;
 };

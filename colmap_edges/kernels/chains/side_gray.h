@@ -156,9 +156,9 @@ class SideGray {
 };
 
 // The sums of each point; offsets: CSR of the points by curve.
-inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves, const EdgeIndex& reference,
-                                             const int64_t* indices, const int64_t* offsets,
-                                             int64_t num_curves,
+inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves,
+                                             const EdgeIndex& reference, const int64_t* indices,
+                                             const int64_t* offsets, int64_t num_curves,
                                              const SideGrayParameters& parameters,
                                              int num_threads) {
   const SideGray gray(curves, reference, indices, parameters);
