@@ -11,13 +11,13 @@ from pathlib import Path
 import click
 
 from colmap_edges.errors import exit_on_error
-from colmap_edges.evaluation import benchmark
+from colmap_edges.evaluation import benchmark, scenes
 
 
 @click.command(help=__doc__)
 @click.option(
     "--scene",
-    "scenes",
+    "entries",
     type=(str, Path, Path, Path),
     multiple=True,
     required=True,
@@ -28,29 +28,31 @@ from colmap_edges.evaluation import benchmark
 @click.option("--view_names", multiple=True, help="Views that see a reference mesh, or 'all'.")
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scene} in it varies.")
+@click.option("--baseline", default="", help="Row of the average variation; default: the first.")
 @click.option("--output_path", type=Path, required=True, help="Folder for meshes and tables.")
 @exit_on_error()
 def main(
-    scenes: tuple[tuple[str, Path, Path, Path], ...],
+    entries: tuple[tuple[str, Path, Path, Path], ...],
     unit: str,
     view_names: tuple[str, ...],
     methods: tuple[str, ...],
     peers: tuple[str, ...],
+    baseline: str,
     output_path: Path,
 ) -> None:
-    found = benchmark.parse_peers(peers)
+    found = scenes.parse_peers(peers)
     listed = [
-        benchmark.Scene(
+        scenes.Scene(
             name=name,
             image_path=image_path,
             sparse_path=sparse_path,
-            load_reference=benchmark.file_reference(reference_path, view_names),
-            peers={k: Path(v.format(scene=name)) for k, v in found.items()},
+            load_reference=scenes.file_reference(reference_path, view_names),
+            peers=scenes.peers_of(found, scene=name),
             unit=unit,
         )
-        for name, image_path, sparse_path, reference_path in scenes
+        for name, image_path, sparse_path, reference_path in entries
     ]
-    benchmark.run(listed, output_path, methods, progress=click.echo)
+    benchmark.run(listed, output_path, methods, baseline=baseline, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 

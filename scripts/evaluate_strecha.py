@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from colmap_edges.errors import exit_on_error
-from colmap_edges.evaluation import benchmark
-from colmap_edges.evaluation.protocols import strecha
+from colmap_edges.evaluation import benchmark, scenes
 
 
 @click.command(help=__doc__)
@@ -30,13 +29,12 @@ def main(
     methods: tuple[str, ...],
     peers: tuple[str, ...],
 ) -> None:
-    scene = benchmark.Scene(
+    scene = scenes.strecha_scene(
+        image_path,
+        reference_path,
         name=name,
-        image_path=image_path,
-        posed=strecha.posed_images(image_path, camera_path),
-        load_reference=benchmark.file_reference(reference_path),
-        peers={k: Path(v) for k, v in benchmark.parse_peers(peers).items()},
-        unit="m",
+        camera_path=camera_path,
+        peer_paths=scenes.parse_peers(peers),
     )
     benchmark.run([scene], output_path, methods, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
-from colmap_edges.colmap.triangulation import PosedImage, triangulate
+from colmap_edges.colmap.triangulation import triangulate
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures, tables
-from colmap_edges.evaluation.metrics import clouds, depth, edges
-from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
+from colmap_edges.evaluation.metrics import clouds, depth, dtu_distances, edges
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
-from colmap_edges.evaluation.protocols import dtu
-from colmap_edges.evaluation.protocols.scene import views_named
 from colmap_edges.evaluation.readers import peers
+from colmap_edges.evaluation.scenes import Reference, Scene
+from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.input_files import read_text
 
 logger = logging.getLogger(__name__)
@@ -32,60 +32,47 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
-    """What a scene is measured against; any part may be missing.
-
-    Attributes:
-        depths: Depth maps: meshes are judged by them, and points without `points`.
-        points: (N, 3) dense cloud: points are judged by their distance to it.
-        surface: Mesh: the same, where there is no cloud.
-        dtu: DTU's benchmark data.
-    """
-
-    depths: Sequence[depth.ReferenceDepth] = ()
-    points: FloatArray | None = None
-    surface: Any = None
-    dtu: dtu.DtuReference | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """Images with what is known of them.
-
-    Attributes:
-        name: Name in the tables and of the output folder.
-        image_path: Folder of the images.
-        load_reference: Reads the reference, given the model.
-        sparse_path: COLMAP model; None: triangulated from `posed`.
-        posed: Images with poses.
-        peers: Results of other systems by name, see `peers.load`.
-        unit: Unit of its lengths.
-        problem: Why it cannot be run; empty when it can.
-    """
-
-    name: str
-    image_path: Path
-    load_reference: Callable[[Model], Reference]
-    sparse_path: Path | None = None
-    posed: Sequence[PosedImage] = ()
-    peers: Mapping[str, Path] = field(default_factory=dict)
-    unit: str = "world unit"
-    problem: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way from a model to a mesh: with or without edges, with changed meshing options."""
+    """A way from a model to a mesh.
+
+    Attributes:
+        use_edges: Whether edges are meshed, too.
+        paper: Whether the options are those nearest to the paper's way, its mesher included.
+        meshing: Changed meshing options.
+    """
 
     use_edges: bool
+    paper: bool = False
     meshing: Mapping[str, Any] = field(default_factory=dict)
 
 
 METHODS = {
     "SfM": Method(use_edges=False),
+    "SfM-paper": Method(use_edges=False, paper=True),
     "COLMAP-like": Method(use_edges=False, meshing={"quality_weight": 1.0}),
+    "paper": Method(use_edges=True, paper=True),
     "edges": Method(use_edges=True),
 }
+PAPER_OPTIONS: dict[str, dict[str, Any]] = {
+    "detection": {"min_blur_px": 0.0},
+    "edge_graph": {
+        "filter_regular_length": True,
+        "min_corner_angle_deg": 180.0,
+        "max_gap_px": 0.0,
+    },
+    "tracing": {"method": "paper"},
+    "matching": {"min_similarity": 0.0},
+    "meshing": {"method": "manifold"},
+}
+
+
+def pipeline_options(method: Method) -> PipelineOptions:
+    """The options that a method runs the pipeline with."""
+    options = PipelineOptions(use_edges=method.use_edges)
+    if method.paper:
+        groups = {n: replace(getattr(options, n), **v) for n, v in PAPER_OPTIONS.items()}
+        options = replace(options, **groups)
+    return replace(options, meshing=replace(options.meshing, **method.meshing))
 
 
 def run(
@@ -93,6 +80,7 @@ def run(
     output_path: Path,
     methods: Sequence[str] = ("SfM", "edges"),
     *,
+    baseline: str = "",
     progress: Progress = logger.info,
 ) -> Record:
     """Mesh and measure every scene by every method, and write evaluation.json and evaluation.md.
@@ -100,9 +88,21 @@ def run(
     What an earlier run finished is read again. A scene or method that fails is reported in its
     place and does not stop the others.
 
+    Args:
+        scenes: What is meshed.
+        output_path: Folder for models, meshes and tables.
+        methods: Names in `METHODS`; peers of the scenes come after them.
+        baseline: Method or peer that the average variation is against; default: the first method.
+        progress: Told what is being done, line by line.
+
     Returns:
         What evaluation.json holds: by scene, by method.
+
+    Raises:
+        ColmapEdgesError: There is no such method, or the baseline is none of the rows.
     """
+    rows = list(dict.fromkeys([*methods, *(peer for scene in scenes for peer in scene.peers)]))
+    check_names(methods, baseline, rows)
     output_path.mkdir(parents=True, exist_ok=True)
     results: Record = {}
     for number, scene in enumerate(scenes, start=1):
@@ -112,14 +112,27 @@ def run(
         for method in [*methods, *scene.peers]:
             record = _run_method(scene, method, folder, progress)
             results[scene.name]["methods"][method] = record
-        write_results(results, output_path)
+        write_results(results, output_path, baseline or rows[0])
     return results
 
 
-def write_results(results: Record, output_path: Path) -> None:
+def check_names(methods: Sequence[str], baseline: str, rows: Sequence[str]) -> None:
+    """Check that methods are known and the baseline is among the rows.
+
+    Raises:
+        ColmapEdgesError: One is not.
+    """
+    unknown = [method for method in methods if method not in METHODS]
+    if unknown:
+        raise ColmapEdgesError(f"no method {unknown[0]}; choose from {', '.join(METHODS)}")
+    if baseline and baseline not in rows:
+        raise ColmapEdgesError(f"no baseline {baseline}; the rows are {', '.join(rows)}")
+
+
+def write_results(results: Record, output_path: Path, baseline: str) -> None:
     """Write evaluation.json and evaluation.md."""
     (output_path / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n")
-    (output_path / "evaluation.md").write_text(tables.paper_tables(results) + "\n")
+    (output_path / "evaluation.md").write_text(tables.paper_tables(results, baseline) + "\n")
 
 
 def _run_method(scene: Scene, method: str, folder: Path, progress: Progress) -> Record:
@@ -154,14 +167,14 @@ def evaluate_method(scene: Scene, method: str, folder: Path, run_path: Path) -> 
     folder.mkdir(parents=True, exist_ok=True)
     sparse_path = scene.sparse_path or triangulated(scene, folder / "sparse")
     model = load_model(sparse_path)
+    reference = scene.load_reference(model)  # first: meshing takes longest
     if method in scene.peers:
         points = mesh_peer(scene.peers[method], model, run_path)
-    elif method in METHODS:
-        points = mesh_own(METHODS[method], scene.image_path, sparse_path, model, run_path)
     else:
-        raise ColmapEdgesError(f"no method {method}; choose from {', '.join(METHODS)}")
+        points = mesh_own(METHODS[method], scene.image_path, sparse_path, model, run_path)
     mesh = load_mesh(run_path / "mesh.ply")
-    return measure(mesh, points, scene.load_reference(model), run_path / "maps")
+    sfm_points = None if points is model else model
+    return measure(mesh, points, reference, run_path / "maps", sfm_points=sfm_points)
 
 
 def triangulated(scene: Scene, path: Path) -> Path:
@@ -177,14 +190,11 @@ def mesh_own(
     method: Method, image_path: Path, sparse_path: Path, model: Model, run_path: Path
 ) -> Model:
     """Run the pipeline into `run_path`; returns the points that count: the edges' or all."""
-    from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run as run_pipeline
 
-    options = PipelineOptions(use_edges=method.use_edges)
-    options = replace(options, meshing=replace(options.meshing, **method.meshing))
     paths = Paths(image_path=image_path, input_path=sparse_path, output_path=run_path)
-    run_pipeline("mesh", paths, options, overwrite=True)
+    run_pipeline("mesh", paths, pipeline_options(method), overwrite=True)
     if not method.use_edges:
         return model
     return edges.edge_points(load_model(run_path / "sparse"), model)
@@ -201,9 +211,31 @@ def mesh_peer(path: Path, model: Model, run_path: Path) -> Model:
     return edges.points_of_edges(found, model)
 
 
-def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | None) -> Record:
-    """Errors of a mesh and of the points that a method adds (of all points without edges)."""
-    record: Record = {"faces": len(mesh.faces), "points": point_errors(points, reference)}
+def measure(
+    mesh: Any,
+    points: Model,
+    reference: Reference,
+    maps_path: Path | None,
+    *,
+    sfm_points: Model | None = None,
+) -> Record:
+    """Errors of a mesh and of its points.
+
+    Args:
+        mesh: Triangle mesh with vertices and faces.
+        points: The points that a method adds, or all of one that adds none.
+        reference: What is true.
+        maps_path: Folder for error maps; none are made without.
+        sfm_points: The points that `points` are added to.
+    """
+    errors, of = point_errors(points, reference)
+    record: Record = {"faces": len(mesh.faces), "notes": list(reference.notes)}
+    record["points"] = point_record(errors, of, len(points.points3D_xyz))
+    record["all_points"] = record["points"]
+    if sfm_points is not None:
+        errors = np.concatenate([point_errors(sfm_points, reference)[0], errors])
+        count = len(sfm_points.points3D_xyz) + len(points.points3D_xyz)
+        record["all_points"] = point_record(errors, of, count)
     if reference.depths:
         caster = RayCaster(mesh.vertices, mesh.faces)
         results = [depth.depth_errors(caster, known) for known in reference.depths]
@@ -212,141 +244,25 @@ def measure(mesh: Any, points: Model, reference: Reference, maps_path: Path | No
         if maps_path is not None:
             pictures.write_error_maps(maps_path, results)
     if reference.dtu is not None:
-        record["dtu"] = asdict(dtu.evaluate_mesh(mesh, reference.dtu))
+        record["dtu"] = asdict(dtu_distances.evaluate_mesh(mesh, reference.dtu))
     return record
 
 
-def point_errors(points: Model, reference: Reference) -> Record:
-    """Statistics of points against the reference (see the module's tables) and their number."""
+def point_errors(points: Model, reference: Reference) -> tuple[FloatArray, str]:
+    """Errors of points against the reference and what they are; none without a reference."""
     xyz = points.points3D_xyz
     if reference.points is not None:
-        errors, of = clouds.cloud_to_cloud(xyz, reference.points), "distance to the cloud"
-    elif reference.surface is not None:
+        return clouds.cloud_to_cloud(xyz, reference.points), "distance to the cloud"
+    if reference.surface is not None:
         mesh = reference.surface
-        errors, of = clouds.cloud_to_mesh(xyz, mesh.vertices, mesh.faces), "distance to the mesh"
-    elif reference.depths:
+        distances = clouds.cloud_to_mesh(xyz, mesh.vertices, mesh.faces)
+        return distances, "distance to the mesh"
+    if reference.depths:
         errors = edges.depth_window_errors(points, reference.depths, relative=False)
-        of = "depth in observing views"
-    else:
-        return {"count": len(xyz)}
-    return asdict(summarize(errors)) | {"of": of, "count": len(xyz)}
+        return errors, "depth in observing views"
+    return np.empty(0), ""
 
 
-def file_reference(
-    path: Path | None, view_names: Sequence[str] = ()
-) -> Callable[[Model], Reference]:
-    """Reader of a folder of depth maps, a mesh, a cloud (seen by the central view), or nothing.
-
-    Args:
-        path: File or folder of the reference, or none.
-        view_names: Views that see a mesh, or `all`; default: the central one.
-    """
-
-    def read(model: Model) -> Reference:
-        if path is None:
-            return Reference()
-        if path.is_dir():
-            return Reference(depths=depth.load_reference_depths(path, model))
-        geometry = load_geometry(path)
-        vertices = np.asarray(geometry.vertices, dtype=np.float64)
-        if len(getattr(geometry, "faces", ())):
-            caster = RayCaster(vertices, geometry.faces)
-            depths = depth.render_references(caster, views_named(model, view_names))
-            return Reference(depths=depths, surface=geometry)
-        central = depth.cloud_depth(vertices, depth.central_view(model))
-        return Reference(depths=[central], points=vertices)
-
-    return read
-
-
-def dtu_reference(root: Path, scan: int) -> Callable[[Model], Reference]:
-    """Reader of DTU's data: cloud, its depth from the central camera, mask."""
-
-    def read(model: Model) -> Reference:
-        data = dtu.load_reference(root, scan)
-        view = depth.central_view(model)
-        depths = [depth.cloud_depth(data.points, view)]
-        return Reference(depths=depths, points=data.points, dtu=data)
-
-    return read
-
-
-def dtu_scene(
-    root: Path, scan: int, light: str = "", peer_paths: Mapping[str, str] | None = None
-) -> Scene:
-    """A scan in the official layout; `{scan}` in a peer's path becomes the scan's number."""
-    image_path, posed = dtu.posed_images(root, scan, light=light)
-    found = {name: Path(path.format(scan=scan)) for name, path in (peer_paths or {}).items()}
-    return Scene(
-        name=f"DTU-{scan:03d}",
-        image_path=image_path,
-        posed=posed,
-        load_reference=dtu_reference(root, scan),
-        peers=found,
-        unit="mm",
-    )
-
-
-def repackaged_scene(
-    folder: Path, reference_path: Path | None, peer_paths: Mapping[str, str] | None = None
-) -> Scene:
-    """A folder in the NeuS/IDR layout.
-
-    Args:
-        folder: With image/ and cameras*.npz.
-        reference_path: Depth maps, mesh or cloud; or the official data's root, then the number in
-            the folder's name is the scan; or none.
-        peer_paths: Results of other systems; `{scan}` becomes the folder's name.
-    """
-    image_path, posed = dtu.repackaged_images(folder)
-    digits = "".join(c for c in folder.name if c.isdigit())
-    reader = file_reference(reference_path)
-    if reference_path is not None and reference_path.is_dir() and digits:
-        has_points = any((reference_path / p / "Points").is_dir() for p in dtu.PARTS)
-        if has_points:
-            reader = dtu_reference(reference_path, int(digits))
-    found = {name: Path(p.format(scan=folder.name)) for name, p in (peer_paths or {}).items()}
-    return Scene(
-        name=folder.name,
-        image_path=image_path,
-        posed=posed,
-        load_reference=reader,
-        peers=found,
-        unit="mm",
-    )
-
-
-def parse_peers(entries: Sequence[str]) -> dict[str, str]:
-    """Split NAME=PATH entries.
-
-    Raises:
-        ColmapEdgesError: One is of another form.
-    """
-    found = {}
-    for entry in entries:
-        name, sign, path = entry.partition("=")
-        if not (name and sign and path):
-            raise ColmapEdgesError(f"{entry!r} names no peer; write NAME=PATH")
-        found[name] = path
-    return found
-
-
-def dtu_scenes(
-    root: Path, scans: Sequence[int], light: str = "", peer_paths: Mapping[str, str] | None = None
-) -> list[Scene]:
-    """Scenes of several scans; one that cannot be read becomes a scene that fails when run."""
-    scenes = []
-    for scan in scans:
-        try:
-            scenes.append(dtu_scene(root, scan, light, peer_paths))
-        except ColmapEdgesError as error:
-            scenes.append(
-                Scene(
-                    name=f"DTU-{scan:03d}",
-                    image_path=root,
-                    load_reference=file_reference(None),
-                    unit="mm",
-                    problem=str(error),
-                )
-            )
-    return scenes
+def point_record(errors: FloatArray, of: str, count: int) -> Record:
+    """Statistics of errors (N,), what they are of, and the number of points."""
+    return (asdict(summarize(errors)) | {"of": of} if of else {}) | {"count": count}

@@ -21,6 +21,8 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def cell(value: Any) -> str:
     """Text of one value."""
+    if value is None:
+        return ""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     if isinstance(value, int):
@@ -117,11 +119,27 @@ def _length_table(lengths: dict[str, Any]) -> str:
     return markdown(header, [[lengths[name] for name in names]])
 
 
-def paper_tables(results: dict[str, Any]) -> str:
-    """Tables laid out as the paper's, of what `benchmark.run` returns."""
-    parts = ["# Errors of points and meshes", _TABLE_NOTE, _main_table(results)]
+def paper_tables(results: dict[str, Any], baseline: str) -> str:
+    """Tables laid out as the paper's, of what `benchmark.run` returns.
+
+    Args:
+        results: By scene, by method.
+        baseline: Method or peer that the average variation is against.
+    """
+    parts = ["# Errors of points and meshes", _TABLE_NOTE.format(baseline=baseline)]
+    parts += [_main_table(results, baseline)]
+    if any("all_points" in record for _, _, record in _records(results)):
+        parts += ["## Points counted as the paper's authors do", _ALL_POINTS_NOTE]
+        parts += [_all_points_table(results, baseline)]
     if any("dtu" in record for _, _, record in _records(results)):
         parts += ["## DTU's own distances (mm)", _dtu_table(results)]
+    notes = [
+        f"- {scene}: {note}"
+        for scene, _, record in _records(results)
+        for note in record.get("notes", ())
+    ]
+    if notes:
+        parts += ["## Left empty", "\n".join(dict.fromkeys(notes))]
     failures = [
         f"- {scene}, {method}: {record['error']}"
         for scene, method, record in _records(results)
@@ -133,11 +151,13 @@ def paper_tables(results: dict[str, Any]) -> str:
 
 
 _POINT_COLUMNS = ("mae", "rmse", "sigma", "median")
-_TABLE_NOTE = (
-    "Points: distance to the reference cloud, or (reference depth only) depth error in the views\n"
-    "that observe them, smallest in 5x5 pixels. Mesh: depth error from the reference's cameras.\n"
-    "σ is the standard deviation of the absolute errors. Lengths in each scene's unit."
-)
+_TABLE_NOTE = """\
+Points: distance to the reference cloud, or (reference depth only) depth error in the views
+that observe them, smallest in 5x5 pixels. Rows with edges or lines count the points on these
+alone, SfM and COLMAP-like the SfM points. Mesh: depth error from the reference's cameras.
+σ is the standard deviation of the absolute errors. Lengths in each scene's unit.
+Average variation: mean change of an error against {baseline}, over all scenes that have both."""
+_ALL_POINTS_NOTE = "The SfM points are among the points of every row."
 
 
 def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
@@ -148,7 +168,7 @@ def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
     ]
 
 
-def _main_table(results: dict[str, Any]) -> str:
+def _main_table(results: dict[str, Any], baseline: str) -> str:
     header = (
         "scene", "method", "points", "points MAE", "RMSE", "σ", "median", "mesh MAE", "RMSE", "σ",
         "median", "P90", "coverage", "faces",
@@ -166,19 +186,34 @@ def _main_table(results: dict[str, Any]) -> str:
             + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, "coverage")]
             + [record["faces"]]
         )
-    return markdown(header, rows + _variation_rows(results))
-
-
-def _variation_rows(results: dict[str, Any]) -> list[list[Any]]:
-    """Mean over scenes of each method's errors against the first method's, in percent."""
     kinds = [("points", name) for name in _POINT_COLUMNS]
     kinds += [("mesh", name) for name in ERROR_COLUMNS]
+    variations = [[*row, "", ""] for row in _variation_rows(results, baseline, kinds)]
+    return markdown(header, rows + variations)
+
+
+def _all_points_table(results: dict[str, Any], baseline: str) -> str:
+    header = ("scene", "method", "points", "points MAE", "RMSE", "σ", "median")
+    rows = [
+        [f"{scene} ({results[scene]['unit']})", method, record["all_points"]["count"]]
+        + [record["all_points"].get(name) for name in _POINT_COLUMNS]
+        for scene, method, record in _records(results)
+        if "all_points" in record
+    ]
+    kinds = [("all_points", name) for name in _POINT_COLUMNS]
+    return markdown(header, rows + _variation_rows(results, baseline, kinds))
+
+
+def _variation_rows(
+    results: dict[str, Any], baseline: str, kinds: Sequence[tuple[str, str]]
+) -> list[list[Any]]:
+    """Mean over scenes of each method's errors against the baseline's, in percent."""
     methods = list(dict.fromkeys(method for _, method, _ in _records(results)))
     rows = []
-    for method in methods[1:]:
-        cells = [_variation(results, methods[0], method, *kind) for kind in kinds]
-        if any(cells):
-            rows.append(["**average variation**", method, "", *cells, "", ""])
+    for method in methods:
+        cells = [_variation(results, baseline, method, *kind) for kind in kinds]
+        if method != baseline and any(cells):
+            rows.append(["**average variation**", method, "", *cells])
     return rows
 
 

@@ -1,6 +1,9 @@
 import json
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import miniature
 import numpy as np
@@ -10,7 +13,7 @@ import valid
 
 from colmap_edges.colmap.model import frames_of_views, load_model, model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import benchmark, held_out, tables
+from colmap_edges.evaluation import benchmark, held_out, scenes, tables
 from colmap_edges.evaluation import run as evaluation
 from colmap_edges.evaluation.metrics import clouds, depth
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
@@ -67,7 +70,7 @@ def test_mesh_shifted_by_one_mm_against_the_cloud(sparse):
     mesh = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
     points = miniature.surface_points() * [1, 1, 0]
     view = model.views[3]
-    reference = benchmark.Reference(depths=[depth.cloud_depth(points, view)], points=points)
+    reference = scenes.Reference(depths=[depth.cloud_depth(points, view)], points=points)
     record = benchmark.measure(mesh, model, reference, None)
     # Along the optical axis a millimetre of height is less, by the angle of ray and axis.
     truth = reference.depths[0]
@@ -84,7 +87,7 @@ def test_a_reference_mesh_judges_points_by_its_surface(sparse, tmp_path):
     corners = np.array([(-200, -200, 0.0), (200, -200, 0), (200, 200, 0), (-200, 200, 0)])
     truth = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
     truth.export(tmp_path / "truth.ply")
-    reference = benchmark.file_reference(tmp_path / "truth.ply")(model)
+    reference = scenes.file_reference(tmp_path / "truth.ply")(model)
     record = benchmark.measure(truth, model, reference, tmp_path)
     expected = np.abs(model.points3D_xyz[:, 2])
     assert record["points"]["mae"] == pytest.approx(expected.mean(), rel=1e-5)
@@ -121,10 +124,10 @@ def test_reprojected_edges_in_an_unused_view(sparse):
 
 
 def fake_scene(tmp_path, name, problem=""):
-    return benchmark.Scene(
+    return scenes.Scene(
         name=name,
         image_path=tmp_path,
-        load_reference=benchmark.file_reference(None),
+        load_reference=scenes.file_reference(None),
         problem=problem,
     )
 
@@ -142,12 +145,12 @@ def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeyp
         return {"faces": 7, "points": {"count": 3} | errors, "mesh": errors | {"coverage": 0.9}}
 
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
-    scenes = [fake_scene(tmp_path, name) for name in "abc"]
+    listed = [fake_scene(tmp_path, name) for name in "abc"]
     lines = []
-    results = benchmark.run(scenes, tmp_path / "out", progress=lines.append)
+    results = benchmark.run(listed, tmp_path / "out", progress=lines.append)
     assert results["b"]["methods"]["SfM"] == {"error": "broken scan"}
     assert results["c"]["methods"]["edges"]["mesh"]["mae"] == 1.0
-    again = benchmark.run(scenes, tmp_path / "out", progress=lines.append)
+    again = benchmark.run(listed, tmp_path / "out", progress=lines.append)
     assert len(calls) == 6 + 2  # only the failed scan again
     assert again["a"] == results["a"]
     assert lines[0] == "[1/3] a"
@@ -157,18 +160,92 @@ def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeyp
     assert "- b, SfM: broken scan" in table
 
 
+def records_of(**sizes):
+    errors = {name: dict.fromkeys(("mae", "rmse", "sigma", "median", "p90"), size)
+              for name, size in sizes.items()}  # fmt: skip
+    return {
+        "unit": "m",
+        "methods": {
+            name: {
+                "faces": 7,
+                "points": {"count": 3} | values,
+                "all_points": {"count": 5} | values,
+                "mesh": values | {"coverage": 0.9},
+            }
+            for name, values in errors.items()
+        },
+    }
+
+
+def test_average_variation_is_over_all_scenes_that_have_the_baseline():
+    found = {
+        "fountain": records_of(SfM=4.0, edges=1.0, Line3D=2.0),
+        "DTU-006": records_of(SfM=40.0, edges=30.0, Line3D=20.0),
+        "DTU-023": records_of(SfM=1.0, edges=100.0),
+    }
+    table = tables.paper_tables(found, "Line3D")
+    rows = [r.split(" | ") for r in table.splitlines() if r.startswith("| **average variation")]
+    variations = {(row[1], *row[3:7]) for row in rows}
+    assert variations == {("SfM", *["+100.0 %"] * 4), ("edges", *["+0.0 %"] * 4)}
+    assert "mean change of an error against Line3D" in table
+    main, counted = table.split("## Points counted as the paper's authors do")
+    assert "| fountain (m) | edges | 3 | 1 |" in main
+    assert "| fountain (m) | edges | 5 | 1 |" in counted
+
+
+def test_a_baseline_or_method_that_is_no_row_is_named(tmp_path):
+    listed = [fake_scene(tmp_path, "x")]
+    with pytest.raises(ColmapEdgesError, match="no baseline LIMAP; the rows are SfM, edges"):
+        benchmark.run(listed, tmp_path / "out", baseline="LIMAP")
+    with pytest.raises(ColmapEdgesError, match="no method smf; choose from SfM, "):
+        benchmark.run(listed, tmp_path / "out", ("smf",))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_papers_way_is_a_method():
+    options = benchmark.pipeline_options(benchmark.METHODS["paper"])
+    assert (options.tracing.method, options.meshing.method) == ("paper", "manifold")
+    assert options.use_edges
+    same = benchmark.pipeline_options(benchmark.METHODS["edges"])
+    assert same == PipelineOptions()
+    alone = benchmark.pipeline_options(benchmark.METHODS["SfM-paper"])
+    assert not alone.use_edges
+    assert alone.meshing == options.meshing
+
+
+def test_points_are_counted_alone_and_with_the_sfm_points(sparse):
+    model = load_model(sparse)
+    used, left = held_out.split_points(model)
+    cloud = miniature.surface_points()
+    reference = scenes.Reference(points=cloud)
+    mesh = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    record = benchmark.measure(mesh, left, reference, None, sfm_points=used)
+    errors = clouds.cloud_to_cloud(left.points3D_xyz, cloud)
+    assert record["points"]["count"] == len(left.points3D_xyz)
+    assert record["points"]["mae"] == pytest.approx(errors.mean())
+    errors = clouds.cloud_to_cloud(model.points3D_xyz, cloud)
+    assert record["all_points"]["count"] == len(model.points3D_xyz)
+    assert record["all_points"]["mae"] == pytest.approx(errors.mean())
+    record = benchmark.measure(mesh, model, reference, None)
+    assert record["all_points"] == record["points"]
+
+
 def test_a_scene_with_a_problem_names_it(tmp_path):
     scene = fake_scene(tmp_path, "x", problem="no such scan")
     results = benchmark.run([scene], tmp_path / "out", ("SfM",))
     assert results["x"]["methods"]["SfM"] == {"error": "no such scan"}
-    missing = benchmark.dtu_scenes(tmp_path, [6])
+    missing = scenes.dtu_scenes(tmp_path, [6])
     assert "Calibration" in missing[0].problem
 
 
 def test_peers_are_named_on_the_command_line():
-    assert benchmark.parse_peers(["LIMAP=/a/{scan}"]) == {"LIMAP": "/a/{scan}"}
+    entries = scenes.parse_peers(["LIMAP=/a/{scan}"])
+    assert entries == {"LIMAP": "/a/{scan}"}
+    assert scenes.peers_of(entries, scene="DTU-006", scan=6) == {"LIMAP": Path("/a/6")}
+    with pytest.raises(ColmapEdgesError, match=r"only \{scene\} varies"):
+        scenes.peers_of(entries, scene="fountain")
     with pytest.raises(ColmapEdgesError, match="NAME=PATH"):
-        benchmark.parse_peers(["/a"])
+        scenes.parse_peers(["/a"])
 
 
 def test_numbers_in_tables():
@@ -179,8 +256,7 @@ def test_numbers_in_tables():
 
 @pytest.mark.usefixtures("mesher")
 def test_from_dtu_images_to_the_table(root, tmp_path):
-    scenes = benchmark.dtu_scenes(root, [6])
-    results = benchmark.run(scenes, tmp_path, ("SfM",))
+    results = benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
     record = results["DTU-006"]["methods"]["SfM"]
     assert "error" not in record
     assert record["mesh"]["median"] < 0.1
@@ -189,6 +265,40 @@ def test_from_dtu_images_to_the_table(root, tmp_path):
     assert record["points"]["count"] > 300
     assert (tmp_path / "DTU-006" / "SfM" / "maps").is_dir()
     assert "| DTU-006 (mm) | SfM |" in (tmp_path / "evaluation.md").read_text()
+
+
+@pytest.mark.usefixtures("mesher")
+@pytest.mark.parametrize(
+    ("missing", "measured", "note"),
+    [
+        ("Plane", {"accuracy", "accuracy_median", "points"}, "No Plane of this scan"),
+        ("ObsMask", set(), "No ObsMask of this scan"),
+    ],
+)
+def test_what_needs_no_plane_or_mask_is_measured_without(
+    root, sparse, tmp_path, missing, measured, note
+):
+    shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns(f"{missing}*.mat"))
+    (scene,) = scenes.dtu_scenes(tmp_path / "data", [6])
+    scene = replace(scene, sparse_path=sparse)
+    results = benchmark.run([scene], tmp_path / "out", ("SfM",))
+    record = results["DTU-006"]["methods"]["SfM"]
+    assert record["mesh"]["median"] < 0.1
+    assert record["points"]["mae"] < 1
+    assert {name for name, value in record["dtu"].items() if value is not None} == measured
+    table = (tmp_path / "out" / "evaluation.md").read_text()
+    assert f"- DTU-006: {note}" in table.split("## Left empty")[1]
+    row = next(r for r in table.split("own distances")[1].splitlines() if "| SfM |" in r)
+    assert row.split(" | ")[3:5] == ["", ""]  # completeness and overall
+
+
+@pytest.mark.usefixtures("mesher")
+def test_a_reference_that_is_missing_is_told_before_meshing(root, sparse, tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "mesh_own", lambda *_: pytest.fail("meshed"))
+    shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns("Points"))
+    (scene,) = scenes.dtu_scenes(tmp_path / "data", [6])
+    results = benchmark.run([replace(scene, sparse_path=sparse)], tmp_path / "out", ("SfM",))
+    assert "stl006_total.ply" in results["DTU-006"]["methods"]["SfM"]["error"]
 
 
 @pytest.mark.usefixtures("mesher")

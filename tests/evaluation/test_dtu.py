@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import miniature
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.spatial import cKDTree
 from colmap_edges.colmap.model import model_from_reconstruction
 from colmap_edges.colmap.triangulation import neighbor_pairs, triangulate
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics import dtu_distances
 from colmap_edges.evaluation.protocols import dtu
 
 
@@ -27,12 +30,12 @@ def test_accuracy_and_completeness_equal_brute_force(root):
     points = reference.points[generator.permutation(len(reference.points))[:1500]]
     points = points + generator.normal(0, 0.3, points.shape) + [0, 0, 0.4]
     points[:40, 2] += 30  # farther than 20 mm, and outside the box
-    errors = dtu.evaluate_points(points, reference)
+    errors = dtu_distances.evaluate_points(points, reference)
 
-    cells = np.rint((points - reference.box[0]) / 2.0).astype(int)
+    cells = np.rint((points - reference.mask.box[0]) / 2.0).astype(int)
     inside = [
-        all(0 <= c < n for c, n in zip(cell, reference.mask.shape, strict=True))
-        and reference.mask[tuple(cell)]
+        all(0 <= c < n for c, n in zip(cell, reference.mask.cells.shape, strict=True))
+        and reference.mask.cells[tuple(cell)]
         for cell in cells
     ]
     accuracy = brute_force_distances(points[np.array(inside)], reference.points)
@@ -51,7 +54,7 @@ def test_shifted_square_is_complete_to_its_shift(root):
     top = trimesh.Trimesh(
         [(x, y, miniature.HEIGHT + 1) for x, y in corners], [(0, 1, 2), (0, 2, 3)]
     )
-    errors = dtu.evaluate_mesh(top, reference)
+    errors = dtu_distances.evaluate_mesh(top, reference)
     # Samples every 0.2 mm, reference every 0.5 mm: sideways distances add less than 6 %.
     assert errors.completeness == pytest.approx(1.0, abs=0.02)
     assert errors.accuracy == pytest.approx(1.0, abs=0.06)
@@ -65,13 +68,15 @@ def test_thinning_equals_walking_the_points(seed, count):
     for point in points[np.random.default_rng(1).permutation(count)]:
         if all(np.linalg.norm(point - other) > 0.2 for other in kept):
             kept.append(point)
-    np.testing.assert_array_equal(dtu.thin(points, 0.2, seed=1), np.reshape(kept, (-1, 3)))
+    np.testing.assert_array_equal(
+        dtu_distances.thin(points, 0.2, seed=1), np.reshape(kept, (-1, 3))
+    )
 
 
 def test_thinning_in_chunks_changes_nothing():
     points = np.random.default_rng(0).uniform(0, 4, (5_000, 3)) * [1, 1, 0]
-    kept = dtu.thin(points, 0.2)
-    np.testing.assert_array_equal(dtu.thin(points, 0.2, chunk_size=700), kept)
+    kept = dtu_distances.thin(points, 0.2)
+    np.testing.assert_array_equal(dtu_distances.thin(points, 0.2, chunk_size=700), kept)
     distance, _ = cKDTree(kept).query(points)
     assert distance.max() <= 0.2
 
@@ -127,8 +132,48 @@ def test_neighbours_are_the_nearest_centres(root):
 
 
 @pytest.mark.parametrize(
+    ("text", "expected"),
+    [("odd", [1, 3, 5]), ("all", [1, 2, 3, 4, 5, 6]), ("2", [2]), ("6,1-3", [1, 2, 3, 6])],
+)
+def test_positions_and_light_choose_images(root, text, expected):
+    chosen = dtu.parse_positions(text)
+    _, images = dtu.posed_images(root, 6, light="3_r5000", positions=chosen)
+    assert [image.name for image in images] == [f"rect_00{p}_3_r5000.png" for p in expected]
+    for image, position in zip(images, expected, strict=True):
+        rotation, _ = miniature.poses()[position - 1]
+        np.testing.assert_allclose(image.rotation, rotation, atol=1e-10)
+
+
+def test_of_49_positions_25_are_odd():
+    assert sum(position in dtu.parse_positions("odd") for position in range(1, 50)) == 25
+
+
+@pytest.mark.parametrize("text", ["", "even", "1,", "3-1", "0", "-3", "1.5", "1000"])
+def test_what_names_no_positions_is_refused(text):
+    with pytest.raises(ColmapEdgesError, match="give all, odd, or a list"):
+        dtu.parse_positions(text)
+
+
+def test_without_plane_the_accuracy_stays(root):
+    whole = dtu.load_reference(root, 6)
+    points = whole.points[::3] + np.array([0, 0, 0.4])
+    expected = dtu_distances.evaluate_points(points, whole)
+    found = dtu_distances.evaluate_points(points, replace(whole, plane=None))
+    assert found == dtu_distances.DtuErrors(
+        accuracy=expected.accuracy,
+        accuracy_median=expected.accuracy_median,
+        points=expected.points,
+    )
+    # Completeness is asked for within the box of the mask.
+    for lacking in (replace(whole, mask=None), replace(whole, mask=None, plane=None)):
+        assert dtu_distances.evaluate_points(points, lacking) == dtu_distances.DtuErrors()
+
+
+@pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda root: dtu.posed_images(root, 6, positions=frozenset([1, 7])), "position 007"),
+        (lambda root: dtu.posed_images(root, 6, light="dark"), "its lights: 3_r5000, max"),
         (lambda root: dtu.posed_images(root, 99), "scan99"),
         (lambda root: dtu.load_reference(root, 99), "stl099"),
         (lambda root: dtu.posed_images(root, 6, light="dark"), "dark"),

@@ -75,6 +75,45 @@ def write(root, scan=6, cameras=6):
     return root
 
 
+def write_mvsnet(root, scan=6, cameras=6):
+    """Write the crops of MVSNet's layout below `root`, with depth maps of a quarter of their size.
+
+    The left quarter of the depth maps is marked as background.
+    """
+    official = write(root / "official", scan, cameras)
+    images, depths = root / "Rectified" / f"scan{scan}_train", root / "Depths" / f"scan{scan}_train"
+    train = root / "Cameras" / "train"
+    for folder in (images, depths, train):
+        folder.mkdir(parents=True)
+    to_camera = np.diag([0.25, 0.25, 1])
+    for index, (rotation, translation) in enumerate(poses(cameras)):
+        name = f"rect_{index + 1:03d}_3_r5000.png"
+        (official / "Rectified" / f"scan{scan}" / name).rename(images / name)
+        pose = np.eye(4)
+        pose[:3] = np.column_stack([rotation, translation])
+        for folder, calibration in ((train, to_camera @ CALIBRATION), (train.parent, CALIBRATION)):
+            rows = [" ".join(map(repr, map(float, row))) for row in (*pose, *calibration)]
+            text = ["extrinsic", *rows[:4], "", "intrinsic", *rows[4:], "", "425.0 2.5"]
+            (folder / f"{index:08d}_cam.txt").write_text("\n".join(text) + "\n")
+        depth = true_depth(rotation, translation, to_camera @ CALIBRATION)
+        content = b"Pf\n%d %d\n-1.000000\n" % depth.shape[::-1] + depth[::-1].tobytes()
+        (depths / f"depth_map_{index:04d}.pfm").write_bytes(content)
+        visual = np.full(depth.shape, 200, dtype=np.uint8)
+        visual[:, : depth.shape[1] // 4] = 0
+        cv2.imwrite(str(depths / f"depth_visual_{index:04d}.png"), visual)
+    return root
+
+
+def true_depth(rotation, translation, calibration):
+    """Depth (60, 80) of both planes at the centres of the pixels of `calibration`."""
+    rows, columns = np.indices((SIZE[1] // 4, SIZE[0] // 4)) + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(calibration).T
+    directions, center = rays @ rotation, -rotation.T @ translation
+    top = (HEIGHT - center[2]) / directions[..., 2]
+    on_top = (np.abs(center + top[..., None] * directions)[..., :2] <= 12).all(axis=-1)
+    return np.where(on_top, top, -center[2] / directions[..., 2]).astype("<f4")
+
+
 def write_points(path, points):
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"

@@ -1,4 +1,4 @@
-"""DTU: the official layout, the NeuS/IDR repackaging, and the benchmark's distances.
+"""DTU: images, poses and references in the official layout and in the NeuS/IDR repackaging.
 
 Reference: Jensen, Dahl, Vogiatzis, Tola, Aanaes, Large scale multi-view stereopsis evaluation,
 CVPR 2014. All lengths in millimetres.
@@ -7,70 +7,26 @@ CVPR 2014. All lengths in millimetres.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from scipy.io import loadmat
 from scipy.linalg import rq
-from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.triangulation import PosedImage, posed_image
-from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
+from colmap_edges.evaluation.metrics.dtu_distances import DtuReference, ObservedMask
 from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import columns
 from colmap_edges.evaluation.readers.ply import read_ply
 from colmap_edges.runtime.input_files import open_file, read_text
 
 PAPER_SCANS = (6, 23, 28, 37, 98, 118)
-THINNING_MM = 0.2
-MAX_DISTANCE_MM = 20.0
-_BLOCK_MM = 60.0
 PARTS = ("", "SampleSet/MVS Data", "MVS Data")
-
-
-@dataclass(frozen=True, kw_only=True)
-class DtuReference:
-    """Structured-light reference of one scan.
-
-    Attributes:
-        points: (N, 3) surface points.
-        mask: (X, Y, Z) cells in which the cameras and the scanner see the scene.
-        box: (2, 3) lowest and highest corner of the mask's box.
-        resolution: Side of a cell.
-        plane: (4,) the table; points with plane . (x, y, z, 1) > 0 are above it.
-    """
-
-    points: FloatArray
-    mask: BoolArray
-    box: FloatArray
-    resolution: float
-    plane: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class DtuErrors:
-    """The benchmark's figures in mm, over distances below 20 mm.
-
-    Attributes:
-        accuracy: Mean distance of the result inside the mask to the reference.
-        completeness: Mean distance of the reference above the plane to the result.
-        overall: Mean of the two.
-        accuracy_median: Median of the first.
-        completeness_median: Median of the second.
-        points: Points of the result after thinning and inside the mask.
-    """
-
-    accuracy: float
-    completeness: float
-    overall: float
-    accuracy_median: float
-    completeness_median: float
-    points: int
+EVERY_POSITION = range(1, 1000)
 
 
 def is_repackaged(folder: Path) -> bool:
@@ -96,7 +52,9 @@ def decompose_projection(projection: FloatArray) -> tuple[FloatArray, FloatArray
     return calibration / calibration[2, 2], rotation, translation
 
 
-def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[PosedImage]]:
+def posed_images(
+    root: Path, scan: int, *, light: str = "", positions: Container[int] = EVERY_POSITION
+) -> tuple[Path, list[PosedImage]]:
     """Images and poses of a scan in the official layout.
 
     Pixel coordinates of the calibration are taken as they are, as all peers take them.
@@ -104,8 +62,8 @@ def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[
     Args:
         root: Folder with Rectified/ or Cleaned/ and Calibration/cal18/, also below SampleSet.
         scan: Number of the scan.
-        light: Part of the file name that chooses the light, such as `max` or `3_r5000`; default:
-            `max` where there is one, else the first of each position.
+        light: See `choose_images`.
+        positions: See `choose_images`.
 
     Returns:
         The folder of the images and the images with poses, by position.
@@ -122,7 +80,7 @@ def posed_images(root: Path, scan: int, *, light: str = "") -> tuple[Path, list[
     else:
         raise ColmapEdgesError(f"{root} holds no Rectified/scan{scan} or Cleaned/scan{scan}")
     images = []
-    for position, path in sorted(_choose_light(folder, light).items()):
+    for position, path in choose_images(folder, light, positions).items():
         matrix_path = calibration / f"pos_{position:03d}.txt"
         if not matrix_path.is_file():
             raise ColmapEdgesError(f"{matrix_path} is missing; it calibrates {path.name}")
@@ -143,20 +101,63 @@ def read_matrix(path: Path) -> FloatArray:
         raise ColmapEdgesError(f"{path} holds no 3 x 4 matrix: {error}") from error
 
 
-def _choose_light(folder: Path, light: str) -> dict[int, Path]:
+def parse_positions(text: str) -> Container[int]:
+    """Positions of the camera, counted from 1: `all`, `odd`, or a list such as `1,3,5-9`.
+
+    Raises:
+        ColmapEdgesError: The text is something else.
+    """
+    if text == "all":
+        return EVERY_POSITION
+    if text == "odd":
+        return EVERY_POSITION[::2]
+    chosen: set[int] = set()
+    for part in text.split(","):
+        found = re.fullmatch(r"\s*(\d{1,3})\s*(?:-\s*(\d{1,3})\s*)?", part)
+        first, last = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
+        if not 1 <= first <= last:
+            raise ColmapEdgesError(
+                f"positions are {text!r}; give all, odd, or a list such as 1,3,5-9"
+            )
+        chosen.update(range(first, last + 1))
+    return frozenset(chosen)
+
+
+def choose_images(
+    folder: Path, light: str = "", positions: Container[int] = EVERY_POSITION
+) -> dict[int, Path]:
+    """One image for each position, named PREFIX_POSITION_LIGHT, such as rect_001_3_r5000.png.
+
+    Args:
+        folder: Images of one scan.
+        light: LIGHT of the names: `0_r5000` to `6_r5000`, or `max` with all lamps on; default:
+            `max` where there is one, else the first by name.
+        positions: Positions to take; those of a set must all be there.
+
+    Raises:
+        ColmapEdgesError: There is no such image.
+    """
     chosen: dict[int, Path] = {}
+    lights = set()
     for path in sorted(folder.iterdir()):
         found = re.match(r"[a-z]+_(\d{3})_(.*)\.(png|jpg|jpeg)$", path.name)
         if not found:
             continue
         position = int(found[1])
-        if light and light != found[2]:
+        lights.add(found[2])
+        if position not in positions or (light and light != found[2]):
             continue
         if position not in chosen or found[2] == "max":
             chosen[position] = path
-    if not chosen:
-        raise ColmapEdgesError(f"{folder} holds no image NAME_POSITION_{light or 'LIGHT'}.png")
-    return chosen
+    if light and light not in lights:
+        raise ColmapEdgesError(
+            f"{folder} holds no image of light {light}; its lights: {', '.join(sorted(lights))}"
+        )
+    missing = sorted(positions - set(chosen)) if isinstance(positions, frozenset) else []
+    if missing or not chosen:
+        of = f"position {missing[0]:03d}" if missing else "the positions asked for"
+        raise ColmapEdgesError(f"{folder} holds no image NAME_POSITION_{light or 'LIGHT'} of {of}")
+    return dict(sorted(chosen.items()))
 
 
 def repackaged_images(folder: Path) -> tuple[Path, list[PosedImage]]:
@@ -192,10 +193,15 @@ def find(root: Path, relative: str) -> Path:
     Raises:
         ColmapEdgesError: In neither place.
     """
-    for part in PARTS:
-        if (root / part / relative).exists():
-            return root / part / relative
-    raise ColmapEdgesError(f"{root} holds no {relative}, nor does its 'SampleSet/MVS Data'")
+    path = find_if_there(root, relative)
+    if path is None:
+        raise ColmapEdgesError(f"{root} holds no {relative}, nor does its 'SampleSet/MVS Data'")
+    return path
+
+
+def find_if_there(root: Path, relative: str) -> Path | None:
+    """`relative` below `root`, or below the SampleSet in it; None in neither place."""
+    return next((root / p / relative for p in PARTS if (root / p / relative).exists()), None)
 
 
 def load_points(path: Path) -> FloatArray:
@@ -209,150 +215,76 @@ def load_points(path: Path) -> FloatArray:
 
 
 def load_reference(root: Path, scan: int) -> DtuReference:
-    """Read stlNNN_total.ply, ObsMaskN_10.mat and PlaneN.mat.
+    """Read stlNNN_total.ply and, where they are there, ObsMaskN_10.mat and PlaneN.mat.
 
     Raises:
-        ColmapEdgesError: A file is missing or holds something else.
+        ColmapEdgesError: The cloud is missing, or a file holds something else.
     """
     points = load_points(find(root, f"Points/stl/stl{scan:03d}_total.ply"))
-    mask_path = find(root, f"ObsMask/ObsMask{scan}_10.mat")
-    plane_path = find(root, f"ObsMask/Plane{scan}.mat")
-    try:
-        with open_file(mask_path) as mask_file, open_file(plane_path) as plane_file:
-            mask, plane = loadmat(mask_file), loadmat(plane_file)
-        reference = DtuReference(
-            points=points,
-            mask=mask["ObsMask"].astype(bool),
-            box=mask["BB"].astype(np.float64).reshape(2, 3),
-            resolution=float(np.squeeze(mask["Res"])),
-            plane=plane["P"].astype(np.float64).reshape(4),
-        )
-    except Exception as error:  # SciPy's reader has no list of what it raises
-        reason = " ".join(str(error).split())[:200]
-        raise ColmapEdgesError(
-            f"{mask_path} or {plane_path.name} is not DTU's: {reason}"
-        ) from error
-    finite = all(np.isfinite(values).all() for values in (reference.box, reference.plane))
-    if reference.mask.ndim != 3 or not finite or not 0 < reference.resolution < np.inf:
-        raise ColmapEdgesError(f"{mask_path} or {plane_path.name} is not DTU's: absurd values")
-    return reference
-
-
-def sample_mesh(
-    mesh: trimesh.Trimesh, spacing: float = THINNING_MM, seed: int = 0, max_points: int = 20_000_000
-) -> FloatArray:
-    """Points all over a mesh, denser than one every `spacing`.
-
-    Two random points for every square of side `spacing` (six within it of any place, on average),
-    and the vertices.
-
-    Raises:
-        ColmapEdgesError: The mesh is so large that more than `max_points` were needed.
-    """
-    count = int(np.ceil(2 * mesh.area / spacing**2))
-    if count > max_points:
-        raise ColmapEdgesError(
-            f"the mesh needs {count:,} samples every {spacing}; crop it to the scene first"
-        )
-    points, _ = trimesh.sample.sample_surface(mesh, count, seed=seed)
-    return np.concatenate([np.asarray(mesh.vertices), np.asarray(points)])
-
-
-def thin(
-    points: FloatArray, distance: float = THINNING_MM, seed: int = 0, chunk_size: int = 200_000
-) -> FloatArray:
-    """Drop points in random order until none is within `distance` of another.
-
-    The same as walking the points in that order and keeping each that has no kept one near;
-    `chunk_size` points at a time, which changes the memory used and nothing else.
-    """
-    shuffled = points[np.random.default_rng(seed).permutation(len(points))]
-    kept = np.empty((0, 3))
-    for chunk in np.array_split(shuffled, max(1, len(shuffled) // chunk_size)):
-        if len(kept):
-            chunk = chunk[cloud_to_cloud(chunk, kept) > distance]
-        kept = np.concatenate([kept, chunk[_first_of_each(chunk, distance)]])
-    return kept
-
-
-def _first_of_each(points: FloatArray, distance: float) -> BoolArray:
-    """Which points have no kept point near that comes before them."""
-    keep = np.ones(len(points), dtype=bool)
-    if len(points) < 2:
-        return keep
-    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
-    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]  # each pair is (i, j) with i < j
-    starts = np.searchsorted(pairs[:, 0], np.arange(len(points) + 1))
-    for index in np.unique(pairs[:, 0]):
-        if keep[index]:
-            keep[pairs[starts[index] : starts[index + 1], 1]] = False
-    return keep
-
-
-def evaluate_points(points: FloatArray, reference: DtuReference) -> DtuErrors:
-    """Accuracy and completeness of thinned `points` (N, 3)."""
-    inside = points[in_mask(points, reference)]
-    accuracy = cloud_to_cloud(inside, reference.points)
-    judged = reference.points[above_plane(reference)]
-    completeness = cloud_to_cloud(judged, points)
-    accuracy = accuracy[accuracy < MAX_DISTANCE_MM]
-    completeness = completeness[completeness < MAX_DISTANCE_MM]
-    means = [float(d.mean()) if len(d) else float("nan") for d in (accuracy, completeness)]
-    medians = [float(np.median(d)) if len(d) else float("nan") for d in (accuracy, completeness)]
-    return DtuErrors(
-        accuracy=means[0],
-        completeness=means[1],
-        overall=sum(means) / 2,
-        accuracy_median=medians[0],
-        completeness_median=medians[1],
-        points=len(inside),
+    mask_path = find_if_there(root, f"ObsMask/ObsMask{scan}_10.mat")
+    plane_path = find_if_there(root, f"ObsMask/Plane{scan}.mat")
+    return DtuReference(
+        points=points,
+        mask=None if mask_path is None else read_mask(mask_path),
+        plane=None if plane_path is None else read_plane(plane_path),
     )
 
 
-def in_mask(points: FloatArray, reference: DtuReference) -> BoolArray:
-    """Which points (N, 3) fall into a true cell of the mask (cells are centred on box + i res)."""
-    cells = np.floor((points - reference.box[0]) / reference.resolution + 0.5).astype(np.int64)
-    inside = np.asarray(((cells >= 0) & (cells < reference.mask.shape)).all(axis=1))
-    inside[inside] = reference.mask[tuple(cells[inside].T)]
-    return inside
+def read_mask(path: Path) -> ObservedMask:
+    """Read an ObsMaskN_10.mat.
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    with _matlab_errors(path), open_file(path) as file:
+        data = loadmat(file)
+        mask = ObservedMask(
+            cells=data["ObsMask"].astype(bool),
+            box=data["BB"].astype(np.float64).reshape(2, 3),
+            resolution=float(np.squeeze(data["Res"])),
+        )
+    finite = np.isfinite(mask.box).all()
+    if mask.cells.ndim != 3 or not finite or not 0 < mask.resolution < np.inf:
+        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+    return mask
 
 
-def above_plane(reference: DtuReference) -> BoolArray:
-    """Which reference points are above the table and in the 60 mm blocks that cover the box."""
-    low, high = reference.box
-    end = low + (np.floor((high - low) / _BLOCK_MM) + 1) * _BLOCK_MM
-    points = reference.points
-    above = points @ reference.plane[:3] + reference.plane[3] > 0
-    return np.asarray(above & ((points >= low) & (points < end)).all(axis=1))
+def read_plane(path: Path) -> FloatArray:
+    """Read the plane (4,) of a PlaneN.mat.
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    with _matlab_errors(path), open_file(path) as file:
+        plane: FloatArray = loadmat(file)["P"].astype(np.float64).reshape(4)
+    if not np.isfinite(plane).all():
+        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+    return plane
 
 
-def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0) -> DtuErrors:
-    """Accuracy and completeness of a mesh: sampled in the mask's box and thinned to 0.2 mm."""
-    low = reference.box[0] - MAX_DISTANCE_MM
-    high = reference.box[1] + MAX_DISTANCE_MM
-    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
-    near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
-    cropped = trimesh.Trimesh(mesh.vertices, np.asarray(mesh.faces)[near], process=False)
-    samples = sample_mesh(cropped, seed=seed)
-    samples = samples[((samples >= low) & (samples <= high)).all(axis=1)]
-    return evaluate_points(thin(samples, seed=seed), reference)
+@contextmanager
+def _matlab_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # SciPy's reader has no list of what it raises
+        reason = " ".join(str(error).split())[:200]
+        raise ColmapEdgesError(f"{path} is not DTU's: {reason}") from error
 
 
 def scan_numbers(root: Path) -> Sequence[int]:
-    """The paper's scans that `root` holds images of.
+    """The paper's scans that `root` holds images of, in the official or in MVSNet's layout.
 
     Raises:
         ColmapEdgesError: None of them.
     """
-    found = [
-        scan
-        for scan in PAPER_SCANS
-        if any(
-            (root / part / name / f"scan{scan}").is_dir()
-            for part in PARTS
-            for name in ("Rectified", "Cleaned")
-        )
+    places = [
+        root / part / name
+        for part in PARTS
+        for name in ("Rectified", "Cleaned", "Rectified_raw")
+        if (root / part / name).is_dir()
     ]
+    names = {folder.name for place in places for folder in place.iterdir() if folder.is_dir()}
+    found = [scan for scan in PAPER_SCANS if names & {f"scan{scan}", f"scan{scan}_train"}]
     if not found:
         raise ColmapEdgesError(f"{root} holds none of the scans {PAPER_SCANS}; give --scans")
     return found

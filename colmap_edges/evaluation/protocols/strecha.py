@@ -13,6 +13,25 @@ from colmap_edges.evaluation.metrics.poses import TruePoses
 from colmap_edges.runtime.input_files import read_text
 
 
+def find_folders(folder: Path) -> tuple[Path, Path]:
+    """Folders of a scene's images and of its NAME.camera files.
+
+    Images are in `folder` or in images/ in it; cameras beside them, in `folder`, or in a folder in
+    it, such as gt_dense_cameras/.
+
+    Raises:
+        ColmapEdgesError: There is no NAME.camera.
+    """
+    if not folder.is_dir():
+        raise ColmapEdgesError(f"{folder} is no folder; give one of a scene's images and cameras")
+    image_path = folder / "images" if (folder / "images").is_dir() else folder
+    others = sorted(path for path in folder.iterdir() if path.is_dir())
+    for camera_path in (image_path, folder, *others):
+        if any(camera_path.glob("*.camera")):
+            return image_path, camera_path
+    raise ColmapEdgesError(f"{folder} holds no NAME.camera, nor does a folder in it")
+
+
 def posed_images(image_path: Path, camera_path: Path | None = None) -> list[PosedImage]:
     """Images of a folder that have a NAME.camera file, beside them or in `camera_path`.
 

@@ -1,0 +1,195 @@
+"""DTU as MVSNet repackages it: Cameras/, Rectified/scanN_train/, Depths/.
+
+Reference: Yao, Luo, Li, Fang, Quan, MVSNet, ECCV 2018. Two sizes of the same images are around:
+1600 x 1200 pixels (Rectified/scanN or Rectified_raw/scanN, Cameras, Depths_raw/scanN), and crops of
+the halved images, 640 x 512 (Rectified/scanN_train, Cameras/train, Depths/scanN_train), whose
+cameras and depth maps are those of images of a quarter of that size, 160 x 128. Camera i takes
+position i + 1. All lengths in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.colmap.triangulation import PosedImage, posed_image
+from colmap_edges.core.arrays import Float32Array, FloatArray
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics.depth import ReferenceDepth
+from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.images.files import read_picture
+from colmap_edges.runtime.input_files import read_bytes, read_text
+
+# From the pixels of Cameras/train to those of the crops.
+CROP_OVER_CAMERA = 4.0
+# What depth_visual_NNNN.png shows darker than this is no surface (training code of MVSNet's kind).
+_MIN_VISUAL = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where the images of a scan are, and what belongs to images of their size.
+
+    Attributes:
+        image_path: Folder of the images.
+        camera_path: Folder of NNNNNNNN_cam.txt.
+        pixel_factor: From the cameras' pixels to the images'.
+        depth_path: Folder of depth_map_NNNN.pfm, which may be missing.
+    """
+
+    image_path: Path
+    camera_path: Path
+    pixel_factor: float
+    depth_path: Path
+
+
+def is_layout(root: Path) -> bool:
+    """Whether `root` has MVSNet's layout: Cameras/ with *_cam.txt, and no official calibration."""
+    cameras = root / "Cameras"
+    found = any(cameras.glob("*_cam.txt")) or any((cameras / "train").glob("*_cam.txt"))
+    return found and dtu.find_if_there(root, "Calibration/cal18") is None
+
+
+def find_layout(root: Path, scan: int) -> Layout:
+    """Images of a scan, those of full size before the crops.
+
+    Raises:
+        ColmapEdgesError: There are none.
+    """
+    for name in ("Rectified_raw", "Rectified"):
+        full = root / name / f"scan{scan}"
+        if full.is_dir():
+            return Layout(
+                image_path=full,
+                camera_path=root / "Cameras",
+                pixel_factor=1.0,
+                depth_path=root / "Depths_raw" / f"scan{scan}",
+            )
+    crops = root / "Rectified" / f"scan{scan}_train"
+    if not crops.is_dir():
+        raise ColmapEdgesError(
+            f"{root} holds no Rectified/scan{scan}_train or Rectified/scan{scan}"
+        )
+    return Layout(
+        image_path=crops,
+        camera_path=root / "Cameras" / "train",
+        pixel_factor=CROP_OVER_CAMERA,
+        depth_path=root / "Depths" / f"scan{scan}_train",
+    )
+
+
+def posed_images(
+    root: Path, scan: int, *, light: str = "", positions: Container[int] = dtu.EVERY_POSITION
+) -> tuple[Path, list[PosedImage]]:
+    """Images and poses of a scan; arguments and result as those of `dtu.posed_images`.
+
+    Raises:
+        ColmapEdgesError: Images or cameras are missing, or are not of the same size.
+    """
+    layout = find_layout(root, scan)
+    images = []
+    for position, path in dtu.choose_images(layout.image_path, light, positions).items():
+        camera_path = layout.camera_path / f"{position - 1:08d}_cam.txt"
+        if not camera_path.is_file():
+            raise ColmapEdgesError(f"{camera_path} is missing; it calibrates {path.name}")
+        calibration, rotation, translation = read_camera(camera_path)
+        calibration[:2] *= layout.pixel_factor
+        image = posed_image(path, calibration, rotation, translation)
+        check_size(image, camera_path)
+        images.append(image)
+    return layout.image_path, images
+
+
+def check_size(image: PosedImage, camera_path: Path) -> None:
+    """Check that the principal point is in the middle half of the image, as those of DTU are.
+
+    Releases differ in the sizes of their images; cameras of another size put it elsewhere.
+
+    Raises:
+        ColmapEdgesError: It is not.
+    """
+    x, y = image.calibration[:2, 2] / (image.width, image.height)
+    if not (0.25 < x < 0.75 and 0.25 < y < 0.75):
+        raise ColmapEdgesError(
+            f"{camera_path} is not of images of {image.width} x {image.height} pixels, as "
+            f"{image.name} is: its principal point is at {x:.2f}, {y:.2f} of their size"
+        )
+
+
+def read_camera(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Calibration (3, 3), rotation (3, 3) and translation (3,) of cam_from_world of a _cam.txt.
+
+    The file holds the word `extrinsic`, a matrix (4, 4) of cam_from_world, `intrinsic`, a matrix
+    (3, 3), and a range of depths, which is not used.
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    words = read_text(path).split()
+    try:
+        if words[0] != "extrinsic" or words[17] != "intrinsic":
+            raise ValueError("the words extrinsic and intrinsic are not in their places")
+        pose = np.array(words[1:17], dtype=np.float64).reshape(4, 4)
+        calibration = np.array(words[18:27], dtype=np.float64).reshape(3, 3)
+    except (ValueError, IndexError) as error:
+        raise ColmapEdgesError(f"{path} is not a camera of MVSNet's: {error}") from error
+    rotation = pose[:3, :3]
+    finite = np.isfinite(pose).all() and np.isfinite(calibration).all()
+    if not finite or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise ColmapEdgesError(f"{path} is not a camera of MVSNet's: its rotation is none")
+    return calibration, rotation, pose[:3, 3]
+
+
+def load_depths(root: Path, scan: int, model: Model) -> list[ReferenceDepth]:
+    """Depth maps of the scan's images that are in `model`; none where the release holds none.
+
+    Raises:
+        ColmapEdgesError: A file is damaged.
+    """
+    folder = find_layout(root, scan).depth_path
+    references = []
+    for view in model.views:
+        index = int(PurePath(view.name).stem.split("_")[1]) - 1
+        path = folder / f"depth_map_{index:04d}.pfm"
+        if path.is_file():
+            depth = _without_background(read_pfm(path), folder / f"depth_visual_{index:04d}.png")
+            scale = depth.shape[1] / view.width
+            references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
+    return references
+
+
+def _without_background(depth: Float32Array, visual_path: Path) -> Float32Array:
+    known = np.isfinite(depth) & (depth > 0)
+    if visual_path.is_file():
+        visual = read_picture(visual_path).max(axis=2)
+        if visual.shape != depth.shape:
+            raise ColmapEdgesError(f"{visual_path} is not of the size of its depth map")
+        known &= visual > _MIN_VISUAL
+    return np.where(known, depth, np.float32(0))
+
+
+def read_pfm(path: Path) -> Float32Array:
+    """Read a gray portable float map, (H, W), top row first (the file begins with the last).
+
+    Raises:
+        ColmapEdgesError: The file holds something else.
+    """
+    # Kind, width, height and scale, each followed by one white space; then the numbers.
+    words = read_bytes(path).split(maxsplit=3)
+    try:
+        kind, width, height, rest = words
+        scale, _, content = rest.partition(b"\n")
+        if kind != b"Pf":
+            raise ValueError(f"it begins with {kind[:8]!r}, not with Pf")
+        order = "<f4" if float(scale) < 0 else ">f4"
+        shape = (int(height), int(width))
+        if min(shape) < 1:
+            raise ValueError(f"its size is {shape[1]} x {shape[0]}")
+        values = np.frombuffer(content, order, shape[0] * shape[1]).reshape(shape)
+    except (ValueError, OverflowError) as error:
+        raise ColmapEdgesError(f"{path} is not a gray PFM: {error}") from error
+    return values[::-1].astype(np.float32)
