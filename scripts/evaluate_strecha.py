@@ -19,6 +19,7 @@ from colmap_edges.evaluation import benchmark, scenes
 @click.option("--name", default="fountain-P11", show_default=True, help="Name in the tables.")
 @click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result.")
+@click.option("--baseline", default="", help="Row of the average variation; default: the first.")
 @exit_on_error()
 def main(
     image_path: Path,
@@ -28,6 +29,7 @@ def main(
     name: str,
     methods: tuple[str, ...],
     peers: tuple[str, ...],
+    baseline: str,
 ) -> None:
     scene = scenes.strecha_scene(
         image_path,
@@ -36,7 +38,7 @@ def main(
         camera_path=camera_path,
         peer_paths=scenes.parse_peers(peers),
     )
-    benchmark.run([scene], output_path, methods, progress=click.echo)
+    benchmark.run([scene], output_path, methods, baseline=baseline, progress=click.echo)
     click.echo((output_path / "evaluation.md").read_text(encoding="utf-8"))
 
 

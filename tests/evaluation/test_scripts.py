@@ -49,6 +49,42 @@ def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path)
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == results
 
 
+def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse, tmp_path):
+    images = root / "Rectified" / "scan6"
+    scene = tmp_path / "toy-P7"
+    model = ("--image_path", images, "--input_path", sparse, "--output_path", scene / "images")
+    run_script("export_layout.py", "--layout", "strecha", *model)
+    (scene / "gt_dense_cameras").mkdir()
+    for path in (scene / "images").glob("*.camera"):
+        path.rename(scene / "gt_dense_cameras" / path.name)
+    reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
+    write_line3dpp(sparse, tmp_path / "lines_DTU-006.txt")
+    command = ("paper_tables.py", "--strecha", scene, reference, "--dtu", root, "--light", "max")
+    command += ("--peers", f"Line3D++={tmp_path}/lines_{{scene}}.txt")
+    command += ("--baseline", "Line3D++", "--output_path", tmp_path / "out")
+    done = run_script(*command)
+    results = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert {name: list(entry["methods"]) for name, entry in results.items()} == {
+        "toy-P7": ["SfM", "paper", "edges"],
+        "DTU-006": ["SfM", "paper", "edges", "Line3D++"],
+    }
+    for entry in results.values():
+        sfm = entry["methods"]["SfM"]["points"]["count"]
+        for name, record in entry["methods"].items():
+            assert record["mesh"]["median"] < 0.1
+            added = 0 if name == "SfM" else record["points"]["count"]
+            assert record["all_points"]["count"] == sfm + added
+    assert "mean change of an error against Line3D++" in done.stdout
+    methods = results["DTU-006"]["methods"]
+    change = methods["edges"]["mesh"]["mae"] / methods["Line3D++"]["mesh"]["mae"] - 1
+    rows = [r.split(" | ") for r in done.stdout.splitlines() if "average variation" in r]
+    assert [row[1] for row in rows[:3]] == ["SfM", "paper", "edges"]
+    assert rows[2][7] == f"{100 * change:+.1f} %"
+    absent = f"Line3D++={tmp_path}/none_{{scene}}.txt"
+    done = run_script(*command, "--peers", absent, code=1)
+    assert "no scene has a result of Line3D++" in done.stderr
+
+
 @pytest.mark.parametrize(("layout", "script"), [("neus", "dtu"), ("strecha", "strecha")])
 def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout, script):
     images = root / "Rectified" / "scan6"
@@ -117,7 +153,12 @@ def test_bad_input_is_one_line(tmp_path):
     for command in (
         ("evaluate_dtu.py", "--input_path", tmp_path, "--output_path", tmp_path / "out"),
         ("evaluate_strecha.py", "--image_path", tmp_path, "--output_path", tmp_path / "out"),
+        ("paper_tables.py", "--dtu", tmp_path, "--output_path", tmp_path / "out"),
+        ("paper_tables.py", "--strecha", tmp_path, tmp_path, "--output_path", tmp_path / "out"),
     ):
         done = run_script(*command, code=1)
         assert done.stderr.startswith("error: ")
         assert done.stderr.count("\n") == 1
+    done = run_script("paper_tables.py", "--output_path", tmp_path / "out", code=2)
+    assert "give --strecha, --dtu or both" in done.stderr
+    assert not (tmp_path / "out").exists()
