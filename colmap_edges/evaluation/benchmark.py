@@ -99,10 +99,13 @@ def run(
         What evaluation.json holds: by scene, by method.
 
     Raises:
-        ColmapEdgesError: There is no such method, or the baseline is none of the rows.
+        ColmapEdgesError: There is no such method, the baseline is none of the rows, or
+            `output_path` holds results from other images of a scene.
     """
     rows = list(dict.fromkeys([*methods, *(peer for scene in scenes for peer in scene.peers)]))
     check_names(methods, baseline, rows)
+    for scene in scenes:
+        keep_image_names(scene, output_path / scene.name)
     output_path.mkdir(parents=True, exist_ok=True)
     results: Record = {}
     for number, scene in enumerate(scenes, start=1):
@@ -127,6 +130,24 @@ def check_names(methods: Sequence[str], baseline: str, rows: Sequence[str]) -> N
         raise ColmapEdgesError(f"no method {unknown[0]}; choose from {', '.join(METHODS)}")
     if baseline and baseline not in rows:
         raise ColmapEdgesError(f"no baseline {baseline}; the rows are {', '.join(rows)}")
+
+
+def keep_image_names(scene: Scene, folder: Path) -> None:
+    """Write which images the scene's results are made from, or compare with what is written.
+
+    Raises:
+        ColmapEdgesError: The folder holds results from other images.
+    """
+    names = "".join(f"{image.name}\n" for image in scene.posed)
+    path = folder / "images.txt"
+    if names and path.is_file() and read_text(path) != names:
+        raise ColmapEdgesError(
+            f"{folder} holds results from other images, see {path.name} in it; "
+            "choose another --output_path or remove it"
+        )
+    if names:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(names)
 
 
 def write_results(results: Record, output_path: Path, baseline: str) -> None:

@@ -202,6 +202,21 @@ def test_a_baseline_or_method_that_is_no_row_is_named(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_results_from_other_images_are_not_read_again(root, tmp_path, monkeypatch):
+    def evaluate(scene, method, folder, run_path):
+        return {"faces": len(scene.posed), "points": {"count": 3}}
+
+    monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
+    benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
+    before = (tmp_path / "evaluation.json").read_text()
+    benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
+    for choice in ({"light": "3_r5000"}, {"positions": frozenset([1, 2, 3])}):
+        others = scenes.dtu_scenes(root, [6], **choice)
+        with pytest.raises(ColmapEdgesError, match="holds results from other images"):
+            benchmark.run(others, tmp_path, ("SfM",))
+    assert (tmp_path / "evaluation.json").read_text() == before
+
+
 def test_the_papers_way_is_a_method():
     options = benchmark.pipeline_options(benchmark.METHODS["paper"])
     assert (options.tracing.method, options.meshing.method) == ("paper", "manifold")
