@@ -154,7 +154,7 @@ _POINT_COLUMNS = ("mae", "rmse", "sigma", "median")
 _TABLE_NOTE = """\
 Points: distance to the reference cloud, or (reference depth only) depth error in the views
 that observe them, smallest in 5x5 pixels. Rows with edges or lines count the points on these
-alone, SfM and COLMAP-like the SfM points. Mesh: depth error from the reference's cameras.
+alone, rows without them the SfM points. Mesh: depth error from the reference's cameras.
 σ is the standard deviation of the absolute errors. Lengths in each scene's unit.
 Average variation: mean change of an error against {baseline}, over all scenes that have both."""
 _ALL_POINTS_NOTE = "The SfM points are among the points of every row."

@@ -59,7 +59,8 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
         path.rename(scene / "gt_dense_cameras" / path.name)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     write_line3dpp(sparse, tmp_path / "lines_DTU-006.txt")
-    command = ("paper_tables.py", "--strecha", scene, reference, "--dtu", root, "--light", "max")
+    command = ("paper_tables.py", "--strecha", scene, reference, "--dtu", root)
+    command += ("--light", "3_r5000", "--positions", "1-6")
     command += ("--peers", f"Line3D++={tmp_path}/lines_{{scene}}.txt")
     command += ("--baseline", "Line3D++", "--output_path", tmp_path / "out")
     done = run_script(*command)
@@ -68,6 +69,8 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
         "toy-P7": ["SfM", "paper", "edges"],
         "DTU-006": ["SfM", "paper", "edges", "Line3D++"],
     }
+    names = (tmp_path / "out" / "DTU-006" / "images.txt").read_text().split()
+    assert names == [f"rect_00{position}_3_r5000.png" for position in range(1, 7)]
     for entry in results.values():
         sfm = entry["methods"]["SfM"]["points"]["count"]
         for name, record in entry["methods"].items():
@@ -98,6 +101,23 @@ def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout,
     assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
     assert entry["methods"]["SfM"]["mesh"]["coverage"] > 0.9
     assert list((tmp_path / "out").rglob("depth_*.png"))
+    if layout == "neus":
+        done = run_script(*command, "--positions", "odd", "--output_path", tmp_path, code=2)
+        assert "a NeuS/IDR folder has no --light and no --positions" in done.stderr
+
+
+def test_mvsnets_layout_is_measured_by_its_depth_maps(tmp_path):
+    root = miniature.write_mvsnet(tmp_path / "dtu")
+    command = ("evaluate_dtu.py", "--input_path", root, "--output_path", tmp_path / "out")
+    run_script(*command, "--methods", "SfM", "--positions", "1-5")
+    (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
+    record = entry["methods"]["SfM"]
+    # A pixel of the depth maps is a millimetre.
+    assert record["mesh"]["median"] < 0.2
+    assert record["mesh"]["coverage"] > 0.9
+    assert record["points"]["of"] == "depth in observing views"
+    assert record["points"]["median"] < 0.2
+    assert "dtu" not in record
 
 
 def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
