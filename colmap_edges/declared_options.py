@@ -1,4 +1,4 @@
-"""Options as dataclasses whose fields declare type, range and help, and are held to them."""
+"""Options and constants as fields of dataclasses that declare type, range and help."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ def option(
     within: tuple[float, float] | None = None,
     choices: tuple[str, ...] | None = None,
     basic: bool = False,
+    given_px: bool = False,
 ) -> Any:
     """Declare one option: its default, whose type is the option's, and one line of help.
+
+    It gets a flag, a key of the TOML file and a line of docs/options.md.
 
     Args:
         default: what holds when nothing else is said.
@@ -37,12 +40,69 @@ def option(
             gives can stop a run, or keep it from ending.
         choices: of a word, those that there are.
         basic: whether the short help of the command line shows the option.
+        given_px: whether it is a length in pixels of the given images that stages need in those of
+            the upsampled images; `colmap_edges.options.resolved` converts it.
     """
+    check_declaration(default, help, within)
+    return field(
+        default=default,
+        metadata={
+            "help": help,
+            "within": within,
+            "choices": choices,
+            "basic": basic,
+            "given_px": given_px,
+            "source": None,
+        },
+    )
+
+
+def constant(
+    default: Any,
+    meaning: str,
+    source: str,
+    *,
+    within: tuple[float, float] | None = None,
+    choices: tuple[str, ...] | None = None,
+    given_px: bool = False,
+) -> Any:
+    """Declare one constant of the method: a field as `option` makes, but nothing for users.
+
+    It has no flag and no key. Tests and scripts/halve_and_double.py set it from Python, within its
+    range. docs/constants.md lists it.
+
+    Args:
+        default: its value.
+        meaning: one line, with the unit.
+        source: where the value comes from.
+        within: as of `option`.
+        choices: as of `option`.
+        given_px: as of `option`.
+    """
+    check_declaration(default, meaning, within)
+    return field(
+        default=default,
+        metadata={
+            "help": meaning,
+            "within": within,
+            "choices": choices,
+            "basic": False,
+            "given_px": given_px,
+            "source": source,
+        },
+    )
+
+
+def is_constant(entry: Field[Any]) -> bool:
+    """Whether a field was declared by `constant`."""
+    return bool(entry.metadata.get("source"))
+
+
+def check_declaration(default: Any, help: str, within: tuple[float, float] | None) -> None:
+    """Raise `TypeError` for a number without a range, or a range of what is none."""
     is_number = isinstance(default, int | float) and not isinstance(default, bool)
     if is_number != (within is not None):
         raise TypeError(f"{help!r}: numbers, and nothing else, have a smallest and a largest value")
-    metadata = {"help": help, "within": within, "choices": choices, "basic": basic}
-    return field(default=default, metadata=metadata)
 
 
 class Options:

@@ -9,7 +9,7 @@ Examples:
   scripts/benchmark.py --data_path ../shared/data --scene fountain-P11
   scripts/benchmark.py --synthetic 200 --synthetic 2000 --runs 1
   scripts/benchmark.py --data_path ../shared/data --compare main
-  scripts/benchmark.py --synthetic 100 --setting "--ChainDepth.sample_step_px 8"
+  scripts/benchmark.py --synthetic 100 --setting "--ChainDepth.sample_step_points 8"
 """
 
 from __future__ import annotations

@@ -68,9 +68,11 @@ def package_lines(root: Path = ROOT) -> dict[str, int]:
 
 
 def count_options(root: Path = ROOT) -> int:
-    """Options of all groups: the fields that options.py declares by `option`."""
-    tree = ast.parse((root / "colmap_edges" / "options.py").read_text(encoding="utf-8"))
-    groups = (node for node in tree.body if isinstance(node, ast.ClassDef))
+    """Options of all groups: the fields that modules of options/ declare by `option`."""
+    trees = [
+        ast.parse(path.read_text()) for path in (root / "colmap_edges" / "options").glob("*.py")
+    ]
+    groups = (node for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
     values = (
         line.value for group in groups for line in group.body if isinstance(line, ast.AnnAssign)
     )

@@ -25,7 +25,8 @@ PUBLIC = (
     ("surfaces.mesher", ("mesh",), "colmap_edges"),
     ("surfaces.mesh", ("Mesh",), "colmap_edges"),
     ("export.meshes", ("write_mesh",), "colmap_edges"),
-    ("options", ("PipelineOptions", "preset"), "colmap_edges"),
+    ("options.whole", ("PipelineOptions",), "colmap_edges"),
+    ("options.presets", ("preset",), "colmap_edges"),
     ("errors", ("ColmapEdgesError",), "colmap_edges"),
     (
         "export.edges",

@@ -1,13 +1,20 @@
 #!/usr/bin/env python3
-"""Writes docs/options.md: every option with its default, meaning and unit, from the code."""
+"""Writes docs/options.md and docs/constants.md: options and constants with what they mean.
 
-from dataclasses import fields
+With --check writes nothing, and fails where a page is not as the code.
+"""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import Field, fields
 from pathlib import Path
+from typing import Any
 
 from colmap_edges.cli.flags import Flag, make_flags
+from colmap_edges.declared_options import group_prefix, is_constant, range_text
 from colmap_edges.options import PRESETS, PipelineOptions
 
-TARGET = Path(__file__).resolve().parents[1] / "docs" / "options.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# Options
 
 Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows those in bold,
@@ -15,11 +22,47 @@ Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows those in
 groups are tables, and one file serves all commands: each takes the keys that it knows. Numbers
 have a range, both ends of it included; beyond it they mean nothing in their unit, or ask for more
 than machines have. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
-No option is in world units: defaults hold for any scale of the model. Where a run reads, also masks
-(`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works (`--scheduler`) are
-no options of it; see [recipes](recipes.md).
+No option is in world units: defaults hold for any scale of the model. Pixels are those of the given
+images; where the images are upsampled for detection, a run converts them once. `report.json` holds
+the options as given under `options`, and all settings as used, in pixels of the upsampled images,
+under `settings`. Chains have one point for each pixel of the upsampled images. Where a run reads,
+also masks (`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works
+(`--scheduler`) are no options of it; see [recipes](recipes.md). Values that are no options are
+[constants](constants.md) of the method.
 
 """
+CONSTANTS_HEAD = """# Constants
+
+Made by `scripts/document_options.py`. These values belong to the method and have no flag; what a
+user can want to turn are [options](options.md). They are fields beside the options in
+[colmap_edges/options](../colmap_edges/options/__init__.py), held to a range and settable from
+Python: `RefinementOptions(noise_px=0.2)`. `scripts/halve_and_double.py` halves and doubles each and
+prints what changes; [experiments](experiments.md) has a table.
+
+Together with the tolerances among the options they state one model of what is observed:
+
+- **Noise across a chain.** A chain point is off across its chain by `Refinement.noise_px` (standard
+  deviation). `robust_scale_px`, `max_smoothing_distance_px` and the standard deviations of depths,
+  which `max_sigma_ratio` bounds, are counted in it. Along the epipolar line it is larger by one
+  over the sine of the angle between both, which `min_epipolar_angle_deg` bounds.
+- **Errors of poses and lenses.** They move whole stretches of chains by pixels of the given images:
+  the options `ChainDepth.max_disagreement_px` and `Refinement.max_residual_px`, and
+  `Refinement.search_radius_px`; in the paper's way of tracing its tolerances. Only these lengths
+  are converted where images are upsampled.
+- **Missing observations.** An edge is not hidden in a view with the chance `visibility_rate`, and
+  detected where it is visible with `detection_rate`. `min_log_likelihood_ratio` and `break_penalty`
+  are log odds under this model.
+- **Wrong observations.** Any chain can be near by chance; the option `Tracing.max_false_edges`
+  bounds how many edges that makes. View-dependent contours scatter more than edges, which
+  `max_residual_ratio` bounds.
+- **Intensities.** How much the sides of an edge differ between views is learned from each scene;
+  `side_gray_weight` weighs the photometric term against the noise across.
+
+The rest says how densely curves are sampled, when pieces are one edge, and how rays weigh in the
+mesh.
+
+"""
+TABLE = ["| constant | value | range | meaning | where it comes from |", "|---|---|---|---|---|"]
 
 
 def group_of(flag: Flag) -> str:
@@ -37,7 +80,7 @@ def row(flag: Flag) -> str:
 
 
 def options_page() -> str:
-    """The whole page."""
+    """The whole page of options."""
     flags = make_flags({entry.name for entry in fields(PipelineOptions)})
     lines = []
     for group in sorted({group_of(f) for f in flags}, key=[group_of(f) for f in flags].index):
@@ -50,5 +93,35 @@ def options_page() -> str:
     return HEAD + "\n".join(lines) + "\n"
 
 
+def constants() -> Iterator[tuple[str, Field[Any]]]:
+    """Every constant by its name with its group's."""
+    for group in fields(PipelineOptions):
+        if not group.metadata:
+            kind = type(getattr(PipelineOptions(), group.name))
+            for entry in filter(is_constant, fields(kind)):
+                yield group_prefix(kind) + entry.name, entry
+
+
+def constants_page() -> str:
+    """The whole page of constants."""
+    lines = [*TABLE]
+    for name, entry in constants():
+        within, choices = entry.metadata["within"], entry.metadata["choices"]
+        values = range_text(within, "..") if within else r" \| ".join(choices)
+        told = (entry.default, values, entry.metadata["help"], entry.metadata["source"])
+        lines.append(f"| `{name}` | {' | '.join(map(str, told))} |")
+    return CONSTANTS_HEAD + "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Write both pages, or check them."""
+    pages = {DOCS / "options.md": options_page(), DOCS / "constants.md": constants_page()}
+    for path, text in pages.items():
+        if "--check" not in sys.argv[1:]:
+            path.write_text(text, encoding="utf-8")
+        elif not path.exists() or path.read_text(encoding="utf-8") != text:
+            sys.exit(f"{path} is not as the code; run scripts/document_options.py")
+
+
 if __name__ == "__main__":
-    TARGET.write_text(options_page(), encoding="utf-8")
+    main()

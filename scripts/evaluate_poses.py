@@ -22,7 +22,7 @@ from colmap_edges.evaluation.metrics.poses import (
 )
 from colmap_edges.evaluation.protocols.strecha import load_true_poses
 from colmap_edges.evaluation.tables import markdown
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.runtime.stages import Stages
@@ -88,7 +88,8 @@ def adjustments(
         rows.append((name, adjusted, "", ""))
     stages = Stages()
     model = model_from_reconstruction(start).at_scale(scale)
-    refined, _ = edge_stages(model, graphs, options, stages)
+    settings = resolved(options, scale)
+    refined, _ = edge_stages(model, graphs, settings, stages)
     traced, refining, *again = [stage["counts"] for stage in stages.records()]
     counts = " -> ".join(str(c["edge_points"]) for c in (traced, *again))
     gains = ", ".join(f"{gain:+.1%}" for gain in refining.get("held_out_gains", []))

@@ -11,7 +11,13 @@ from typing import Any, TypeGuard, TypeVar, get_type_hints
 
 import click
 
-from colmap_edges.declared_options import Options, group_prefix, range_text, shown
+from colmap_edges.declared_options import (
+    Options,
+    group_prefix,
+    is_constant,
+    range_text,
+    shown,
+)
 from colmap_edges.options import PipelineOptions, preset
 from colmap_edges.runtime.input_files import read_text
 
@@ -108,14 +114,14 @@ def make_flags(names: set[str]) -> list[click.Option]:
 
 
 def group_flags(group: type[Options]) -> list[click.Option]:
-    """Make the flags of an option group and of the groups within it."""
+    """Make the flags of an option group and of the groups within it; constants have none."""
     hints = get_type_hints(group)
     flags: list[click.Option] = []
     for entry in fields(group):  # type: ignore[arg-type]
         kind = hints[entry.name]
         if is_group(kind):
             flags += group_flags(kind)
-        else:
+        elif not is_constant(entry):
             flags.append(make_flag(entry, kind, group_prefix(group)))
     return flags
 

@@ -70,7 +70,7 @@ def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0)
     """
     light = resized(light_of(image, options.gamma), scale)
     image = resized(image, scale)
-    pixels, offsets = detect_pixel_chains(image, options.min_chain_length_px)
+    pixels, offsets = detect_pixel_chains(image, options.min_chain_points)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     blur_px = min(blur_of_edges(image, points + 0.5, normals), MAX_BLUR_PX)

@@ -89,7 +89,7 @@ def build_edge_graph(
     """
     finite = np.isfinite(view.ideal_from_image(chains.points / view.scale))
     chains, dropped = drop_chains(chains, finite[:, 0] & finite[:, 1])
-    joined, closed = join_chains(chains, options.max_gap_px, options.max_join_angle_deg)
+    joined, closed = join_chains(chains, options.max_gap_points, options.max_join_angle_deg)
     pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
     graph = assemble(pieces, closed, view, options)
     dropped = dropped / view.scale
@@ -112,7 +112,7 @@ def drop_chains(chains: Chains, usable: BoolArray) -> tuple[Chains, FloatArray]:
 
 
 def join_chains(
-    chains: Chains, max_gap_px: float, max_angle_deg: float
+    chains: Chains, max_gap_points: float, max_angle_deg: float
 ) -> tuple[Chains, BoolArray]:
     """Join chains whose ends face each other across a small gap and agree in direction.
 
@@ -122,13 +122,13 @@ def join_chains(
     Returns:
         The joined chains and (C,) whether each is closed.
     """
-    partner = match_ends(chains, max_gap_px, max_angle_deg)
+    partner = match_ends(chains, max_gap_points, max_angle_deg)
     paths = walk_joined(partner)
     order, lengths = points_along(paths, chains.offsets[:-1], chains.offsets[1:])
     return chains.select(order, lengths), np.array([closed for _, closed in paths], bool)
 
 
-def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntArray:
+def match_ends(chains: Chains, max_gap_points: float, max_angle_deg: float) -> IntArray:
     """(2C,) partner of each chain end or -1; end 2c is the first point of chain c, 2c + 1 its last.
 
     Two ends may join when they touch, or when the direction goes on across a small gap; the
@@ -137,7 +137,7 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     positions, outward, side = chain_ends(chains)
     if len(positions) == 0:
         return np.zeros(0, np.int64)
-    pairs = cKDTree(positions).query_pairs(max_gap_px, output_type="ndarray")
+    pairs = cKDTree(positions).query_pairs(max_gap_points, output_type="ndarray")
     a, b = pairs[:, 0], pairs[:, 1]
     gap = positions[b] - positions[a]
     distance = np.linalg.norm(gap, axis=1)
@@ -147,7 +147,7 @@ def match_ends(chains: Chains, max_gap_px: float, max_angle_deg: float) -> IntAr
     touching = distance < NODE_RADIUS_PX  # a corner of the contour: turns as it likes
     straight = (turn >= cos_limit) & (along >= cos_limit * distance)
     allowed = (touching | straight) & (side[a] == -side[b])
-    cost = distance + (1 - turn) * max_gap_px
+    cost = distance + (1 - turn) * max_gap_points
     return match_best_first(len(positions), a, b, allowed, cost)
 
 

@@ -203,7 +203,7 @@ def detect_edges(
     """Detect the edges of one image, where its mask has them looked for."""
     chains = detect_chains(gray_of(image), work.detection, view.scale)
     if mask is not None:
-        chains = outside_mask(chains, mask, view.scale, work.detection.min_chain_length_px)
+        chains = outside_mask(chains, mask, view.scale, work.detection.min_chain_points)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
     return DetectedEdges(
         graph=replace(graph, colors=colors_at(image, graph.points)),

@@ -11,7 +11,7 @@ from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.upsampling import upsampled
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.read import check_model, check_pictures
 from colmap_edges.pipeline.trace import edge_stages
@@ -85,7 +85,8 @@ def reconstruct(
     model = upsampled(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
-        model, traced = edge_stages(model, detection, options, stages, workers)
+        settings = resolved(options, model.scale)
+        model, traced = edge_stages(model, detection, settings, stages, workers)
     edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)

@@ -10,7 +10,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
 from colmap_edges.edges2d.upsampling import upsampled
 from colmap_edges.errors import OptionError
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
 from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
@@ -68,18 +68,17 @@ def run(
         open_workers(options, paths.cache_path, scheduler) as workers,
     ):
         stages = Stages(progress)
-        model = read_stage(paths.input_path, stages)
+        model, settings = read_stage(paths.input_path, stages), options
         viewer.show_model(model)
         if command == "mesh" and not options.use_edges:
             mesh = mesh_stage(model, None, model, folder, options, stages)
             viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh)
         else:
-            check_pictures(model, image_folder(paths), paths.mask_path, options)
-            if command != "detect" and options.output_type == "TXT":
-                check_text_names(model)
-            contents = run_edges(command, model, paths, folder, options, stages, workers, viewer)
-        report = make_report(command, paths, options, stages)
+            model = model_to_trace(command, model, paths, options)
+            settings = resolved(options, model.scale)
+            contents = run_edges(command, model, paths, folder, settings, stages, workers, viewer)
+        report = make_report(command, paths, options, settings, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
             report["stages"] = stages.records()
@@ -94,6 +93,14 @@ def write_record(folder: Path, report: dict[str, Any]) -> None:
     (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
+def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:
+    """The model, checked against its images, at the scale at which these are worked on."""
+    check_pictures(model, image_folder(paths), paths.mask_path, options)
+    if command != "detect" and options.output_type == "TXT":
+        check_text_names(model)
+    return upsampled(model, image_folder(paths), options.detection)
+
+
 def run_edges(
     command: str,
     model: Model,
@@ -104,9 +111,8 @@ def run_edges(
     workers: Workers,
     viewer: Viewer,
 ) -> Contents:
-    """Run the stages of `command` that need images into `folder`."""
+    """Run the stages of `command` that need images into `folder`, with settings as resolved."""
     images, masks = image_folder(paths), paths.mask_path
-    model = upsampled(model, images, options.detection)
     if command == "detect":
         check_file_names(model.views)
         detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)

@@ -72,7 +72,7 @@ def options_for_poses(options: PipelineOptions) -> PipelineOptions:
     selection, depths = options.view_selection, options.chain_depth
     return replace(
         options,
-        chain_depth=derived(depths, sample_step_px=4 * depths.sample_step_px // 5),
+        chain_depth=derived(depths, sample_step_points=4 * depths.sample_step_points // 5),
         view_selection=replace(selection, max_observing_angle_deg=selection.max_angle_deg),
         refinement=replace(options.refinement, side_gray_weight=0.0),
         tracing=replace(options.tracing, num_rounds=1),

@@ -59,14 +59,19 @@ def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stage
 
 
 def make_report(
-    command: str, paths: Paths, options: PipelineOptions, stages: Stages
+    command: str,
+    paths: Paths,
+    options: PipelineOptions,
+    settings: PipelineOptions,
+    stages: Stages,
 ) -> dict[str, Any]:
-    """Gather what report.json holds."""
+    """Gather what report.json holds: among it the options as given and the settings as used."""
     return {
         "command": command,
         "versions": versions(),
         "paths": asdict(paths),
         "options": asdict(options),
+        "settings": asdict(settings),
         "stages": stages.records(),
         "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
         "funnel": [asdict(step) for step in funnel(stages.records(), options)],

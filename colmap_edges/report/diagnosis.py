@@ -141,7 +141,7 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
         yield Finding(
             text=f"no edge was detected in any of {images} images",
             remedy="look at the images (blank, blurred, dark?); detect shorter chains with "
-            "--Detection.min_chain_length_px",
+            "--Detection.min_chain_points",
         )
     elif images and empty == images:
         yield Finding(
@@ -203,16 +203,16 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "samples_confirmed",
             MIN_CONFIRMED_SHARE,
             "depths were not found again from another view",
-            "check the poses; allow larger differences with --Tracing.max_inconsistency_px "
-            f"(now {tracing.max_inconsistency_px:g})",
+            "check the poses (`colmap bundle_adjuster`); compare more views with "
+            f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors})",
         ),
         (
             "samples_confirmed",
             "samples_in_runs",
             MIN_TRACED_SHARE,
             "confirmed depths lie in runs that are short or unsure",
-            "lower --Tracing.min_agreeing_views, --Tracing.min_confirmed_ratio or "
-            f"--ChainDepth.sample_step_px (now {options.chain_depth.sample_step_px})",
+            f"lower --Tracing.min_agreeing_views (now {tracing.min_agreeing_views}) or "
+            f"--ChainDepth.sample_step_points (now {options.chain_depth.sample_step_points})",
         ),
         (
             "points_traced",
@@ -227,8 +227,8 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "points_of_curves",
             MIN_KEPT_SHARE,
             "edge points have uncertain depths, or lie on curves that chance may have made",
-            f"raise --Tracing.max_sigma_ratio (now {tracing.max_sigma_ratio:g}) or "
-            f"--Tracing.max_false_edges (now {tracing.max_false_edges:g})",
+            "take images from further aside, or raise --Tracing.max_false_edges "
+            f"(now {tracing.max_false_edges:g})",
         ),
     ]
 

@@ -108,21 +108,21 @@ def test_detect_says_where_files_are(flags, tmp_path):
 def test_hyphens_and_case_do_not_matter(scene_paths, tmp_path):
     call(
         *("detect", "--image-path", scene_paths[0], "--INPUT-path", scene_paths[1]),
-        *("--output-path", tmp_path / "out", "--edgegraph.max-gap-px", "3.5"),
+        *("--output-path", tmp_path / "out", "--edgegraph.max-gap-points", "3.5"),
     )
     report = (tmp_path / "out" / "report.json").read_text()
-    assert '"max_gap_px": 3.5' in report
+    assert '"max_gap_points": 3.5' in report
 
 
 def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
-        "num_threads = 1\nrandom-seed = 7\n[EdgeGraph]\nmax_gap_px = 2.5\n"
+        "num_threads = 1\nrandom-seed = 7\n[EdgeGraph]\nmax_gap_points = 2.5\n"
         "filter_regular_length = true\n"
     )
     call("detect", *flags, "--config", config, "--random_seed", "8")
     report = (tmp_path / "out" / "report.json").read_text()
-    for text in ('"max_gap_px": 2.5', '"num_threads": 1', '"random_seed": 8'):
+    for text in ('"max_gap_points": 2.5', '"num_threads": 1', '"random_seed": 8'):
         assert text in report
     assert '"filter_regular_length": true' in report
 
@@ -132,8 +132,9 @@ def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
     [
         ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; the nearest is EdgeGraph.max"),
         ("num_thread = 2", "unknown key num_thread; the nearest is num_threads"),
-        ("[EdgeGraph]\nmax_gap_px = 'wide'", "max_gap_px is 'wide'; it must be a number"),
-        ("[Detection]\nmin_chain_length_px = 12.5", "length_px is 12.5; it must be a whole"),
+        ("[EdgeGraph]\nmax_gap_points = 'wide'", "max_gap_points is 'wide'; it must be a number"),
+        ("[Detection]\nmin_chain_points = 12.5", "chain_points is 12.5; it must be a whole"),
+        ("[Refinement]\nnoise_px = 0.2", "unknown key Refinement.noise_px"),
         ("[EdgeGraph\n", "cannot read"),
     ],
 )
@@ -148,9 +149,10 @@ def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
     ("args", "message"),
     [
         (["--EdgeGraph.max_gap", "1"], "No such option"),
+        (["--Refinement.noise_px", "1"], "No such option"),
         (
-            ["--EdgeGraph.max_gap_px", "-1"],
-            "--EdgeGraph.max_gap_px is -1.0; it must be from 0",
+            ["--EdgeGraph.max_gap_points", "-1"],
+            "--EdgeGraph.max_gap_points is -1.0; it must be from 0",
         ),
         (["--random_seed", "-1"], "Error: --random_seed is -1; it must be"),
         (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
@@ -299,8 +301,9 @@ def test_help_fits_on_two_screens_and_full_help_has_all():
     full = call("mesh", "--help_full")
     for entry in fields(PipelineOptions):
         assert entry.name in full or entry.default_factory is not None
-    assert "--Refinement.noise_px" in full
-    assert "--Refinement.noise_px" not in output
+    assert "--Tracing.max_false_edges" in full
+    assert "--Tracing.max_false_edges" not in output
+    assert "noise_px" not in full
     for command in (["info"], ["evaluate"], []):
         assert "--help_full" in call(*command, "--help_full")
 
@@ -333,8 +336,9 @@ def test_workspace_that_is_none(tmp_path, folder, message):
 
 
 def test_flags_go_before_the_preset(flags, tmp_path):
-    call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_px", "9")
+    call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_points", "9")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     expected = asdict(preset("low"))
-    expected["chain_depth"]["sample_step_px"] = 9
+    expected["chain_depth"]["sample_step_points"] = 9
     assert report["options"] == expected
+    assert report["settings"] == expected  # the preset upsamples nothing

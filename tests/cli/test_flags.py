@@ -155,7 +155,7 @@ def test_messages_about_options_name_flags():
     command = click.Command("test", params=flags.make_flags({"random_seed", "matching"}))
     for message, expected in (
         ("random_seed is -1; it must be more", "--random_seed is -1; it must be more"),
-        ("Matching.resolution is 0", "--Matching.resolution is 0"),
+        ("Matching.min_similarity is 0", "--Matching.min_similarity is 0"),
         ("give mask_path, or random_seed", "give mask_path, or --random_seed"),
     ):
         assert flags.with_dashes(message, command) == expected

@@ -5,7 +5,7 @@ from dataclasses import FrozenInstanceError, asdict, fields
 import numpy as np
 import pytest
 
-from colmap_edges.declared_options import derived, option
+from colmap_edges.declared_options import constant, derived, option
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.options import (
     ChainDepthOptions,
@@ -37,8 +37,8 @@ NUMBERS = [
             "Detection.sigma_px is 0.0; it must be from 0.1 to 10",
         ),
         (
-            lambda: DetectionOptions(min_chain_length_px=1),
-            "Detection.min_chain_length_px is 1; it must be from 2 to 1000",
+            lambda: DetectionOptions(min_chain_points=1),
+            "Detection.min_chain_points is 1; it must be from 2 to 1000",
         ),
         (
             lambda: EdgeGraphOptions(max_join_angle_deg=90.5),
@@ -74,7 +74,7 @@ NUMBERS = [
         (lambda: PipelineOptions(report=1), "report is 1; it must be True or False"),
         (
             lambda: PipelineOptions(detection=TracingOptions),
-            "detection is <class 'colmap_edges.options.TracingOptions'>; "
+            "detection is <class 'colmap_edges.options.tracing.TracingOptions'>; "
             "it must be DetectionOptions(...)",
         ),
     ],
@@ -102,19 +102,21 @@ def test_every_number_has_a_smallest_and_a_largest_value(group, entry):
 def test_no_number_can_be_declared_without_a_range(default):
     with pytest.raises(TypeError, match="smallest and a largest"):
         option(default, "Steps")
+    with pytest.raises(TypeError, match="smallest and a largest"):
+        constant(default, "Steps", "assumed")
 
 
 def test_numbers_of_numpy_become_those_of_json():
-    options = DetectionOptions(min_chain_length_px=np.int64(20), gamma=np.float32(2))
+    options = DetectionOptions(min_chain_points=np.int64(20), gamma=np.float32(2))
     assert json.dumps(asdict(options)) == json.dumps(
-        asdict(DetectionOptions(min_chain_length_px=20, gamma=2.0))
+        asdict(DetectionOptions(min_chain_points=20, gamma=2.0))
     )
 
 
 def test_derived_values_end_where_their_range_does():
-    options = ChainDepthOptions(min_log_likelihood_ratio=-9.0, sample_step_px=900)
-    options = derived(options, min_log_likelihood_ratio=-11.0, sample_step_px=3600)
-    assert (options.min_log_likelihood_ratio, options.sample_step_px) == (-10.0, 1000)
+    options = ChainDepthOptions(min_log_likelihood_ratio=-9.0, sample_step_points=900)
+    options = derived(options, min_log_likelihood_ratio=-11.0, sample_step_points=3600)
+    assert (options.min_log_likelihood_ratio, options.sample_step_points) == (-10.0, 1000)
 
 
 def test_every_option_has_a_line_of_help():

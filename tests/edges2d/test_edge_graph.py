@@ -50,7 +50,7 @@ def no_chains():
 def test_halves_of_a_line_are_joined_across_a_small_gap(reverse):
     left, right = straight((100, 50), (140, 55)), straight((143, 55.375), (183, 60.375))
     second = (right[::-1], -1) if reverse else (right, 1)
-    graph = build(make_chains((left, 1), second), max_gap_px=4.0)
+    graph = build(make_chains((left, 1), second), max_gap_points=4.0)
     assert graph.num_polylines == 1
     assert not graph.closed[0]
     steps = np.diff(graph.points[:, 0])
@@ -60,7 +60,7 @@ def test_halves_of_a_line_are_joined_across_a_small_gap(reverse):
     )
     assert len(graph.smoothed) == 2
     np.testing.assert_allclose(graph.normals, np.tile(graph.normals[0], (len(graph.points), 1)))
-    apart = build(make_chains((left, 1), second), max_gap_px=2.5)
+    apart = build(make_chains((left, 1), second), max_gap_points=2.5)
     assert apart.num_polylines == 2
 
 

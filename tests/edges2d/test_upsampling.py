@@ -11,10 +11,9 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.colmap.writing import moved_model
 from colmap_edges.edges2d.detection import detect_chains
 from colmap_edges.edges2d.upsampling import measure_blur, upsampled
-from colmap_edges.edges3d.chains.tracing import in_upsampled_pixels
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import gray_of, read_image
-from colmap_edges.options import DetectionOptions, PipelineOptions
+from colmap_edges.options import DetectionOptions, PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.reconstruct import reconstruct
 from colmap_edges.runtime.stages import Stages
@@ -195,9 +194,11 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
 
 def test_tolerances_are_in_pixels_of_the_given_images():
     given = PipelineOptions()
-    used = in_upsampled_pixels(given, 1.5)
+    used = resolved(given, 1.5)
     assert used.chain_depth.max_disagreement_px == 1.5 * given.chain_depth.max_disagreement_px
     assert used.refinement.search_radius_px == 1.5 * given.refinement.search_radius_px
     assert used.refinement.max_residual_px == 1.5 * given.refinement.max_residual_px
-    assert used.chain_depth.sample_step_px == given.chain_depth.sample_step_px
-    assert in_upsampled_pixels(given, 1.0) == given
+    assert used.chain_depth.sample_step_points == given.chain_depth.sample_step_points
+    assert used.visibility.max_error_px == 1.5 * given.visibility.max_error_px
+    assert used.detection == given.detection
+    assert resolved(given, 1.0) == given

@@ -65,7 +65,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"detect": {"images_without_edges": 10, "edge_pixels": 0}},
             "no edge was detected in any of 10 images",
-            "--Detection.min_chain_length_px",
+            "--Detection.min_chain_points",
         ),
         (
             {"detect": {"damaged": ["a.jpg", "b.jpg", "c.jpg", "d.jpg"]}},
@@ -91,9 +91,9 @@ def test_nothing_to_say_when_all_went_well(options, details):
         (
             {"trace": {"samples_confirmed": 70, "samples_in_runs": 60}},
             "90 % of 700 depths were not found again",
-            "--Tracing.max_inconsistency_px (now 3)",
+            "--ViewSelection.num_neighbors (now 6)",
         ),
-        ({"trace": {"samples_in_runs": 60}}, "90 % of 600", "--Tracing.min_agreeing_views"),
+        ({"trace": {"samples_in_runs": 60}}, "90 % of 600", "--Tracing.min_agreeing_views (now 2)"),
         (
             {"trace": {"points_observed_enough": 40}},
             "90 % of 400 traced edge points",

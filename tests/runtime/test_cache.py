@@ -106,7 +106,7 @@ def test_keys_tell_all_parts_apart(monkeypatch):
         (np.zeros((2, 2)),),
         (np.zeros(8, np.float32),),
         (DetectionOptions(),),
-        (DetectionOptions(min_chain_length_px=13),),
+        (DetectionOptions(min_chain_points=13),),
     ]
     keys = [key_of(*part) for part in parts]
     assert len(set(keys)) == len(keys)
@@ -204,10 +204,10 @@ def test_what_changed_is_made_again(small, tmp_path):
     edges = mesh(scene, output, cache)[1]["trace"]["edges"]
     meshing = MeshingOptions(quality_weight=0.5)
     assert reused(mesh(scene, output, cache, meshing=meshing, mesh_type="OBJ")[1]) == (6, edges)
-    tracing = TracingOptions(point_spacing_px=5)
+    tracing = TracingOptions(curve_step_points=5)
     assert reused(mesh(scene, output, cache, tracing=tracing)[1]) == (6, 0)
     assert reused(mesh(scene, output, cache, random_seed=1)[1]) == (6, 0)
-    detection = DetectionOptions(min_chain_length_px=14)
+    detection = DetectionOptions(min_chain_points=14)
     assert reused(mesh(scene, output, cache, detection=detection)[1]) == (0, 0)
     path = sorted(images.iterdir())[2]
     cv2.imwrite(str(path), cv2.imread(str(path))[:, ::-1])

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 def test_two_settings_on_a_city(tmp_path):
     output = tmp_path / "result.json"
-    setting = "--ChainDepth.sample_step_px 4"
+    setting = "--ChainDepth.sample_step_points 4"
     done = run_script(
         *("benchmark.py", "--synthetic", "6", "--points_per_view", "100", "--runs", "1"),
         *("--setting", setting, "--output_path", output),

@@ -3,6 +3,7 @@
 import re
 import runpy
 import shutil
+import sys
 
 import count_functions
 import pytest
@@ -24,6 +25,7 @@ def copy(tmp_path):
     [
         ("document_api.py", "api.md"),
         ("document_options.py", "options.md"),
+        ("document_options.py", "constants.md"),
         ("document_architecture.py", "architecture.md"),
     ],
 )
@@ -40,6 +42,16 @@ def test_pages_are_written_anew(copy, script, page):
     assert path.read_text() == expected
 
 
+def test_a_page_that_is_not_as_the_code_is_told(copy, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["document_options.py", "--check"])
+    script = str(copy / "scripts" / "document_options.py")
+    runpy.run_path(script, run_name="__main__")
+    with (copy / "docs" / "constants.md").open("a") as page:
+        page.write("more\n")
+    with pytest.raises(SystemExit, match=r"constants.md is not as the code"):
+        runpy.run_path(script, run_name="__main__")
+
+
 def test_functions_are_counted():
     lines = run_script("count_functions.py").stdout.splitlines()
     assert [line.split()[0] for line in lines] == [
@@ -53,9 +65,11 @@ def write_toy(root):
     """A project of few lines: two of Python, two of C++, and a test, which does not count."""
     for folder in ("colmap_edges/sub", "meshing", "tests", "scripts"):
         (root / folder).mkdir(parents=True)
-    (root / "colmap_edges" / "options.py").write_text(
+    (root / "colmap_edges" / "options").mkdir()
+    (root / "colmap_edges" / "options" / "a.py").write_text(
         "def option(default, help): ...\n"
-        "class AOptions:\n    a: int = option(1, 'a')\n    b: int = option(2, 'b')\n"
+        "class AOptions:\n    d: int = constant(1, 'd', 'e')\n"
+        "    a: int = option(1, 'a')\n    b: int = option(2, 'b')\n"
         "class BOptions:\n    c: float = option(0.5, 'c')\n    group: AOptions = field()\n"
     )
     (root / "colmap_edges" / "sub" / "module.py").write_text(

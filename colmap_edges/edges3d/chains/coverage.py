@@ -33,8 +33,10 @@ def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> 
     """
     covered = nothing_covered(whole.polyline_offsets)
     for traced in kept.edges:
-        mark_covered(covered, whole.polyline_offsets, traced.observations, options.point_spacing_px)
-    least = options.min_curve_points * options.point_spacing_px // 2
+        mark_covered(
+            covered, whole.polyline_offsets, traced.observations, options.curve_step_points
+        )
+    least = options.min_curve_points * options.curve_step_points // 2
     free = [
         without_short(~each, whole.polyline_offsets[view], least)
         for view, each in enumerate(covered)
@@ -58,7 +60,7 @@ def without_repeats(
         free[own.points] = ~covered[contours.reference][own.positions.astype(np.int64)]
         pieces, lasting = find_pieces(contours, free, np.inf, options)
         first = chosen(contours, pieces, free & lasting[pieces])
-        mark_covered(covered, whole.polyline_offsets, first.observations, options.point_spacing_px)
+        mark_covered(covered, whole.polyline_offsets, first.observations, options.curve_step_points)
         firsts.append(first)
     left, all_found = (sum(len(t.points) for t in of) for of in (firsts, kept.contours))
     counts = {"points_of_contours": left, "points_dropped_repeated": all_found - left}

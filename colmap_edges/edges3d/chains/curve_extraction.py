@@ -47,7 +47,7 @@ def find_curves(
     indices, inverse, runs = indices[free], inverse[free], runs[free]
     # A covered stretch ends a curve as the end of its run does.
     broken = np.ones(len(indices), bool)
-    broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.point_spacing_px)
+    broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.curve_step_points)
     ids = np.cumsum(broken) - 1
     long = np.bincount(ids, minlength=1)[ids] >= options.min_curve_points
     indices, inverse, ids = indices[long], inverse[long], ids[long]
@@ -116,9 +116,9 @@ def densify(
     low = np.maximum(at[first] - options.extension_px, graph.polyline_offsets[polylines])
     end = graph.polyline_offsets[polylines + 1] - 1
     high = np.minimum(at[last] + options.extension_px, end)
-    counts = (high - low) // options.point_spacing_px + 1
+    counts = (high - low) // options.curve_step_points + 1
     runs = np.repeat(np.arange(len(first)), counts)
-    points = low[runs] + options.point_spacing_px * ranks_of(counts)
+    points = low[runs] + options.curve_step_points * ranks_of(counts)
     # Beyond a run's ends the first and the last two samples tell how depth goes on.
     before = np.clip(np.searchsorted(at, points, "right") - 1, first[runs], last[runs])
     left = np.minimum(before, last[runs] - 1)

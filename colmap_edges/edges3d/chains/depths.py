@@ -108,14 +108,14 @@ def compute_chain_depths(
         The S samples on the view's chains with the depths found and the crossings that agree.
     """
     graph, neighbors = given.graph(view), given.neighbors[view]
-    samples, offsets = sample_chains(graph, options.sample_step_px)
+    samples, offsets = sample_chains(graph, options.sample_step_points)
     found = _kernels.chain_depths(
         given.index(view),
         [given.index(neighbor) for neighbor in neighbors.tolist()],
         samples,
         offsets,
         depth_range.at(graph.ideal[samples]),
-        steps=float(options.sample_step_px),
+        steps=float(options.sample_step_points),
         max_disagreement_px=options.max_disagreement_px,
         side_likelihoods=given.sides.table,
         min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
@@ -160,7 +160,7 @@ def learn_side_likelihoods(
     Returns:
         What sides say of a match: nothing where too few depths are sure.
     """
-    few = derived(options, sample_step_px=4 * options.sample_step_px)
+    few = derived(options, sample_step_points=4 * options.sample_step_points)
     random = np.random.default_rng(random_seed)
     same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
     count = len(given.views)

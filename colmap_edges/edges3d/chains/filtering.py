@@ -266,7 +266,7 @@ def find_pieces(
     pieces = np.cumsum(broken) - 1
     sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
     # Points nearer to each other than that are not independent evidence.
-    share = min(1.0, options.point_spacing_px / INDEPENDENT_PX)
+    share = min(1.0, options.curve_step_points / INDEPENDENT_PX)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
     return pieces, (sizes >= options.min_curve_points) & (logs <= log_chance)
 

@@ -59,7 +59,7 @@ def trace_edges(
     Args:
         model: posed views and, where there are any, SfM points.
         graphs: the edge graph of each view.
-        options: every step's parameters.
+        options: every step's settings, as `resolved` for the model's scale.
         num_threads: threads to use; the result does not depend on it.
         advance: called twice a view and round, when its depths are known and when its edges are.
         workers: who does the work on the views; threads of this process when not given.
@@ -70,7 +70,6 @@ def trace_edges(
     if workers is None:
         with local_workers(num_threads) as workers:
             return trace_edges(model, graphs, options, num_threads, advance, workers)
-    options = in_upsampled_pixels(options, model.scale)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
     traced, stats = trace_round(whole, near, options, None, workers, advance)
@@ -127,23 +126,6 @@ def trace_round(
     depths = [without_supports(found) for found in depths]
     traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
-
-
-def in_upsampled_pixels(options: PipelineOptions, scale: float) -> PipelineOptions:
-    """Options whose tolerances are in pixels of images enlarged `scale` times.
-
-    Poses and distortion are off by pixels of the images as they are given.
-    """
-    depths, refinement = options.chain_depth, options.refinement
-    return replace(
-        options,
-        chain_depth=derived(depths, max_disagreement_px=scale * depths.max_disagreement_px),
-        refinement=derived(
-            refinement,
-            search_radius_px=scale * refinement.search_radius_px,
-            max_residual_px=scale * refinement.max_residual_px,
-        ),
-    )
 
 
 def for_what_remains(options: PipelineOptions) -> PipelineOptions:
@@ -216,7 +198,7 @@ def trace_views(
                 covered,
                 given.polyline_offsets,
                 found.observations.select(np.flatnonzero(lasting)),
-                options.tracing.point_spacing_px,
+                options.tracing.curve_step_points,
             )
         advance()
 

@@ -35,8 +35,8 @@ def trace_edges_paper(
     Args:
         model: posed views and SfM points.
         graphs: the edge graph of each view.
-        options: the groups matching, correspondence, following, visibility and sampling hold
-            every parameter of the paper.
+        options: the settings, as `resolved` for the model's scale; the groups matching,
+            correspondence, following, visibility and sampling hold every parameter of the paper.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:

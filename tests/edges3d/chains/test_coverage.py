@@ -146,7 +146,7 @@ def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     not_in_reference = along(0, [2, 5, 6], np.arange(40, 120, 4), reference_observes=False)
     contours = [first, again, elsewhere, not_in_reference]
     kept = Sorted(edges=[], contours=contours, limits=LIMITS)
-    options = TracingOptions(point_spacing_px=4, min_curve_points=3)
+    options = TracingOptions(curve_step_points=4, min_curve_points=3)
     left, counts = without_repeats(fence, kept, options)
     assert [of.points[:, 0].tolist() for of in left.contours] == [
         [*range(40, 120, 4)],

@@ -139,7 +139,7 @@ def dense(graph, samples, values, sizes, sure, **options):
 def test_depths_are_linear_between_samples_and_beyond():
     points, inverse, runs = dense(
         graph_of_lengths(40), [8, 16, 24], [1.0, 2.0, 2.5], [3], [True],
-        point_spacing_px=4, extension_px=8,
+        curve_step_points=4, extension_px=8,
     )  # fmt: skip
     assert points == [0, 4, 8, 12, 16, 20, 24, 28, 32]
     assert inverse == [1.0, 0.5, 1.0, 1.5, 2.0, 2.25, 2.5, 2.75, 3.0]  # at 0 it would be none
@@ -149,7 +149,7 @@ def test_depths_are_linear_between_samples_and_beyond():
 def test_runs_end_where_their_chain_does_and_unsure_ones_are_left_out():
     points, inverse, runs = dense(
         graph_of_lengths(12, 30), [4, 8, 13, 15, 20, 30], [1, 1, 1, 1, 2, 4], [2, 2, 2],
-        [True, False, True], point_spacing_px=2, extension_px=100,
+        [True, False, True], curve_step_points=2, extension_px=100,
     )  # fmt: skip
     assert points == [0, 2, 4, 6, 8, 10, *range(12, 42, 2)]
     assert runs == [0] * 6 + [2] * 15
@@ -192,7 +192,7 @@ def test_a_straight_line_is_found_exactly(side):
     assert count == len(samples)
     assert found.offsets.tolist() == [0, len(found.indices)]
     end = min(samples[-1] + TracingOptions().extension_px, len(graph.points) - 1)
-    expected = np.arange(0, end + 1, TracingOptions().point_spacing_px)
+    expected = np.arange(0, end + 1, TracingOptions().curve_step_points)
     np.testing.assert_array_equal(found.indices, expected)
     np.testing.assert_array_equal(found.ideal, graph.ideal[found.indices])
     assert (found.sides == side).all()

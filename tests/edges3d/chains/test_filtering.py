@@ -33,14 +33,14 @@ def traced_curves(log_chances, num_observations, lengths, residuals=0.0):
 
 
 def test_curves_that_chance_may_have_made_do_not_last():
-    options = TracingOptions(point_spacing_px=4)
+    options = TracingOptions(curve_step_points=4)
     traced = traced_curves([-4.0] * 20 + [-0.3] * 20, [5] * 40, [20, 20])
     # 20 points at 4 px are evidence of 5: 10^-20 and 10^-1.5, against one in 60 tests.
     np.testing.assert_array_equal(lasting_points(traced, options, None), np.arange(40) < 20)
 
 
 def test_points_observed_too_seldom_do_not_last_and_cut_curves():
-    options = TracingOptions(point_spacing_px=4, min_observations=3, min_curve_points=3)
+    options = TracingOptions(curve_step_points=4, min_observations=3, min_curve_points=3)
     seen = np.full(22, 5)
     seen[2] = 2  # two points before it are no curve
     lasting = lasting_points(traced_curves([-4.0] * 22, seen, [22]), options, None)
