@@ -6,7 +6,7 @@ import click
 import pytest
 
 from colmap_edges.cli import flags
-from colmap_edges.declared_options import Options, group_prefix, option
+from colmap_edges.declared_options import Options, group_prefix, is_constant, option
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions
 
@@ -54,13 +54,13 @@ def test_wrong_types_are_usage_errors(args):
 
 
 def leaves(group, prefix=""):
-    """Every option of a group and the groups within it, as (flag, default)."""
+    """Every option of a group and the groups within it, as (flag, field)."""
     hints = get_type_hints(group)
     for entry in fields(group):
         kind = hints[entry.name]
         if is_dataclass(kind):
             yield from leaves(kind, group_prefix(kind))
-        else:
+        elif not is_constant(entry):
             yield prefix + entry.name, entry
 
 

@@ -84,7 +84,7 @@ def write_toy(root):
 def test_lines_options_and_constants_of_a_toy(tmp_path):
     write_toy(tmp_path)
     lines = count_functions.package_lines(tmp_path)
-    assert (lines["Python"], lines["C++"]) == (7 + 10, 3)
+    assert (lines["Python"], lines["C++"]) == (8 + 10, 3)
     assert count_functions.count_options(tmp_path) == 3
     module = tmp_path / "colmap_edges" / "sub" / "module.py"
     assert sorted(count_functions.module_constants(module)) == ["A_PX", "B2", "LONG", "_CD"]
