@@ -2,6 +2,7 @@
 
 import ast
 import re
+import sys
 from pathlib import Path
 
 import networkx
@@ -43,7 +44,8 @@ def test_a_run_makes_them_all_of_its_seed(small, tmp_path, monkeypatch, method):
     make, divide = np.random.default_rng, networkx.community.louvain_communities
 
     def made(seed=None):
-        seeds.append(seed)
+        if sys._getframe(1).f_globals["__name__"].startswith("colmap_edges."):  # no library's own
+            seeds.append(seed)
         return make(seed)
 
     def divided(network, **options):
