@@ -1,10 +1,11 @@
 """Images are enlarged as far as their sharpness asks for, and what is found lies where it is."""
 
-from dataclasses import replace
+from dataclasses import asdict, json
 
 import cv2
 import numpy as np
 import pytest
+import replace
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import load_model
@@ -15,7 +16,9 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import gray_of, read_image
 from colmap_edges.options import DetectionOptions, PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.reconstruct import reconstruct
+from colmap_edges.pipeline.run import run
 from colmap_edges.runtime.stages import Stages
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
@@ -202,3 +205,13 @@ def test_tolerances_are_in_pixels_of_the_given_images():
     assert used.visibility.max_error_px == 1.5 * given.visibility.max_error_px
     assert used.detection == given.detection
     assert resolved(given, 1.0) == given
+
+
+def test_a_report_has_options_as_given_and_settings_as_used(scene_paths, tmp_path):
+    images, model = scene_paths
+    paths = Paths(image_path=images, input_path=model, output_path=tmp_path / "out")
+    options = PipelineOptions(detection=DetectionOptions(min_blur_px=1.5))
+    run("detect", paths, options)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["options"] == asdict(options)
+    assert report["settings"] == asdict(resolved(options, 1.5)) != report["options"]
