@@ -1,6 +1,7 @@
 """Images are enlarged as far as their sharpness asks for, and what is found lies where it is."""
 
-from dataclasses import asdict, json
+import json
+from dataclasses import asdict, replace
 
 import cv2
 import numpy as np
