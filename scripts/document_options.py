@@ -86,7 +86,7 @@ def options_page() -> str:
     for group in sorted({group_of(f) for f in flags}, key=[group_of(f) for f in flags].index):
         lines += [f"## {group or 'The whole run'}", "", "| flag | values | default | meaning |"]
         lines += ["|---|---|---|---|", *(row(f) for f in flags if group_of(f) == group), ""]
-    lines += ["## `--quality`", "", "| preset | sets |", "|---|---|"]
+    lines += ["## `--quality` and `--method paper`", "", "| preset | sets |", "|---|---|"]
     for name, groups in PRESETS.items():
         values = [f"`{g}.{k}` {v}" for g, options in groups.items() for k, v in options.items()]
         lines.append(f"| {name} | {', '.join(values) or 'the defaults'} |")

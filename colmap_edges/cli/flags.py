@@ -18,7 +18,7 @@ from colmap_edges.declared_options import (
     range_text,
     shown,
 )
-from colmap_edges.options import PipelineOptions, preset
+from colmap_edges.options import PipelineOptions, chosen_preset
 from colmap_edges.runtime.input_files import read_text
 
 T = TypeVar("T", bound=Options)
@@ -132,7 +132,8 @@ def options_from_flags(values: dict[str, Any]) -> PipelineOptions:
     Raises:
         OptionError: when a value is out of its range.
     """
-    return changed_options(preset(values.get("quality") or "medium"), "", values)
+    start = chosen_preset(values.get("method"), values.get("quality"))
+    return changed_options(start, "", values)
 
 
 def changed_options(group: T, prefix: str, values: dict[str, Any]) -> T:

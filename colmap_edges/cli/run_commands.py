@@ -16,7 +16,7 @@ from colmap_edges.cli.help import Command
 from colmap_edges.cli.summary import summary
 from colmap_edges.cli.terminal import HEEDED, heed, progress_bars, say
 from colmap_edges.colmap.workspace import find_images, find_model
-from colmap_edges.options import PRESETS, PipelineOptions
+from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
@@ -35,14 +35,23 @@ def path_flag(name: str, help: str) -> click.Option:
     return click.Option([f"--{name}"], type=click.Path(path_type=Path), help=help)
 
 
-def quality_flag() -> click.Option:
-    """Make the flag that chooses a preset."""
-    return click.Option(
-        ["--quality"],
-        type=Word(PRESETS),
-        metavar="|".join(PRESETS),
-        help="Preset: low is faster, high compares more views; other flags go before [medium]",
-    )
+def preset_flags() -> list[click.Option]:
+    """Make the flags that choose a preset."""
+    return [
+        click.Option(
+            ["--quality"],
+            type=Word(QUALITIES),
+            metavar="|".join(QUALITIES),
+            help="Preset: low is faster, high compares more views; other flags go before [medium]",
+        ),
+        click.Option(
+            ["--method"],
+            type=Word(METHODS),
+            metavar="|".join(METHODS),
+            help="Trace by depths along chains, or trace and mesh as Bignoli et al. do, with their "
+            "values; other flags go before [chains]",
+        ),
+    ]
 
 
 def recording_target(value: str) -> str:
@@ -76,7 +85,7 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             metavar="ADDRESS",
             help="Let a dask.distributed cluster work, such as tcp://host:8786; needs --cache_path",
         ),
-        *([quality_flag()] if "tracing" in names else []),
+        *(preset_flags() if "tracing" in names else []),
         click.Option(
             ["--config"],
             type=click.Path(path_type=Path, exists=True, dir_okay=False),

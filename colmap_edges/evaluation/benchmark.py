@@ -22,7 +22,7 @@ from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
 from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.scenes import Reference, Scene
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, preset
 from colmap_edges.runtime.input_files import read_text
 
 logger = logging.getLogger(__name__)
@@ -53,26 +53,13 @@ METHODS = {
     "paper": Method(use_edges=True, paper=True),
     "edges": Method(use_edges=True),
 }
-PAPER_OPTIONS: dict[str, dict[str, Any]] = {
-    "detection": {"min_blur_px": 0.0},
-    "edge_graph": {
-        "filter_regular_length": True,
-        "min_corner_angle_deg": 180.0,
-        "max_gap_px": 0.0,
-    },
-    "tracing": {"method": "paper"},
-    "matching": {"min_similarity": 0.0},
-    "meshing": {"method": "manifold"},
-}
 
 
 def pipeline_options(method: Method) -> PipelineOptions:
     """The options that a method runs the pipeline with."""
-    options = PipelineOptions(use_edges=method.use_edges)
-    if method.paper:
-        groups = {n: replace(getattr(options, n), **v) for n, v in PAPER_OPTIONS.items()}
-        options = replace(options, **groups)
-    return replace(options, meshing=replace(options.meshing, **method.meshing))
+    options = preset("paper" if method.paper else "medium")
+    meshing = replace(options.meshing, **method.meshing)
+    return replace(options, use_edges=method.use_edges, meshing=meshing)
 
 
 def run(

@@ -16,7 +16,7 @@ from colmap_edges.options.paper import (
     SamplingOptions,
     VisibilityOptions,
 )
-from colmap_edges.options.presets import PRESETS, preset
+from colmap_edges.options.presets import METHODS, PRESETS, QUALITIES, chosen_preset, preset
 from colmap_edges.options.resolving import resolved
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
@@ -28,7 +28,9 @@ from colmap_edges.options.tracing import (
 from colmap_edges.options.whole import PipelineOptions
 
 __all__ = [
+    "METHODS",
     "PRESETS",
+    "QUALITIES",
     "BundleAdjustmentOptions",
     "ChainDepthOptions",
     "CorrespondenceOptions",
@@ -44,6 +46,7 @@ __all__ = [
     "TracingOptions",
     "ViewSelectionOptions",
     "VisibilityOptions",
+    "chosen_preset",
     "preset",
     "resolved",
 ]

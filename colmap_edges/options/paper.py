@@ -1,4 +1,4 @@
-"""Options and constants of the paper's way of tracing (--Tracing.method paper)."""
+"""Options and constants of the paper's way of tracing (--method paper)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What --quality sets."""
+"""What --quality and --method set."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 from colmap_edges.errors import OptionError
 from colmap_edges.options.whole import PipelineOptions
 
+METHODS = ("chains", "paper")
 # What --quality sets; medium is the defaults.
-PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
         "detection": {"min_blur_px": 0.0},
         "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_observing_views": 20},
@@ -26,20 +27,56 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def preset(quality: str) -> PipelineOptions:
+# What --method paper sets: the values that Bignoli et al. print, and no step that they lack.
+PAPER: dict[str, dict[str, Any]] = {
+    "detection": {"min_blur_px": 0.0},
+    "edge_graph": {
+        "filter_regular_length": True,
+        "min_corner_angle_deg": 180.0,
+        "max_gap_points": 0.0,
+    },
+    "tracing": {"method": "paper"},
+    "matching": {"min_similarity": 0.0},
+    "meshing": {
+        "method": "manifold",
+        "vote_crossed": 1.0,
+        "vote_near": 0.2,
+        "vote_far": 0.0,
+        "vote_behind": 0.0,
+        "vote_threshold": 1.0,
+    },
+}
+PRESETS = {**QUALITIES, "paper": PAPER}
+
+
+def preset(name: str) -> PipelineOptions:
     """The options of a preset.
 
     Args:
-        quality: low, medium or high; medium is `PipelineOptions()`.
+        name: low, medium or high, of which medium is `PipelineOptions()`; or paper, which traces
+            and meshes as Bignoli et al. do.
 
     Raises:
         OptionError: when there is no such preset.
     """
-    if quality not in PRESETS:
-        raise OptionError(f"quality is {quality!r}; choose one of: {', '.join(PRESETS)}")
+    if name not in PRESETS:
+        raise OptionError(f"there is no preset {name!r}; choose one of: {', '.join(PRESETS)}")
     defaults = PipelineOptions()
     groups = {
-        name: replace(getattr(defaults, name), **values)
-        for name, values in PRESETS[quality].items()
+        group: replace(getattr(defaults, group), **values)
+        for group, values in PRESETS[name].items()
     }
     return replace(defaults, **groups)
+
+
+def chosen_preset(method: str | None, quality: str | None) -> PipelineOptions:
+    """The preset that the flags --method and --quality choose.
+
+    Raises:
+        OptionError: when both are given, for the paper knows no other qualities.
+    """
+    if method != "paper":
+        return preset(quality or "medium")
+    if quality:
+        raise OptionError("quality is one of --method chains; leave it out with --method paper")
+    return preset("paper")

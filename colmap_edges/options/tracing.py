@@ -156,11 +156,11 @@ class RefinementOptions(Options):
 class TracingOptions(Options):
     """From edge graphs to 3D edges; all but the method concerns the depths along chains."""
 
-    method: str = option(
+    method: str = constant(
         "chains",
         "How edges are traced: by depths along chains, or by the paper's correspondences",
+        "set by --method",
         choices=("chains", "paper"),
-        basic=True,
     )
     num_rounds: int = option(
         2,

@@ -241,7 +241,7 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
         yield Finding(
             text="no 2D edge is near an SfM point, so no correspondence was found",
             remedy="widen --Correspondence.inner_radius_px and --Matching.max_point_distance_px, "
-            "or use --Tracing.method chains, which needs no SfM points near edges",
+            "or use --method chains, which needs no SfM points near edges",
         )
         return
     known = starts.get("on_covered_stretch", 0) + starts.get("on_known_edge", 0)
@@ -252,7 +252,7 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
         yield Finding(
             text=f"{share(tried - accepted, tried)} of {tried:,} starts could not be followed, "
             f"most for: {worst.replace('_', ' ')}",
-            remedy=PAPER_REMEDIES.get(worst, "use --Tracing.method chains"),
+            remedy=PAPER_REMEDIES.get(worst, "use --method chains"),
         )
     outliers = trace.get("outliers", {})
     before, after = outliers.get("points_before", 0), outliers.get("points_after", 0)
@@ -267,7 +267,7 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
 
 PAPER_NOT_LOST = {"accepted", "on_covered_stretch", "on_known_edge"}
 PAPER_REMEDIES = {
-    "too_few_views": "take more overlapping images, or use --Tracing.method chains",
+    "too_few_views": "take more overlapping images, or use --method chains",
     "no_valid_selection": "check the poses; raise --Following.max_error_px",
     "ambiguous_selection": "lower --Following.max_error_px or --Correspondence.outer_radius_px",
 }

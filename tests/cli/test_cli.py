@@ -335,6 +335,18 @@ def test_workspace_that_is_none(tmp_path, folder, message):
     assert output.count("\n") == 1
 
 
+def test_the_paper_by_one_word(flags, tmp_path):
+    call("mesh", *flags, "--method", "PAPER", "--Meshing.vote_threshold", "2", "--report", "0")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    expected = asdict(preset("paper"))
+    expected["meshing"]["vote_threshold"] = 2
+    expected["report"] = False
+    assert report["options"] == expected
+    assert "pepcs" in next(s for s in report["stages"] if s["name"] == "trace")["counts"]["details"]
+    output = call("mesh", *flags, "--method", "paper", "--quality", "low", "--overwrite", code=2)
+    assert "leave it out with --method paper" in output
+
+
 def test_flags_go_before_the_preset(flags, tmp_path):
     call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_points", "9")
     report = json.loads((tmp_path / "out" / "report.json").read_text())

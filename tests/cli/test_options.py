@@ -14,6 +14,7 @@ from colmap_edges.options import (
     PipelineOptions,
     RefinementOptions,
     TracingOptions,
+    chosen_preset,
     preset,
 )
 
@@ -136,11 +137,27 @@ def test_groups_are_frozen_and_made_afresh():
     assert changed.refinement.noise_px == 1.0 != PipelineOptions().refinement.noise_px
 
 
+def test_the_paper_is_one_word():
+    paper = chosen_preset("paper", None)
+    assert paper == preset("paper")
+    assert paper.tracing.method == "paper"
+    assert paper.edge_graph.filter_regular_length
+    assert (paper.edge_graph.max_gap_points, paper.matching.min_similarity) == (0, 0)
+    meshing = paper.meshing
+    assert meshing.method == "manifold"
+    assert (meshing.vote_crossed, meshing.vote_near, meshing.vote_far) == (1, 0.2, 0)
+    assert chosen_preset("chains", None) == chosen_preset(None, "medium") == PipelineOptions()
+    with pytest.raises(OptionError, match="leave it out with --method paper"):
+        chosen_preset("paper", "low")
+
+
 def test_presets():
     assert preset("medium") == PipelineOptions()
     low, high = preset("low"), preset("high")
     for name in ("num_neighbors", "num_observing_views"):
         values = [getattr(p.view_selection, name) for p in (low, PipelineOptions(), high)]
         assert values == sorted(set(values))
-    with pytest.raises(OptionError, match="quality is 'best'; choose one of: low, medium, high"):
+    with pytest.raises(
+        OptionError, match="there is no preset 'best'; choose one of: low, medium, high, paper"
+    ):
         preset("best")

@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 import cv2
 import numpy as np
 import pytest
-import replace
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import load_model

@@ -2,10 +2,10 @@
 
 import os
 import signal
-import time
 
 import pytest
 import scenes
+from cluster_tasks import die_once, fail_first, other_version
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
@@ -131,32 +131,11 @@ def test_workers_of_another_version_are_refused(cluster, tmp_path, monkeypatch):
         pass
 
 
-def other_version():
-    """A version that differs from process to process."""
-    return str(os.getpid())
-
-
-def die_once(marker):
-    """Kill the worker that runs this first."""
-    try:
-        marker.touch(exist_ok=False)
-    except FileExistsError:
-        return os.getpid()
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def test_a_task_that_dies_with_its_worker_runs_again(cluster, tmp_path):
     with cluster_workers(cluster.scheduler_address, Cache(tmp_path / "cache")) as workers:
         calls = [(die_once, (tmp_path / "marker",)) for _ in range(4)]
         assert all(pid != os.getpid() for pid in run_all(workers.views, calls))
     assert (tmp_path / "marker").exists()
-
-
-def fail_first(index):
-    """Raise in the first of several calls that end at nearly the same time."""
-    time.sleep(0.001 * (index % 3))
-    if index == 0:
-        raise ColmapEdgesError("the first")
 
 
 def test_results_that_cross_a_cancellation_hold_up_nothing(cluster, tmp_path):
