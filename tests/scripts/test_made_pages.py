@@ -5,9 +5,12 @@ import runpy
 import shutil
 import sys
 
-import count_functions
 import pytest
 from project import ROOT, run_script
+
+pytest.importorskip("lizard", reason="functions of C++ are counted with lizard")
+
+import count_functions
 
 
 @pytest.fixture
