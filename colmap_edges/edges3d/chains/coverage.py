@@ -27,7 +27,7 @@ def nothing_covered(offsets: ByView[IntArray]) -> list[BoolArray]:
 
 
 def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> TracingInput:
-    """The scene of those stretches of chains that no edge runs through.
+    """What a later round looks at: the stretches of chains that no edge runs through.
 
     Contours take nothing: moving over a body they cross chains of edges beside it.
     """
@@ -67,11 +67,11 @@ def without_repeats(
     return replace(kept, contours=firsts), counts
 
 
-def in_whole_graphs(scene: TracingInput, traced: list[Traced]) -> list[Traced]:
-    """Curves at positions on the scene's graphs -> the same at positions on the whole graphs."""
-    if scene.free is None:
+def in_whole_graphs(given: TracingInput, traced: list[Traced]) -> list[Traced]:
+    """Curves at positions on what remains of the graphs -> the same on the whole graphs."""
+    if given.free is None:
         return traced
-    points = [np.flatnonzero(free) for free in scene.free]
+    points = [np.flatnonzero(free) for free in given.free]
     return [
         replace(each, observations=among_all_points(each.observations, points)) for each in traced
     ]
