@@ -26,7 +26,7 @@ class DetectionOptions(Options):
     sigma_px: float = constant(
         1.0,
         "Gaussian blur of the sub-pixel step, in pixels of the upsampled images",
-        "as EdgeDrawing blurs; 0.7 was tried (docs/method.md, Sharp images are enlarged)",
+        "as EdgeDrawing blurs; 0.7 was tried (docs/experiments.md, Sharp images are enlarged)",
         within=(0.1, 10),
     )
     min_blur_px: float = option(

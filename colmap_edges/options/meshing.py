@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from colmap_edges.declared_options import Options, constant, option
 
-TRIED = "set by trial (docs/meshing.md)"
+TRIED = "set by trial (docs/experiments.md)"
 
 
 @dataclass(frozen=True, kw_only=True)

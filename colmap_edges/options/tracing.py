@@ -20,7 +20,7 @@ class ViewSelectionOptions(Options):
         10,
         "Number of views each view is compared with in later rounds, in which few chains are left; "
         "num_neighbors at least",
-        "tried on five scenes (docs/method.md, Thin bars)",
+        "tried on five scenes (docs/experiments.md, Thin bars)",
         within=(2, 100),
     )
     num_observing_views: int = option(
@@ -45,7 +45,7 @@ class ViewSelectionOptions(Options):
         120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
-        "nothing changes from 135 on (docs/method.md, Views from further aside)",
+        "nothing changes from 135 on (docs/experiments.md, Views from further aside)",
         within=(1, 180),
     )
 
