@@ -83,7 +83,7 @@ def test_shadows_fall_behind_bodies():
     board = box((-0.5, 0.5), (-0.5, 0.5), (0.5, 0.6))
     bodies = [Body(name=str(i), material="wall", solid=s) for i, s in enumerate((floor, board))]
     room = Room(bodies=bodies, lamps=[downlight(0, 0, 2.0, 0.05, 50.0)], cameras=[])
-    lit = illuminate(unite(bodies, longest=0.1), room, bounces=0)
+    lit = illuminate(unite(bodies, longest=0.06), room, bounces=0)
     caster = lit.caster
     starts = np.array([(0, 0, 0.3), (1.3, 0, 0.3), (0, 0, 1.0)])
     faces, distance = caster.hits(starts, np.tile((0.0, 0, -1), (3, 1)))
