@@ -61,17 +61,30 @@ def canny(low: float, high: float) -> Detector:
     default="edgedrawing",
     show_default=True,
 )
+@click.option(
+    "--min_blur_px",
+    default=DetectionOptions().min_blur_px,
+    show_default=True,
+    help="EdgeDrawing's: --Detection.min_blur_px of the run, which is 0 with --method paper.",
+)
 @click.option("--low", default=3.0, show_default=True, help="Canny's lower threshold, grays a px.")
 @click.option("--high", default=6.0, show_default=True, help="Canny's upper threshold.")
 @exit_on_error()
 def main(
-    image_path: Path, input_path: Path, output_path: Path, detector: str, low: float, high: float
+    image_path: Path,
+    input_path: Path,
+    output_path: Path,
+    detector: str,
+    min_blur_px: float,
+    low: float,
+    high: float,
 ) -> None:
     model = load_model(input_path)
     check_images_exist(model.views, image_path)
     detect: Detector = canny(low, high)
     if detector == "edgedrawing":
-        detect, model = edge_drawing, upsampled(model, image_path, DetectionOptions())
+        options = DetectionOptions(min_blur_px=min_blur_px)
+        detect, model = edge_drawing, upsampled(model, image_path, options)
     for view in model.views:
         edges = detect(gray_of(read_image(view, image_path)), view.scale)
         path = path_of_image(output_path, f"{view.name}.png")

@@ -144,7 +144,9 @@ def test_edge_images_of_the_enlarged_size_are_taken_as_they_are():
 
 @pytest.mark.parametrize("scale", [1.0, 1.5])
 def test_own_edges_come_back(scale):
-    image = cv2.imread(str(sorted((Path(__file__).parents[1] / "data/demo/images").iterdir())[0]), 0)
+    image = cv2.imread(
+        str(sorted((Path(__file__).parents[1] / "data/demo/images").iterdir())[0]), 0
+    )
     options = DetectionOptions()
     own = detect_chains(image, options, scale)
     enlarged = resized(image, scale)

@@ -1,6 +1,5 @@
 """Edge images: named as masks are, read, and never half."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,8 +55,7 @@ def test_names_do_not_lead_out_of_the_folder(tmp_path):
 
 def test_every_image_needs_an_edge_image_before_work_starts(small, tmp_path):
     views = load_model(small[1]).views
-    fails = pytest.raises(ColmapEdgesError, match="edge_path .*nowhere is no folder")
-    with fails:
+    with pytest.raises(ColmapEdgesError, match=r"edge_path .*nowhere is no folder"):
         check_edge_maps(views, small[0], tmp_path / "nowhere")
     for view in views[1:]:
         (tmp_path / f"{view.name}.png").touch()
