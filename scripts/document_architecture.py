@@ -30,8 +30,10 @@ LIBRARIES = {
     "cv2": (
         "edges2d.blur",
         "edges2d.detection",
+        "edges2d.edge_maps",
         "evaluation.pictures",
         "images.background",
+        "images.edge_maps",
         "images.files",
         "images.masks",
         "report.overlay",

@@ -26,9 +26,9 @@ No option is in world units: defaults hold for any scale of the model. Pixels ar
 images; where the images are upsampled for detection, a run converts them once. `report.json` holds
 the options as given under `options`, and all settings as used, in pixels of the upsampled images,
 under `settings`. Chains have one point for each pixel of the upsampled images. Where a run reads,
-also masks (`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works
-(`--scheduler`) are no options of it; see [recipes](recipes.md). Values that are no options are
-[constants](constants.md) of the method.
+also masks (`--mask_path`) and edge images (`--edge_path`), writes, keeps what later runs reuse
+(`--cache_path`) and works (`--scheduler`) are no options of it; see [recipes](recipes.md). Values
+that are no options are [constants](constants.md) of the method.
 
 """
 CONSTANTS_HEAD = """# Constants

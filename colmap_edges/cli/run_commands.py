@@ -76,6 +76,11 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             "looked for where they are black",
         ),
         path_flag(
+            "edge_path",
+            "Folder of edge images of another detector, IMAGE.png, white on black: their edges are "
+            "taken in place of EdgeDrawing's",
+        ),
+        path_flag(
             "cache_path",
             "Folder of results that later runs find again: made when missing, can be deleted",
         ),
@@ -126,7 +131,7 @@ def run_command(name: str, values: dict[str, Any]) -> None:
 
     heed(HEEDED)
     started = time.perf_counter()
-    optional = {name: values[name] for name in ("mask_path", "cache_path")}
+    optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
     needs_images = name != "mesh" or options.use_edges
     paths = Paths(**paths_from_flags(values, needs_images), **optional)
     target, overwrite = values["rerun"], values["overwrite"]

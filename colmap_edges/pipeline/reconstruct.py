@@ -55,6 +55,7 @@ def reconstruct(
     options: PipelineOptions | None = None,
     cache_path: Path | str | None = None,
     mask_path: Path | str | None = None,
+    edge_path: Path | str | None = None,
 ) -> EdgeReconstruction:
     """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
 
@@ -67,24 +68,30 @@ def reconstruct(
             when not given.
         mask_path: folder of masks named as COLMAP's are, or one mask of all images; edges are not
             looked for where they are black.
+        edge_path: folder of edge images of another detector, white on black, named as masks are;
+            their edges are taken in place of EdgeDrawing's.
 
     Returns:
         The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
 
     Raises:
         ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
-            images or all masks are missing, of another size, or all images but one damaged.
+            images, edge images or all masks are missing, of another size, or all images but one
+            damaged.
     """
     options = options or PipelineOptions()
     image_path = Path(image_path)
     mask_path = Path(mask_path) if mask_path else None
+    edge_path = Path(edge_path) if edge_path else None
     stages = Stages()
     model = model_from_reconstruction(reconstruction)
     check_model(model, "the reconstruction")
-    check_pictures(model, image_path, mask_path, options)
+    check_pictures(model, image_path, mask_path, edge_path, options)
     model = upsampled(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
-        detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
+        detection = detect_stage(
+            model, image_path, options, stages, None, workers, mask_path, edge_path
+        )
         settings = resolved(options, model.scale)
         model, traced = edge_stages(model, detection, settings, stages, workers)
     edges = traced.edges

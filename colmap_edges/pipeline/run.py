@@ -95,7 +95,7 @@ def write_record(folder: Path, report: dict[str, Any]) -> None:
 
 def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:
     """The model, checked against its images, at the scale at which these are worked on."""
-    check_pictures(model, image_folder(paths), paths.mask_path, options)
+    check_pictures(model, image_folder(paths), paths.mask_path, paths.edge_path, options)
     if command != "detect" and options.output_type == "TXT":
         check_text_names(model)
     return upsampled(model, image_folder(paths), options.detection)
@@ -112,14 +112,14 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`, with settings as resolved."""
-    images, masks = image_folder(paths), paths.mask_path
+    images, others = image_folder(paths), (paths.mask_path, paths.edge_path)
     if command == "detect":
         check_file_names(model.views)
-        detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
+        detect_stage(model, images, options, stages, GraphWriter(folder), workers, *others)
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
     taker = PictureTaker(len(model.views)) if wanted else None
-    detection = detect_stage(model, images, options, stages, taker, workers, masks)
+    detection = detect_stage(model, images, options, stages, taker, workers, *others)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)

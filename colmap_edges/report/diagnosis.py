@@ -137,7 +137,13 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
             remedy="replace the damaged files and run again",
         )
         images -= len(damaged)
-    if images and empty == images and not detect.get("images_masked"):
+    if images and empty == images and detect.get("edge_images"):
+        yield Finding(
+            text=f"no edge came of the edge images of {images} images",
+            remedy="look at the edge images: white on black, lines of at least "
+            "--Detection.min_chain_points; or leave out --edge_path",
+        )
+    elif images and empty == images and not detect.get("images_masked"):
         yield Finding(
             text=f"no edge was detected in any of {images} images",
             remedy="look at the images (blank, blurred, dark?); detect shorter chains with "

@@ -55,6 +55,11 @@ def test_nothing_to_say_when_all_went_well(options, details):
             "look at the masks",
         ),
         (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0, "edge_images": 10}},
+            "no edge came of the edge images of 10 images",
+            "leave out --edge_path",
+        ),
+        (
             {"detect": {"images_masked": 9}, "edges": 0},
             "no 3D edge came out of what masks leave of 9 of 10 images",
             "invert them",

@@ -75,7 +75,8 @@ def test_tables_of_the_scenes_that_are_there(data, tmp_path):
         record = json.loads((tmp_path / table / "evaluation.json").read_text())
         assert list(record) == scenes_in_it
         for entry in record.values():
-            assert list(entry["methods"]) == ["SfM", "COLMAP-like", "edges"]
+            rows = ["SfM", "COLMAP-like", "SfM-paper", "paper", "edges"]
+            assert list(entry["methods"]) == rows
             assert all(method["mesh"]["median"] < 0.2 for method in entry["methods"].values())
     edges = json.loads((tmp_path / "edges" / "demo.json").read_text())
     assert edges["curves"]["scores"][1]["recall"] > 0.2
