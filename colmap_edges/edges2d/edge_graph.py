@@ -68,9 +68,10 @@ class EdgeGraph:
         return len(self.closed)
 
     @cached_property
-    def polyline_ids(self) -> IntArray:
+    def polyline_ids(self) -> Int32Array:
         """(N,) polyline of each point."""
-        return owners_of(self.polyline_offsets)
+        lengths = np.diff(self.polyline_offsets)
+        return np.repeat(np.arange(self.num_polylines, dtype=np.int32), lengths)
 
 
 def build_edge_graph(

@@ -93,6 +93,12 @@ class ChainDepthOptions(Options):
         "odds of 20 to 1",
         within=(-10, 50),
     )
+    later_log_likelihood_ratio_drop: float = constant(
+        2.0,
+        "By how much less agreement of views is asked for in later rounds, log likelihood",
+        "odds of 3 to 1 in place of 20 to 1, where few chains are left",
+        within=(0, 50),
+    )
     break_penalty: float = constant(
         4.0,
         "Log likelihood lost where a chain changes from one depth to another",

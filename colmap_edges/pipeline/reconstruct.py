@@ -87,6 +87,7 @@ def reconstruct(
         detection = detect_stage(model, image_path, options, stages, None, workers, mask_path)
         settings = resolved(options, model.scale)
         model, traced = edge_stages(model, detection, settings, stages, workers)
+        detection.graphs.release()
     edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)

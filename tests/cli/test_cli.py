@@ -353,4 +353,6 @@ def test_flags_go_before_the_preset(flags, tmp_path):
     expected = asdict(preset("low"))
     expected["chain_depth"]["sample_step_points"] = 9
     assert report["options"] == expected
+    later = report["settings"].pop("later_rounds")
+    assert later["tracing"] == {"min_agreeing_views": 1}
     assert report["settings"] == expected  # the preset upsamples nothing

@@ -20,11 +20,16 @@ from colmap_edges.evaluation.metrics.poses import (
     pose_errors,
     with_pose_noise,
 )
-from colmap_edges.options import BundleAdjustmentOptions, PipelineOptions, TracingOptions
+from colmap_edges.options import (
+    BundleAdjustmentOptions,
+    PipelineOptions,
+    TracingOptions,
+    of_pose_edges,
+)
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
-from colmap_edges.pipeline.trace import edge_stages, options_for_poses
+from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.poses import problem as ba
 from colmap_edges.poses.refine import adjusted_model, part_of, refine_poses
 from colmap_edges.poses.solver import (
@@ -339,8 +344,8 @@ def test_edges_help_noisy_poses_more_than_sfm_points_alone(demo_part):
 
 def test_the_papers_edges_are_traced_once_where_poses_are_kept():
     paper = PipelineOptions(tracing=TracingOptions(method="paper"))
-    assert options_for_poses(paper) == paper
-    assert options_for_poses(PipelineOptions()) != PipelineOptions()
+    assert of_pose_edges(paper) == paper
+    assert of_pose_edges(PipelineOptions()) != PipelineOptions()
 
 
 def test_true_poses_are_kept(demo_part):
