@@ -63,10 +63,10 @@ def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0)
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
-        scale: how many times the image is enlarged.
+        scale: how many times the image is upsampled.
 
     Returns:
-        Chains at sub-pixel positions of the enlarged image, in the detector's order.
+        Chains at sub-pixel positions of the upsampled image, in the detector's order.
     """
     light = resized(light_of(image, options.gamma), scale)
     image = resized(image, scale)
@@ -87,7 +87,7 @@ def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0)
 
 
 def resized(picture: _Picture, scale: float) -> _Picture:
-    """The picture (H, W) enlarged `scale` times: pixel (x, y), COLMAP's origin, to scale (x, y)."""
+    """The picture (H, W) upsampled `scale` times: pixel (x, y) goes to `scale` times (x, y)."""
     if scale == 1:
         return picture
     larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)

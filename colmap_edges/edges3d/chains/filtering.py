@@ -151,7 +151,7 @@ def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> 
     Args:
         traced: the curves of every reference.
         options: ratios to the medians.
-        scale: how many times the images are enlarged.
+        scale: how many times the images are upsampled.
     """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])

@@ -185,7 +185,7 @@ def trace_views(
     """
     views = [given.views[view] for view in range(len(depths))]
     scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
-    order = np.argsort([-worth for worth in scores], kind="stable")
+    order = np.argsort([-score for score in scores], kind="stable")
     traced: dict[int, Traced] = {}
     covered = nothing_covered(given.polyline_offsets)
     in_runs = np.zeros(len(order), np.int64)
