@@ -241,6 +241,13 @@ class TracingOptions(Options):
         "set by trial: view-dependent contours scatter more",
         within=(1, 100),
     )
+    min_residual_px: float = constant(
+        0.22,
+        "Scatter that any 3D edge may have, however little all have, in pixels of the given images",
+        "a little less than sqrt(2 / pi) Refinement.noise_px, the mean distance of observations",
+        within=(0.01, 50),
+        given_px=True,
+    )
     max_false_edges: float = option(
         1.0, "Number of 3D edges that chance may make in the whole scene", within=(1e-6, 1e6)
     )
