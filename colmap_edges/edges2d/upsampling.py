@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
 MAX_SIZE_PX = 3200  # of an upsampled image, as large as COLMAP looks at images by itself
-SCALE_STEP = 0.25
+SCALE_STEP = 0.25  # scales are multiples of it
 NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
 
