@@ -45,7 +45,7 @@ class ViewSelectionOptions(Options):
         120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
-        "by trial (docs/method.md, Views from further aside); bodies' edges are found again with less",
+        "by trial (docs/method.md, Views from further aside); edges come twice with less",
         within=(1, 180),
     )
 
