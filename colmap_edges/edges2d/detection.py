@@ -69,12 +69,12 @@ def detect_chains(
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
-        scale: how many times the image is enlarged.
-        pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the enlarged
+        scale: how many times the image is upsampled.
+        pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the upsampled
             image (OpenCV's origin) and (C + 1,) offsets.
 
     Returns:
-        Chains at sub-pixel positions of the enlarged image, in the detector's order.
+        Chains at sub-pixel positions of the upsampled image, in the detector's order.
     """
     light = resized(light_of(image, options.gamma), scale)
     image = resized(image, scale)
@@ -110,7 +110,7 @@ def followed_further(
 
 
 def resized(picture: _Picture, scale: float) -> _Picture:
-    """The picture (H, W) enlarged `scale` times: pixel (x, y), COLMAP's origin, to scale (x, y)."""
+    """The picture (H, W) upsampled `scale` times: pixel (x, y) goes to `scale` times (x, y)."""
     if scale == 1:
         return picture
     larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)

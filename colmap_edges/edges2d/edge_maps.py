@@ -28,13 +28,13 @@ def pixel_chains_of(
     """Link the pixels of an edge image to chains.
 
     Args:
-        edge_map: of an image, or of the image enlarged.
+        edge_map: of an image, or of the image upsampled.
         size: width and height of the image.
-        scale: how many times the image is enlarged where the chains are used.
+        scale: how many times the image is upsampled where the chains are used.
         min_points: shortest chain kept.
 
     Returns:
-        (N, 2) points in pixels of the image enlarged `scale` times (OpenCV's origin), a point for
+        (N, 2) points in pixels of the image upsampled `scale` times (OpenCV's origin), a point for
         each of its pixels, and their (C + 1,) offsets. They are whole where the edge image is of
         that size.
     """

@@ -117,7 +117,7 @@ def decode_edge_map(file: EdgeMapFile, view: View) -> EdgeMap:
         raise ColmapEdgesError(
             f"edge image {file.path} is {width}x{height}, the camera of image {view.name} "
             f"{view.width}x{view.height}; edge images need the size of their images, or that size "
-            "enlarged"
+            "upsampled"
         )
     darkest, brightest = picture.min(), picture.max()
     is_binary = bool(((picture == darkest) | (picture == brightest)).all())

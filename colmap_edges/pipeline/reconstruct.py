@@ -94,6 +94,7 @@ def reconstruct(
         )
         settings = resolved(options, model.scale)
         model, traced = edge_stages(model, detection, settings, stages, workers)
+        detection.graphs.release()
     edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)

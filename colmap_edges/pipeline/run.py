@@ -125,6 +125,7 @@ def run_edges(
         viewer.show_picture(model.views[picture.view], picture)
     given = model
     model, traced = edge_stages(model, detection, options, stages, workers)
+    detection.graphs.release()
     if model is not given:
         viewer.show_model(model)
     edges = traced.edges

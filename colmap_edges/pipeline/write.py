@@ -14,7 +14,7 @@ from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import write_dxf, write_glb, write_json, write_obj, write_ply
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.diagnosis import diagnose, funnel
@@ -71,7 +71,7 @@ def make_report(
         "versions": versions(),
         "paths": asdict(paths),
         "options": asdict(options),
-        "settings": asdict(settings),
+        "settings": recorded(settings),
         "stages": stages.records(),
         "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
         "funnel": [asdict(step) for step in funnel(stages.records(), options)],

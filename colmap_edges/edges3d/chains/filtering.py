@@ -17,7 +17,6 @@ from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.22  # of the given images: real edges may scatter as much in clean scenes
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -96,7 +95,7 @@ def sort_out(
         The pieces that are kept, and counts of what was dropped by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
-    limits = limits or find_limits(traced, options, model.scale)
+    limits = limits or find_limits(traced, options)
     sure, stats = sure_points(traced, limits, options)
     kept, start = Sorted(edges=[], contours=[], limits=limits), 0
     for each in traced:
@@ -142,16 +141,11 @@ def without_hidden(
     return kept, int(hidden.sum())
 
 
-def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
+def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
     """What curves may have, by the medians of all points with observations enough.
 
     The median of scatter is that of observations: many views observe edges, few the many places
     of contours, of which scenes of smooth bodies may have as many points.
-
-    Args:
-        traced: the curves of every reference.
-        options: ratios to the medians.
-        scale: how many times the images are enlarged.
     """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
@@ -160,7 +154,7 @@ def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> 
     typical = median_of(np.repeat(scatter[sure], spare[sure]))
     return Limits(
         uncertainty_px=uncertainty_px,
-        residual_px=max(scale * MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
+        residual_px=max(options.min_residual_px, options.max_residual_ratio * typical),
         log_chance=chance_limit(traced, options),
     )
 
