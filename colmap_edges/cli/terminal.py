@@ -65,10 +65,14 @@ class LogFormatter(logging.Formatter):
 
 
 def start_logging(verbose: bool) -> None:
-    """Log warnings, or everything, to standard error."""
+    """Log warnings to standard error, and with `verbose` all that this program logs.
+
+    What the libraries log of their own work would bury it.
+    """
     handler = logging.StreamHandler()
     handler.setFormatter(LogFormatter("%(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.DEBUG if verbose else logging.WARNING, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.getLogger("colmap_edges").setLevel(logging.DEBUG if verbose else logging.WARNING)
 
 
 @contextmanager

@@ -39,10 +39,13 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
     rows, starts = plotted_rows(edges, MAX_EDGE_POINTS)
     size = float(np.linalg.norm(high - low))
     traces = [sfm_trace(model, low, high), cameras_trace(model, size)]
+    has_edges = edges is not None and edges.num_edges > 0
+    # Points would be dots on the mesh; one of the cameras is where the first view is.
+    traces[0]["visible"] = contents.mesh is None
+    traces[1]["visible"] = contents.mesh is None and not has_edges
     if contents.mesh is not None:
-        traces[0]["visible"] = False  # they would be dots on the mesh
         traces.append(mesh_trace(contents.mesh, low, high))
-    if edges is not None and edges.num_edges:
+    if edges is not None and has_edges:
         traces += [edges_trace(edges, rows, low, high), selection_trace()]
     return {"data": traces, "layout": layout(contents, low, high)}, starts
 
@@ -82,7 +85,6 @@ def cameras_trace(model: Model, size: float) -> Trace:
         "mode": "lines",
         "name": f"{len(model.views):,} cameras",
         "meta": "cameras",
-        "visible": False,  # one of them is where the first view is
         "line": {"color": "#d9534f", "width": 1.5},
         "text": [name for name in names for _ in range(len(lines) // len(names))],
         "hovertemplate": "%{text}<extra></extra>",

@@ -1,4 +1,5 @@
 import itertools
+
 import pytest
 
 from colmap_edges.options import EdgeGraphOptions, MeshingOptions, PipelineOptions, TracingOptions
