@@ -14,10 +14,10 @@ from typing import Any
 import click
 
 from colmap_edges.errors import printable
+from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
 HEEDED: list[int] = []  # signals that end a run
-ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 STOPPED: list[int] = []  # signals that asked the run to stop
 
 
@@ -99,7 +99,7 @@ def progress_bars() -> Iterator[Progress]:
 
 def heeded_signals() -> list[int]:
     """The signals that end a run: not those that its parent had ignored, as nohup does."""
-    return [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
+    return [number for number in ending_signals() if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def heed(signals: list[int]) -> None:

@@ -252,7 +252,7 @@ function bindLayer(name) {
 }
 
 let data, edges, lineEdges = [], firstCamera;
-const scene = byId("scene");
+const scene = byId("view");
 
 function bindEdges() {
   byId("colour").addEventListener("change", colourEdges);

