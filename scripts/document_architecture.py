@@ -37,6 +37,7 @@ LIBRARIES = {
         "report.overlay",
         "report.pictures",
         "report.rerun_viewer",
+        "report.still",
         "surfaces.silhouettes",
     ),
     "networkx": ("edges3d.paper.matching",),
@@ -54,7 +55,10 @@ LIBRARIES = {
     ),
     "rich": ("cli.terminal",),
     "distributed": ("runtime.executors",),
-    "rerun": ("report.rerun_viewer",),
+    "rerun": (
+        "report.rerun_viewer",
+        "report.still",
+    ),
     "matplotlib": (),
 }
 
