@@ -55,10 +55,7 @@ LIBRARIES = {
     ),
     "rich": ("cli.terminal",),
     "distributed": ("runtime.executors",),
-    "rerun": (
-        "report.rerun_viewer",
-        "report.still",
-    ),
+    "rerun": ("report.rerun_viewer",),
     "matplotlib": (),
 }
 
