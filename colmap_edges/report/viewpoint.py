@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray
@@ -85,7 +87,7 @@ def viewpoint(contents: Contents, aspect: float) -> Viewpoint:
     return fitted(own, start, aspect)
 
 
-def subject(contents: Contents) -> tuple[FloatArray, FloatArray, FloatArray]:
+def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]:
     """What is looked at: points (N, 3), and view and point of every observation (T,) of them."""
     model, edges = contents.model, contents.edges
     if edges is not None and edges.num_points:
