@@ -39,6 +39,7 @@ LIBRARIES = {
         "report.overlay",
         "report.pictures",
         "report.rerun_viewer",
+        "report.still",
         "surfaces.silhouettes",
     ),
     "networkx": ("edges3d.paper.matching",),

@@ -36,7 +36,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View, track_residuals
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, check_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +143,7 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together. Points
             at infinity are left out.
     """
+    check_type("reconstruction", reconstruction, (pycolmap.Reconstruction,), "the model's folder")
     try:
         images = sorted(reconstruction.images.values(), key=lambda image: image.name)
     except UnicodeDecodeError as error:

@@ -1,16 +1,18 @@
-"""3D edges of a pycolmap.Reconstruction: the pipeline as a function of Python objects."""
+"""3D edges of a COLMAP model: the pipeline as a function of Python objects or paths."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from colmap_edges.colmap.model import model_from_reconstruction, observation_residuals
+from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.read import check_model, check_pictures
@@ -18,6 +20,7 @@ from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.diagnosis import Finding, diagnose
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.mesher import as_model
 from colmap_edges.surfaces.silhouettes import Background, find_background
 
 
@@ -50,18 +53,19 @@ class EdgeReconstruction:
 
 
 def reconstruct(
-    reconstruction: Any,
+    reconstruction_or_path: Any,
     image_path: Path | str,
     options: PipelineOptions | None = None,
     cache_path: Path | str | None = None,
     mask_path: Path | str | None = None,
     edge_path: Path | str | None = None,
 ) -> EdgeReconstruction:
-    """Reconstruct the 3D edges of a pycolmap.Reconstruction from its images.
+    """Reconstruct the 3D edges of a COLMAP model from its images.
 
     Args:
-        reconstruction: the sparse model, a pycolmap.Reconstruction; it is not changed. Its
-            cameras may be of any model, with distortion; images without poses are left out.
+        reconstruction_or_path: the sparse model: its folder, or a pycolmap.Reconstruction, which
+            is not changed. Cameras may be of any model, with distortion; images without poses are
+            left out.
         image_path: folder of its images, as they were when the model was made.
         options: every stage's options, `preset("high")` for instance; defaults when not given.
         cache_path: folder of edge graphs and edges that later calls find again; none are kept
@@ -75,16 +79,23 @@ def reconstruct(
         The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
 
     Raises:
-        ColmapEdgesError: when the model has fewer than two posed images or is inconsistent, or
-            images, edge images or all masks are missing, of another size, or all images but one
-            damaged.
+        ColmapEdgesError: when an argument is of another type, the model cannot be read, has fewer
+            than two posed images or is inconsistent, or images, edge images or all masks are
+            missing, of another size, or all images but one damaged.
     """
     options = options or PipelineOptions()
+    check_type("options", options, (PipelineOptions,))
+    check_paths(
+        image_path=image_path,
+        cache_path=cache_path or "",
+        mask_path=mask_path or "",
+        edge_path=edge_path or "",
+    )
     image_path = Path(image_path)
     mask_path = Path(mask_path) if mask_path else None
     edge_path = Path(edge_path) if edge_path else None
     stages = Stages()
-    model = model_from_reconstruction(reconstruction)
+    model = as_model(reconstruction_or_path)
     check_model(model, "the reconstruction")
     check_pictures(model, image_path, mask_path, edge_path, options)
     model = upsampled(model, image_path, options.detection)
@@ -110,3 +121,13 @@ def reconstruct(
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
+
+
+def check_paths(**paths: object) -> None:
+    """Check that paths are given as such, by their names.
+
+    Raises:
+        ColmapEdgesError: when one is of another type.
+    """
+    for name, path in paths.items():
+        check_type(name, path, (str, os.PathLike))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,14 @@ import colmap_edges
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import write_dxf, write_glb, write_json, write_obj, write_ply
+from colmap_edges.export.edges import (
+    edge_lengths,
+    write_dxf,
+    write_glb,
+    write_json,
+    write_obj,
+    write_ply,
+)
 from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents
@@ -46,6 +54,7 @@ def write_stage(
         stage.counts = {
             "edges": edges.num_edges,
             "edge_points": edges.num_points,
+            "length": float(f"{edge_lengths(edges).sum():.6g}"),
             "observations": len(residuals),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
@@ -68,6 +77,7 @@ def make_report(
     """Gather what report.json holds: among it the options as given and the settings as used."""
     return {
         "command": command,
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": versions(),
         "paths": asdict(paths),
         "options": asdict(options),

@@ -45,11 +45,13 @@ class Step:
     Attributes:
         name: what is counted.
         count: how many are left.
+        unit: what they are: pixels, samples, points or edges.
         share: the part of what went in, where both are counted in the same unit.
     """
 
     name: str
     count: int
+    unit: str
     share: float | None = None
 
 
@@ -341,28 +343,30 @@ def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> lis
     detect, trace = counts.get("detect", {}), counts.get("trace")
     if trace is None:
         return []
-    steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0))]
-    for key, before, name in FUNNELS[options.tracing.method]:
+    steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0), unit=PIXELS)]
+    for key, before, unit, name in FUNNELS[options.tracing.method]:
         if key in trace:
             part = trace[key] / trace[before] if before and trace.get(before) else None
-            steps.append(Step(name=name, count=trace[key], share=part))
-    steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0)))
-    steps.append(Step(name="3D edges", count=trace.get("edges", 0)))
+            steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
+    steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0), unit=POINTS))
+    steps.append(Step(name="3D edges", count=trace.get("edges", 0), unit="edges"))
     return steps
 
 
+PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
 FUNNELS = {
     "chains": (
-        ("samples", "", "samples on them"),
-        ("samples_with_depth", "samples", "samples with a depth that views agree on"),
-        ("samples_confirmed", "samples_with_depth", "samples confirmed from another view"),
-        ("samples_in_runs", "samples_confirmed", "confirmed samples in runs that are sure"),
-        ("points_traced", "", "points traced along new stretches"),
-        ("points_observed_enough", "points_traced", "points observed in enough views"),
+        ("samples", "", SAMPLES, "samples"),
+        ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
+        ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed from another view"),
+        ("samples_in_runs", "samples_confirmed", SAMPLES, "in runs that are sure"),
+        ("points_traced", "", POINTS, "traced along new stretches"),
+        ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
         (
             "points_of_curves",
             "points_observed_enough",
-            "points that are sure, on curves that chance does not make",
+            POINTS,
+            "sure, on curves that chance does not make",
         ),
     ),
     "paper": (),

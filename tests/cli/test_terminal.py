@@ -148,7 +148,7 @@ def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
     done = call(scene, output, name="detect")
     assert done.returncode == 0, done.stderr
     assert r"a\x1b[31m.jpg" in done.stderr
-    assert r"out\x1b[31m\n:" in done.stdout
+    assert r"out\x1b[31m\n/overlays (" in done.stdout
     info = subprocess.run(
         [sys.executable, "-m", "colmap_edges", "info", output], capture_output=True, text=True
     )
@@ -175,7 +175,7 @@ def test_an_alphabet_that_lacks_letters_is_no_error(small, tmp_path):
     environment = os.environ | {"PYTHONIOENCODING": "latin-1"}
     done = call(small, tmp_path / "木", *FAST, env=environment)
     assert done.returncode == 0, done.stderr
-    assert r"\u6728:" in done.stdout
+    assert r"\u6728/mesh.ply (" in done.stdout
 
 
 def test_paths_that_are_no_text_work(small, tmp_path, hash_output, usual):
