@@ -19,11 +19,12 @@ from colmap_edges.edges3d.curves.cutting import Noise, Pieces
 from colmap_edges.edges3d.curves.ellipses import fit_ellipses
 from colmap_edges.edges3d.curves.rounds import fit_circles, fit_lines
 from colmap_edges.edges3d.curves.splines import SplineFit, fit_spline, spline_price
-from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, bounded
+from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
 
 MAX_ROW = 6  # pieces that may become one curve
 MAX_TURN = np.radians(40)  # between the chords before and after a place without a corner
 CHORD = 4  # points of these chords
+MAX_DOUBT = 0.03  # of the radii: deviation up to which an ellipse is said to be one
 FREEDOM = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_POINTS = {LINE: 3, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
@@ -113,6 +114,7 @@ def choose(points: FloatArray, noise: Noise, pieces: Pieces, closed: BoolArray) 
         rows=rows,
         logs=price_of_a_parameter(pieces, noise)[rows.edges],
         shares=noise.shares(rows.lengths),
+        correlation=noise.correlation,
     )
     fits = fits_of_nothing(rows, noise)
     fit_simple(judge, pieces, fits)
@@ -164,12 +166,14 @@ class Judge:
         rows: the rows.
         logs: (R,) what a parameter costs.
         shares: (R,) what squares of residuals are divided by.
+        correlation: number of successive points that say as much as one.
     """
 
     stack: Stack
     rows: Rows
     logs: FloatArray
     shares: FloatArray
+    correlation: float
 
     def part(self, which: IntArray) -> Stack:
         """The points of some rows."""
@@ -179,7 +183,8 @@ class Judge:
 
     def costs(self, which: IntArray, part: Stack, squares: FloatArray, kind: int) -> FloatArray:
         """(n,) costs of fits of a kind to rows with the squared distances of their points."""
-        sums = part.sums(bounded(part.weights, squares)) / self.shares[which]
+        shares = self.shares[which][part.owners]
+        sums = part.sums(costs_of(part.weights * squares, shares, self.correlation))
         return np.asarray(sums + FREEDOM[kind] * self.logs[which])
 
     def asked(self, mask: BoolArray, kind: int) -> IntArray:
@@ -268,14 +273,17 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
         part = judge.part(which)
         ellipses = fit_ellipses(part)
         costs = judge.costs(which, part, ellipses.squares, kind)
-        costs[~ellipses.found] = np.inf
+        radii = np.linalg.norm(ellipses.frames[:, 1:], axis=2)
+        known = ellipses.sigmas[:, 3:] * np.sqrt(judge.correlation) < MAX_DOUBT * radii
+        costs[~(ellipses.found & known.all(axis=1))] = np.inf
         fits.take(which, kind, costs, ellipses.frames, ellipses.sigmas)
     limit = np.minimum(limit, fits.costs)
     cheap = spline_price(DEGREE + 1, 1.0) * judge.logs < limit
     for row in judge.asked(bent & cheap, SPLINE).tolist():
         part = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
         points, weights = judge.stack.points[part], judge.stack.weights[part]
-        spline = fit_spline(points, weights, judge.logs[row], judge.shares[row], limit[row])
+        prices = judge.logs[row], judge.shares[row], judge.correlation
+        spline = fit_spline(points, weights, *prices, limit[row])
         if spline is not None:
             fits.kinds[row], fits.costs[row], fits.splines[row] = SPLINE, spline.cost, spline
 

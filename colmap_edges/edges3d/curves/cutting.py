@@ -28,7 +28,7 @@ MAX_SAMPLE = 400  # edges of which the noise is learned
 MIN_SAMPLE_POINTS = 8
 MAX_PLACES = 64  # of an edge between which the best cut is sought; others follow
 FIRST_CORRELATION = 2.0  # points that count as one, before it is known
-MAX_LAG = 8
+MAX_LAG = 2  # farther on it is the shared errors that are alike (SHARED)
 STRAY = 16.0  # cost of a point of no curve while the factor is sought: 4 deviations as stated
 # Independent points that a curve of many says as much as: what pose and light do to them is shared.
 SHARED = 16.0

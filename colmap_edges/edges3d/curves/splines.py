@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import DEGREE
-from colmap_edges.edges3d.curves.stacks import bounded, softened
+from colmap_edges.edges3d.curves.stacks import costs_of, softened
 
 FREEDOM = 3  # of a control point; and one more of the spline: where along the edge it ends
 ROUNDS = 2  # of weighting
@@ -37,7 +37,12 @@ class SplineFit:
 
 
 def fit_spline(
-    points: FloatArray, weights: FloatArray, log_count: float, share: float, most: float
+    points: FloatArray,
+    weights: FloatArray,
+    log_count: float,
+    share: float,
+    correlation: float,
+    most: float,
 ) -> SplineFit | None:
     """Fit the spline of least cost (BIC) to (n, 3) points in their order.
 
@@ -46,6 +51,7 @@ def fit_spline(
         weights: (n,) one over the squares of their deviations.
         log_count: what a parameter costs.
         share: what the squares of residuals are divided by.
+        correlation: number of successive points that say as much as one.
         most: cost that it must be below.
 
     Returns:
@@ -56,7 +62,7 @@ def fit_spline(
     best, size, rises = None, DEGREE + 1, 0
     while size * MIN_SPAN <= len(points) and rises < 2 and spline_price(size, log_count) < most:
         fit = spline_of(points, weights, places, size)
-        cost = float(bounded(weights, fit.squares).sum()) / share
+        cost = float(costs_of(weights * fit.squares, share, correlation).sum())
         cost += spline_price(size, log_count)
         rises = 0 if cost < most else rises + 1
         if cost < most:

@@ -49,9 +49,15 @@ def softened(weights: FloatArray, squares: FloatArray) -> FloatArray:
         return weights * np.minimum(1, SOFT / np.sqrt(weights * squares))
 
 
-def bounded(weights: FloatArray, squares: FloatArray) -> FloatArray:
-    """(N,) squares of residuals in deviations, none larger than that of a point of no curve."""
-    return np.minimum(weights * squares, MISFIT**2)
+def costs_of(squares: FloatArray, shares: FloatArray, correlation: float) -> FloatArray:
+    """(N,) costs of residuals, none larger than that of a point of no curve.
+
+    Args:
+        squares: (N,) squares of residuals, in deviations.
+        shares: (N,), or of all: by what they are divided (`Noise.shares`).
+        correlation: number of successive points that say as much as one.
+    """
+    return np.minimum(squares / shares, MISFIT**2 / correlation)
 
 
 def solved(matrices: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
