@@ -65,7 +65,7 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
     if write is None:
         from colmap_edges.export.limap import write_structures
 
-        count = write_structures(written.edges, written.curves, written.views, output_path)
+        count = write_structures(written.edges, written.curves, written.model, output_path)
         return f"{count:,} lines in {output_path}; LIMAP reads them beside the model of {run_path}"
     write(written, output_path, svg)
     return f"{written.curves.num_curves:,} curves of {written.edges.num_edges:,} edges: {output_path}"
@@ -104,8 +104,8 @@ def write_view(written: Any, path: Path, name: str | None) -> None:
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.export.svg import write_svg
 
-    names = [view.name for view in written.views]
+    names = [view.name for view in written.model.views]
     if name not in names:
         raise ColmapEdgesError(f"no posed image is named {name!r}; there is {names[0]!r}, ...")
     index = names.index(name)
-    write_svg(written.edges, written.curves, written.views[index], index, path)
+    write_svg(written.edges, written.curves, written.model.views[index], index, path)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.view import View
 
 CHORD_DEG = 10.0  # of a bent curve's turn that one line stands for
 NO_SCORE = 1.0  # of a 2D segment: LIMAP's of detectors without one
@@ -35,16 +35,16 @@ class Line3D:
 
 
 def write_structures(
-    edges: Edges3D, curves: Curves3D, views: tuple[View, ...] | list[View], folder: Path
+    edges: Edges3D, curves: Curves3D, model: Model, folder: Path
 ) -> int:
-    """Write `lines3D.bin` and `structures2d.bin` as LIMAP 2.0 does; bent curves as chords.
+    """Write the files of LIMAP 2.0's `structures`: lines, their 2D segments; bent ones as chords.
 
     Lines that fewer than two views observe are left out.
 
     Args:
         edges: the edges.
         curves: the curves that they consist of.
-        views: the model's views, which observations name by index.
+        model: the model whose views observations name; LIMAP asks for it beside the folder.
         folder: is made when missing.
 
     Returns:
@@ -52,21 +52,25 @@ def write_structures(
     """
     folder.mkdir(parents=True, exist_ok=True)
     lines = [line for line in straight_lines(edges, curves) if len(line.views) > 1]
-    detections: list[list[tuple[FloatArray, int]]] = [[] for _ in views]
+    images = model.reconstruction.images
+    detections: list[list[tuple[FloatArray, int]]] = [[] for _ in model.views]
     content = [struct.pack("<Q", len(lines))]
     for index, line in enumerate(lines):
         content.append(struct.pack("<Q6dQ", index, *line.ends.ravel(), len(line.views)))
         for view, segment in zip(line.views.tolist(), line.segments, strict=True):
-            content.append(struct.pack("<2I", views[view].image_id, len(detections[view])))
+            content.append(struct.pack("<2I", model.views[view].image_id, len(detections[view])))
             detections[view].append((segment, index))
         content.append(struct.pack("<d", line.sigma if np.isfinite(line.sigma) else 0.0))
     (folder / "lines3D.bin").write_bytes(b"".join(content))
-    content = [struct.pack("<Q", len(views))]
-    for view, found in zip(views, detections, strict=True):
-        content.append(struct.pack("<2IQ", view.image_id, 0, len(found)))
+    content = [struct.pack("<Q", len(model.views))]
+    for view, found in zip(model.views, detections, strict=True):
+        num_points = images[view.image_id].num_points2D()
+        content.append(struct.pack("<2IQ", view.image_id, num_points, len(found)))
         content += [struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index) for ends, index in found]
         content.append(struct.pack("<2Q", 0, 0))  # no groups of points and lines, no links
     (folder / "structures2d.bin").write_bytes(b"".join(content))
+    for name in ("groups3D.bin", "wireframe3D.bin"):  # which LIMAP asks for
+        (folder / name).write_bytes(struct.pack("<Q", 0))
     return len(lines)
 
 

@@ -26,7 +26,7 @@ MAX_TURN = np.radians(40)  # between the chords before and after a place without
 CHORD = 4  # points of these chords
 MAX_DOUBT = 0.03  # of the radii: deviation up to which an ellipse is said to be one
 FREEDOM = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
-MIN_POINTS = {LINE: 3, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
+MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
 
 @dataclass(frozen=True, kw_only=True)

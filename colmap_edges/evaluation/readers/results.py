@@ -15,7 +15,6 @@ from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_o
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.core.view import View
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers import peers
@@ -32,13 +31,13 @@ class WrittenEdges:
         edges: the edges, with tracks and nodes; of observations the views and pixels are known.
         curves: the lines, arcs, circles, ellipses and splines that they consist of.
         point3D_ids: (N,) int64 ids of the edge points in the model; -1 of LIMAP's lines.
-        views: posed images, sorted by name, which observations name by index.
+        model: the model with the edge points, whose views observations name by index.
     """
 
     edges: Edges3D
     curves: Curves3D
     point3D_ids: IntArray
-    views: tuple[View, ...]
+    model: Model
 
 
 def read_edges(path: Path | str, model_path: Path | str | None = None) -> WrittenEdges:
@@ -65,12 +64,12 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
         except (AssertionError, *DAMAGE) as error:
             raise ColmapEdgesError(f"{path} holds curves that are none: {error}") from error
         curves = fit_curves(edges) if curves is None else curves
-        return WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, views=model.views)
+        return WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, model=model)
     model = load_model(Path(model_path) if model_path else model_beside(path))
     edges = peers.load(path, model)
     unknown = np.full(edges.num_points, -1, np.int64)
     return WrittenEdges(
-        edges=edges, curves=fit_curves(edges), point3D_ids=unknown, views=model.views
+        edges=edges, curves=fit_curves(edges), point3D_ids=unknown, model=model
     )
 
 
