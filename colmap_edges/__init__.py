@@ -14,8 +14,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from colmap_edges.core.edges3d import Edges3D
     from colmap_edges.core.curves3d import Curves3D
+    from colmap_edges.core.edges3d import Edges3D
     from colmap_edges.edges3d.curves.fitting import fit_curves
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.evaluation.readers.results import WrittenEdges, read_edges

@@ -18,7 +18,10 @@ STRUCTURES = "structures"  # name of the folder of LIMAP's lines
 
 @click.command(cls=Command, name="export")
 @click.option(
-    "--run_path", type=FOLDER, required=True, help="Output folder of reconstruct or mesh, or LIMAP's"
+    "--run_path",
+    type=FOLDER,
+    required=True,
+    help="Output folder of reconstruct or mesh, or LIMAP's",
 )
 @click.option(
     "--output_path",
@@ -68,7 +71,9 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
         count = write_structures(written.edges, written.curves, written.model, output_path)
         return f"{count:,} lines in {output_path}; LIMAP reads them beside the model of {run_path}"
     write(written, output_path, svg)
-    return f"{written.curves.num_curves:,} curves of {written.edges.num_edges:,} edges: {output_path}"
+    return (
+        f"{written.curves.num_curves:,} curves of {written.edges.num_edges:,} edges: {output_path}"
+    )
 
 
 def writers() -> dict[str, Callable[[Any, Path, str | None], None]]:

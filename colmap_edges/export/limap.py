@@ -34,9 +34,7 @@ class Line3D:
     sigma: float
 
 
-def write_structures(
-    edges: Edges3D, curves: Curves3D, model: Model, folder: Path
-) -> int:
+def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Path) -> int:
     """Write the files of LIMAP 2.0's `structures`: lines, their 2D segments; bent ones as chords.
 
     Lines that fewer than two views observe are left out.

@@ -18,7 +18,7 @@ from colmap_edges.edges3d.curves import cutting
 from colmap_edges.edges3d.curves.cutting import Noise, Pieces
 from colmap_edges.edges3d.curves.ellipses import fit_ellipses
 from colmap_edges.edges3d.curves.rounds import fit_circles, fit_lines
-from colmap_edges.edges3d.curves.splines import SplineFit, fit_spline, spline_price
+from colmap_edges.edges3d.curves.splines import SplineFit, fit_spline, smooth_squares, spline_price
 from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
 
 MAX_ROW = 6  # pieces that may become one curve
@@ -278,8 +278,13 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
         costs[~(ellipses.found & known.all(axis=1))] = np.inf
         fits.take(which, kind, costs, ellipses.frames, ellipses.sigmas)
     limit = np.minimum(limit, fits.costs)
-    cheap = spline_price(DEGREE + 1, 1.0) * judge.logs < limit
-    for row in judge.asked(bent & cheap, SPLINE).tolist():
+    price = spline_price(DEGREE + 1, 1.0) * judge.logs
+    which = judge.asked(bent & (price < limit), SPLINE)
+    part = judge.part(which)
+    shares = judge.shares[which][part.owners]
+    squares = part.weights * smooth_squares(part)
+    least = part.sums(costs_of(squares, shares, judge.correlation)) + price[which]
+    for row in which[least < limit[which]].tolist():
         part = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
         points, weights = judge.stack.points[part], judge.stack.weights[part]
         prices = judge.logs[row], judge.shares[row], judge.correlation

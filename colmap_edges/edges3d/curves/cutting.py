@@ -115,7 +115,8 @@ def cut_costs(
     lengths: IntArray, factors: FloatArray, correlation: float, stray: float
 ) -> FloatArray:
     """(F, E, 5) what the kernel is told of costs, for edges of (E,) points and (F,) factors;
-    `stray` is the cost of a point of no curve."""
+    `stray` is the cost of a point of no curve.
+    """
     costs = np.zeros((len(factors), len(lengths), 5))
     logs = log_counts(lengths, correlation)
     costs[:, :, 0], costs[:, :, 1] = LINE_FREEDOM * logs, ARC_FREEDOM * logs

@@ -41,7 +41,9 @@ def fit_ellipses(stack: Stack) -> Ellipses:
     axes = np.stack([vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])], axis=1)
     local = np.einsum("ijk,ik->ij", axes[owners], stack.points - origins[owners])
     rows = np.column_stack([local[:, :2], np.ones(len(local))])
-    slopes, flat_inverse = least_squares(stack, softened(given, local[:, 2] ** 2), rows, local[:, 2])
+    slopes, flat_inverse = least_squares(
+        stack, softened(given, local[:, 2] ** 2), rows, local[:, 2]
+    )
     height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
     shapes, found = algebraic_ellipses(stack, local[:, :2])
     for _ in range(STEPS):
@@ -62,7 +64,11 @@ def fit_ellipses(stack: Stack) -> Ellipses:
 
 
 def frames_of(
-    shapes: FloatArray, slopes: FloatArray, origins: FloatArray, axes: FloatArray, sigmas: FloatArray
+    shapes: FloatArray,
+    slopes: FloatArray,
+    origins: FloatArray,
+    axes: FloatArray,
+    sigmas: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """(S, 3, 3) centres and half axes in space, the longer first, and the (S, 5) sigmas so.
 
@@ -75,7 +81,9 @@ def frames_of(
     turn = shapes[:, 4]
     ways = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1)
     ways = ways.reshape(-1, 2, 2)
-    lifted = np.concatenate([ways, np.einsum("sij,sj->si", ways, slopes[:, :2])[:, :, None]], axis=2)
+    lifted = np.concatenate(
+        [ways, np.einsum("sij,sj->si", ways, slopes[:, :2])[:, :, None]], axis=2
+    )
     lifted[:, 0] /= np.linalg.norm(lifted[:, 0], axis=1, keepdims=True)
     along = np.einsum("si,si->s", lifted[:, 0], lifted[:, 1])
     lifted[:, 1] -= along[:, None] * lifted[:, 0]

@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    ranges_of,
+)
 from colmap_edges.core.curves3d import (
     ARC,
     CIRCLE,
@@ -19,7 +26,7 @@ from colmap_edges.core.curves3d import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.curves.choosing import Choice, choose
-from colmap_edges.edges3d.curves.cutting import Noise, Pieces, cut, learn_noise
+from colmap_edges.edges3d.curves.cutting import Noise, cut, learn_noise
 from colmap_edges.edges3d.curves.joints import joined_at_corners
 from colmap_edges.edges3d.curves.relations import regularized
 
@@ -146,7 +153,7 @@ def bounded_rounds(curves: Curves3D, points: FloatArray) -> Curves3D:
         if angles[-1] < angles[0]:
             frames[curve, 2] *= -1
             angles = -angles
-        step = np.median(np.abs(np.diff(angles)))
+        step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
         open_kind = kinds[curve] in (ARC, ELLIPTIC_ARC)
         if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > MAX_GAP_SPACINGS * step:
             spans[curve] = angles[0], angles[-1]

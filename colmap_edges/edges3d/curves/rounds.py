@@ -10,7 +10,7 @@ from colmap_edges.core.arrays import FloatArray
 from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
 
 LINE_STEPS = 4
-CIRCLE_STEPS = 8
+CIRCLE_STEPS = 6
 
 
 @dataclass(frozen=True, kw_only=True)

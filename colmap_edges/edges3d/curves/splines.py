@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from scipy.interpolate import BSpline
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import DEGREE
-from colmap_edges.edges3d.curves.stacks import costs_of, softened
+from colmap_edges.edges3d.curves.stacks import Stack, costs_of, softened, solved
 
 FREEDOM = 3  # of a control point; and one more of the spline: where along the edge it ends
 ROUNDS = 2  # of weighting
+POLYNOMIAL_DEGREE = 9
 GROWTH = 1.35  # from one number of control points that is tried to the next
 MIN_SPAN = 2.5  # points for each control point at least
 
@@ -72,6 +74,27 @@ def fit_spline(
     return best
 
 
+def smooth_squares(stack: Stack) -> FloatArray:
+    """(N,) squared distances of a stack's points from the polynomials of degree 9 through each.
+
+    No spline of few control points is much nearer to them, so where these are too far, all are.
+    """
+    steps = np.linalg.norm(np.diff(stack.points, axis=0, prepend=stack.points[:1]), axis=1)
+    along = np.cumsum(steps)
+    first, last = along[stack.offsets[:-1]], along[stack.offsets[1:] - 1]
+    half = np.maximum((last - first) / 2, 1e-300)
+    rows = chebvander(((along - first[stack.owners]) / half[stack.owners] - 1), POLYNOMIAL_DEGREE)
+    weights = stack.weights
+    for _ in range(ROUNDS):
+        matrices = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, rows))
+        values = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, stack.points))
+        _, inverses = solved(matrices, values[:, :, 0])
+        found = np.einsum("ij,ijk->ik", rows, (inverses @ values)[stack.owners])
+        squares: FloatArray = ((stack.points - found) ** 2).sum(axis=1)
+        weights = softened(stack.weights, squares)
+    return squares
+
+
 def spline_price(size: int, log_count: float) -> float:
     """What the parameters of a spline of `size` control points cost."""
     return (FREEDOM * size + 1) * log_count
@@ -79,10 +102,11 @@ def spline_price(size: int, log_count: float) -> float:
 
 def spline_of(points: FloatArray, given: FloatArray, places: FloatArray, size: int) -> SplineFit:
     """The spline of `size` control points through (n, 3) points at (n,) ascending places."""
-    inner = np.quantile(places, np.linspace(0, 1, size - DEGREE + 1)[1:-1])
+    shares = np.linspace(0, len(places) - 1, size - DEGREE + 1)[1:-1]
+    inner = np.interp(shares, np.arange(len(places)), places)
     ends = np.full(DEGREE + 1, places[0]), np.full(DEGREE + 1, places[-1])
     knots = np.concatenate([ends[0], inner, ends[1]])
-    rows = BSpline.design_matrix(places, knots, DEGREE).toarray()
+    rows = BSpline(knots, np.eye(size), DEGREE)(places)
     weights = given
     for _ in range(ROUNDS):
         weighted = weights[:, None] * rows
@@ -90,17 +114,15 @@ def spline_of(points: FloatArray, given: FloatArray, places: FloatArray, size: i
         matrix += 1e-12 * np.trace(matrix) / size * np.eye(size)
         inverse = np.linalg.inv(matrix)
         control = inverse @ (weighted.T @ points)
-        squares = squared_distances(BSpline(knots, control, DEGREE), rows @ control, places, points)
+        squares = squared_distances(rows @ control, points)
         weights = softened(given, squares)
     sigmas = np.sqrt(np.diag(inverse))
     return SplineFit(knots=knots, control=control, squares=squares, sigmas=sigmas, cost=np.inf)
 
 
-def squared_distances(
-    spline: BSpline, found: FloatArray, places: FloatArray, points: FloatArray
-) -> FloatArray:
-    """(n,) squared distances across the curve of (n, 3) points at (n,) places on it."""
-    tangents = spline(places, 1)
+def squared_distances(found: FloatArray, points: FloatArray) -> FloatArray:
+    """(n,) squared distances of (n, 3) points across a curve through (n, 3) points found on it."""
+    tangents = np.gradient(found, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
     off = points - found
     along = np.einsum("ij,ij->i", off, tangents)

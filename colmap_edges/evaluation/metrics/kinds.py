@@ -10,8 +10,6 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import (
     ARC,
-    CIRCLE,
-    ELLIPSE,
     ELLIPTIC_ARC,
     LINE,
     SPLINE,

@@ -68,9 +68,7 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
     model = load_model(Path(model_path) if model_path else model_beside(path))
     edges = peers.load(path, model)
     unknown = np.full(edges.num_points, -1, np.int64)
-    return WrittenEdges(
-        edges=edges, curves=fit_curves(edges), point3D_ids=unknown, model=model
-    )
+    return WrittenEdges(edges=edges, curves=fit_curves(edges), point3D_ids=unknown, model=model)
 
 
 def model_beside(path: Path) -> Path:
