@@ -56,8 +56,8 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
         (svg is not None) != (output_path.suffix.lower() == ".svg")
     ):
         raise ColmapEdgesError(
-            f"cannot write edges as {output_path.name!r}; give a file named .step, .stp, .dxf, .glb,"
-            " .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
+            f"cannot write edges as {output_path.name!r}; give a file named .step, .stp, .dxf, "
+            ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
         )
     if output_path.exists() and not overwrite:
         raise ColmapEdgesError(f"{output_path} is there already; --overwrite replaces it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def paths_of(
 def stretches(states: IntArray) -> list[tuple[int, int, int]]:
     """First index, the one after the last, and the state of each stretch of equal (n,) states."""
     cuts = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
-    return [(a, b, int(states[a])) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [(a, b, int(states[a])) for a, b in pairwise(cuts)]
 
 
 def path_of(pixels: FloatArray, is_seen: bool) -> str:

@@ -6,6 +6,8 @@ facets, which are within the height of a facet's arc (1.4e-4 of the radius for 1
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 # Turn at a vertex from which on two curves meet there: a full turn in 128 parts turns by 2.8.
@@ -93,7 +95,7 @@ def pieces(points: np.ndarray) -> list[tuple[int, int]]:
     for edge in np.flatnonzero(long) if (turns > STRAIGHT).any() else []:
         ends += [int(edge), int(edge) + 1]
     ends = sorted(set(ends))
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    return list(pairwise(ends))
 
 
 def kind_of(points: np.ndarray) -> tuple[int, tuple[float, float]]:

@@ -222,7 +222,7 @@ def stacked(points: FloatArray, weights: FloatArray, bounds: IntArray) -> Stack:
 
 
 def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Rows:
-    """Single pieces, rows of them without a corner, and all of each closed edge."""
+    """Single pieces, rows of them without a corner, of few or of all, and all of each closed edge."""
     count = len(pieces.kinds)
     owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
     smooth = np.zeros(count, bool)  # whether the piece goes on from the one before
@@ -234,6 +234,11 @@ def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Row
         reach = reach[:-1] & smooth[length:] if len(reach) > 1 else reach[:0]
         firsts.append(np.flatnonzero(reach))
         lasts.append(firsts[-1] + length)
+    starts = np.flatnonzero(~smooth)
+    ends = np.append(starts[1:], count) - 1
+    long = ends - starts >= MAX_ROW  # all that goes on without a corner
+    firsts.append(starts[long])
+    lasts.append(ends[long])
     loops = np.flatnonzero(closed & (np.diff(pieces.offsets) > 0))
     singles = len(np.concatenate(firsts))
     first = np.concatenate([*firsts, pieces.offsets[loops]])

@@ -114,8 +114,9 @@ def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
 def cut_costs(
     lengths: IntArray, factors: FloatArray, correlation: float, stray: float
 ) -> FloatArray:
-    """(F, E, 5) what the kernel is told of costs, for edges of (E,) points and (F,) factors;
-    `stray` is the cost of a point of no curve.
+    """(F, E, 5) costs as the kernel has them, for edges of (E,) points and (F,) factors.
+
+    `stray` is the cost of a point of no curve, at the factor 1.
     """
     costs = np.zeros((len(factors), len(lengths), 5))
     logs = log_counts(lengths, correlation)

@@ -75,7 +75,8 @@ def frames_of(
     Args:
         shapes: (S, 5) centre, radii and turn in the planes.
         slopes: (S, 3) rise of the planes over the axes, and their height at the origins.
-        origins, axes: (S, 3) and (S, 3, 3) frames in which these are.
+        origins: (S, 3) of the frames in which these are.
+        axes: (S, 3, 3) of the same.
         sigmas: (S, 5) as of `Ellipses`, for the radii as in `shapes`.
     """
     turn = shapes[:, 4]

@@ -13,7 +13,7 @@ from colmap_edges.core.curves3d import DEGREE
 from colmap_edges.edges3d.curves.stacks import Stack, costs_of, softened, solved
 
 FREEDOM = 3  # of a control point; and one more of the spline: where along the edge it ends
-ROUNDS = 2  # of weighting
+ROUNDS = 3  # of weighting, and of moving the places of points along the curve
 POLYNOMIAL_DEGREE = 9
 GROWTH = 1.35  # from one number of control points that is tried to the next
 MIN_SPAN = 2.5  # points for each control point at least
@@ -106,24 +106,29 @@ def spline_of(points: FloatArray, given: FloatArray, places: FloatArray, size: i
     inner = np.interp(shares, np.arange(len(places)), places)
     ends = np.full(DEGREE + 1, places[0]), np.full(DEGREE + 1, places[-1])
     knots = np.concatenate([ends[0], inner, ends[1]])
-    rows = BSpline(knots, np.eye(size), DEGREE)(places)
-    weights = given
+    basis = BSpline(knots, np.eye(size), DEGREE)
+    weights, at = given, places
     for _ in range(ROUNDS):
+        rows = basis(at)
         weighted = weights[:, None] * rows
         matrix = rows.T @ weighted
         matrix += 1e-12 * np.trace(matrix) / size * np.eye(size)
         inverse = np.linalg.inv(matrix)
         control = inverse @ (weighted.T @ points)
-        squares = squared_distances(rows @ control, points)
+        squares, along = distances_of(rows @ control, points)
         weights = softened(given, squares)
+        at = np.clip(at + along, places[0], places[-1])  # nearer to where the points are nearest
     sigmas = np.sqrt(np.diag(inverse))
     return SplineFit(knots=knots, control=control, squares=squares, sigmas=sigmas, cost=np.inf)
 
 
-def squared_distances(found: FloatArray, points: FloatArray) -> FloatArray:
-    """(n,) squared distances of (n, 3) points across a curve through (n, 3) points found on it."""
+def distances_of(found: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) squared distances of (n, 3) points across a curve through (n, 3) ones found on it.
+
+    Also (n,) how far along it they are from those.
+    """
     tangents = np.gradient(found, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
     off = points - found
-    along = np.einsum("ij,ij->i", off, tangents)
-    return np.maximum(np.einsum("ij,ij->i", off, off) - along**2, 0)
+    along: FloatArray = np.einsum("ij,ij->i", off, tangents)
+    return np.maximum(np.einsum("ij,ij->i", off, off) - along**2, 0), along

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
 from colmap_edges.core.curves3d import (
     ARC,
     ELLIPTIC_ARC,
@@ -16,6 +17,7 @@ from colmap_edges.core.curves3d import (
     Curves3D,
 )
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.readers.arrays import read_arrays
 
 # An arc of a circle is right where the true curve is the circle: gaps are no error of kind.
 FAMILIES = np.array([LINE, ARC, ARC, ELLIPTIC_ARC, ELLIPTIC_ARC, SPLINE])
@@ -66,6 +68,32 @@ class KindErrors:
     on_true: float
 
 
+def true_curves(path: Path, spacing: float) -> TrueCurves | None:
+    """Read true curves of an .npz with `points`, `edges`, `curves`, `kinds` and `radii`.
+
+    Args:
+        path: the file, as scripts/make_cad_objects.py writes it.
+        spacing: largest distance between samples along a curve.
+
+    Returns:
+        The curves, None where the file does not tell their kinds.
+    """
+    data = read_arrays(path) if path.suffix == ".npz" else {}
+    if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
+        return None
+    ends = data["points"][data["edges"]]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
+    owners = np.repeat(np.arange(len(counts)), counts)
+    places = ((ranks_of(counts) + 0.5) / counts[owners])[:, None]
+    return TrueCurves(
+        points=ends[owners, 0] + places * (ends[owners, 1] - ends[owners, 0]),
+        curves=data["curves"][owners],
+        kinds=data["kinds"],
+        radii=data["radii"],
+    )
+
+
 def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindErrors:
     """Judge the kinds and radii of curves by the true curves nearest to their samples.
 
@@ -107,11 +135,7 @@ def radius_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Largest relative errors of the radii of round curves of the right kind, and their lengths.
 
-    Args:
-        result: curves as fitted.
-        true: the true ones.
-        owners, of: (n,) curves of samples, and the true curves on which these lie.
-        weights: (n,) length that each stands for.
+    Samples are of the (n,) curves `owners`, lie on the true curves `of`, and stand for lengths.
     """
     lengths = np.bincount(owners, weights, result.num_curves)
     errors, kept = [], []
