@@ -25,6 +25,10 @@ MAX_ROW = 6  # pieces that may become one curve
 MAX_TURN = np.radians(40)  # between the chords before and after a place without a corner
 CHORD = 4  # points of these chords
 MAX_DOUBT = 0.03  # of the radii: deviation up to which an ellipse is said to be one
+# Fewest control points of splines, and the degree of polynomials that bend more than such splines
+# of up to one (four at the second) control points more: no spline costs less than the price of
+# the one with the distance from the other.
+PROBES = ((4, 5), (6, 9))
 FREEDOM = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
@@ -268,11 +272,12 @@ def is_corner(points: FloatArray, pieces: Pieces) -> BoolArray:
 
 
 def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
-    """Fit ellipses and splines to rows that begin and end bent, where they may cost less."""
+    """Fit ellipses and splines to rows with a bent piece, where they may cost less."""
     first, last = judge.rows.pieces.T
     totals = np.concatenate([[0.0], np.cumsum(fits.costs[: len(pieces.kinds)])])
     limit = np.minimum(totals[last + 1] - totals[first], fits.costs)
-    bent = (pieces.kinds[first] != cutting.LINE) & (pieces.kinds[last] != cutting.LINE)
+    bends = np.concatenate([[0], np.cumsum(pieces.kinds != cutting.LINE)])
+    bent = bends[last + 1] > bends[first]
     for kind, mask in ((ELLIPTIC_ARC, ~judge.rows.whole), (ELLIPSE, judge.rows.whole)):
         which = judge.asked(bent & mask & (FREEDOM[kind] * judge.logs < limit), kind)
         part = judge.part(which)
@@ -286,9 +291,11 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
     price = spline_price(DEGREE + 1, 1.0) * judge.logs
     which = judge.asked(bent & (price < limit), SPLINE)
     part = judge.part(which)
-    shares = judge.shares[which][part.owners]
-    squares = part.weights * smooth_squares(part)
-    least = part.sums(costs_of(squares, shares, judge.correlation)) + price[which]
+    least = np.full(len(which), np.inf)
+    for size, degree in PROBES:
+        squares = part.weights * smooth_squares(part, degree)
+        costs = part.sums(costs_of(squares, judge.shares[which][part.owners], judge.correlation))
+        least = np.minimum(least, costs + spline_price(size, 1.0) * judge.logs[which])
     for row in which[least < limit[which]].tolist():
         part = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
         points, weights = judge.stack.points[part], judge.stack.weights[part]

@@ -14,7 +14,6 @@ from colmap_edges.edges3d.curves.stacks import Stack, costs_of, softened, solved
 
 FREEDOM = 3  # of a control point; and one more of the spline: where along the edge it ends
 ROUNDS = 3  # of weighting, and of moving the places of points along the curve
-POLYNOMIAL_DEGREE = 9
 GROWTH = 1.35  # from one number of control points that is tried to the next
 MIN_SPAN = 2.5  # points for each control point at least
 
@@ -61,12 +60,14 @@ def fit_spline(
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     places = np.concatenate([[0], np.cumsum(steps)])
-    best, size, rises = None, DEGREE + 1, 0
-    while size * MIN_SPAN <= len(points) and rises < 2 and spline_price(size, log_count) < most:
+    best, size, before = None, DEGREE + 1, np.inf
+    while size * MIN_SPAN <= len(points) and spline_price(size, log_count) < most:
         fit = spline_of(points, weights, places, size)
         cost = float(costs_of(weights * fit.squares, share, correlation).sum())
         cost += spline_price(size, log_count)
-        rises = 0 if cost < most else rises + 1
+        if cost > before:
+            break
+        before = cost
         if cost < most:
             most = cost
             best = SplineFit(**{**vars(fit), "cost": cost})
@@ -74,8 +75,8 @@ def fit_spline(
     return best
 
 
-def smooth_squares(stack: Stack) -> FloatArray:
-    """(N,) squared distances of a stack's points from the polynomials of degree 9 through each.
+def smooth_squares(stack: Stack, degree: int) -> FloatArray:
+    """(N,) squared distances of a stack's points from the polynomials of a degree through each.
 
     No spline of few control points is much nearer to them, so where these are too far, all are.
     """
@@ -83,9 +84,9 @@ def smooth_squares(stack: Stack) -> FloatArray:
     along = np.cumsum(steps)
     first, last = along[stack.offsets[:-1]], along[stack.offsets[1:] - 1]
     half = np.maximum((last - first) / 2, 1e-300)
-    rows = chebvander(((along - first[stack.owners]) / half[stack.owners] - 1), POLYNOMIAL_DEGREE)
+    rows = chebvander(((along - first[stack.owners]) / half[stack.owners] - 1), degree)
     weights = stack.weights
-    for _ in range(ROUNDS):
+    for _ in range(2):
         matrices = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, rows))
         values = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, stack.points))
         _, inverses = solved(matrices, values[:, :, 0])
