@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
 
+PRODUCT = re.compile(r"PRODUCT\('[^']*',\s*'[^']*'")
 SMALLEST = 1e-7  # length of an edge that the kernel takes for none (Precision::Confusion)
 
 
@@ -23,7 +25,7 @@ def write_step(curves: Curves3D, path: Path) -> None:
         ColmapEdgesError: the kernel is not installed, or does not write.
     """
     try:
-        from OCP import BRep, BRepBuilderAPI, IFSelect, STEPControl, TopoDS
+        from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
     except ImportError as error:
         raise ColmapEdgesError(
             f"{path.name} needs a CAD kernel: pip install 'colmap-edges[step]'"
@@ -37,10 +39,14 @@ def write_step(curves: Curves3D, path: Path) -> None:
         if made.IsDone():
             builder.Add(compound, made.Edge())
     writer = STEPControl.STEPControl_Writer()
+    Interface.Interface_Static.SetIVal_s("write.step.assembly", 0)  # no part for each edge
     writer.Transfer(compound, STEPControl.STEPControl_StepModelType.STEPControl_AsIs)
     without_date(writer)
     if writer.Write(str(path)) != IFSelect.IFSelect_ReturnStatus.IFSelect_RetDone:
         raise ColmapEdgesError(f"{path} cannot be written as STEP; is its folder there?")
+    # The kernel counts what it wrote in the name.
+    text = PRODUCT.sub("PRODUCT('edges','edges'", path.read_text(encoding="ascii"), count=1)
+    path.write_text(text, encoding="ascii")
 
 
 def be_silent() -> None:

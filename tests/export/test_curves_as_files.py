@@ -179,9 +179,9 @@ def test_svg_shows_what_a_view_sees(scene_model, scene_edges, tmp_path):
     observed = scene_edges.observations.pixels[scene_edges.observations.views == 0]
     near = np.linalg.norm(observed[:, None] - drawn, axis=2).min(axis=1)
     assert np.mean(near < 4) > 0.95  # steps along curves are some pixels
-    unseen = replace(scene_edges, observations=scene_edges.observations.keep(
-        scene_edges.observations.views != 0
-    ))
+    unseen = replace(
+        scene_edges, observations=scene_edges.observations.keep(scene_edges.observations.views != 0)
+    )
     write_svg(unseen, curves, view, 0, tmp_path / "unseen.svg")
     root = ElementTree.parse(tmp_path / "unseen.svg").getroot()
     assert {path.get("class") for path in root.iter(f"{name}path")} == {"hidden"}

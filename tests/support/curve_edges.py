@@ -39,7 +39,9 @@ def segment(start, end, count):
 def arc(center, axes, radii, start_deg, end_deg, count):
     """(count, 3) points of an ellipse around a centre, on the first two axes."""
     t = np.radians(np.linspace(start_deg, end_deg, count))
-    return center + radii[0] * np.outer(np.cos(t), axes[0]) + radii[1] * np.outer(np.sin(t), axes[1])
+    return (
+        center + radii[0] * np.outer(np.cos(t), axes[0]) + radii[1] * np.outer(np.sin(t), axes[1])
+    )
 
 
 def rounded_rectangle(width, height, radius, step):
@@ -49,7 +51,7 @@ def rounded_rectangle(width, height, radius, step):
     for x, y, angle in corners:
         turns = np.radians(np.linspace(angle, angle + 90, max(4, round(radius * 1.57 / step))))
         points.append(np.column_stack([x + radius * np.cos(turns), y + radius * np.sin(turns)]))
-    outline = np.concatenate(points + [points[0][:1]])
+    outline = np.concatenate([*points, points[0][:1]])
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
     places = np.arange(0, lengths[-1] - step / 2, step)
     plane = [np.interp(places, lengths, column) for column in outline.T]

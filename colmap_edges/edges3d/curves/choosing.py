@@ -226,7 +226,7 @@ def stacked(points: FloatArray, weights: FloatArray, bounds: IntArray) -> Stack:
 
 
 def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Rows:
-    """Single pieces, rows of them without a corner, of few or of all, and all of each closed edge."""
+    """Single pieces, rows of them without a corner, few or all, and all of each closed edge."""
     count = len(pieces.kinds)
     owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
     smooth = np.zeros(count, bool)  # whether the piece goes on from the one before

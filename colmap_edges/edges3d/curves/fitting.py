@@ -103,7 +103,8 @@ def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
     lengths = np.zeros(len(kinds), np.int64)
     spans[kinds == SPLINE] = [fit.knots[[0, -1]] for fit in splines] or np.zeros((0, 2))
     lengths[kinds == SPLINE] = [len(fit.knots) for fit in splines]
-    radius_sigmas = np.where(has_radii(kinds)[:, None], choice.sigmas[:, 3:], np.nan)
+    sigmas = np.where((kinds == SPLINE)[:, None], np.nan, choice.sigmas)
+    radius_sigmas = np.where(has_radii(kinds)[:, None], sigmas[:, 3:], np.nan)
     curves = Curves3D(
         kinds=kinds,
         edges=choice.edges,
@@ -113,8 +114,8 @@ def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
         knot_offsets=offsets_of(lengths),
         knots=np.concatenate([np.zeros(0), *(fit.knots for fit in splines)]),
         control_points=np.concatenate([np.zeros((0, 3)), *(fit.control for fit in splines)]),
-        position_sigmas=choice.sigmas[:, :2] * spread,
-        direction_sigmas=choice.sigmas[:, 2] * spread,
+        position_sigmas=sigmas[:, :2] * spread,
+        direction_sigmas=sigmas[:, 2] * spread,
         radius_sigmas=radius_sigmas * spread,
         control_sigmas=np.concatenate([np.zeros(0), *(fit.sigmas for fit in splines)]) * spread,
     )

@@ -100,9 +100,7 @@ def test_threads_and_place_in_the_world_change_nothing(bent):
     points, weights = bent
     offsets = np.array([0, 20, 20, 40])
     both = np.concatenate([points, 2.0 + points])
-    found = [
-        cut(both, np.tile(weights, 2), offsets=offsets, threads=threads) for threads in (1, 4)
-    ]
+    found = [cut(both, np.tile(weights, 2), offsets=offsets, threads=threads) for threads in (1, 4)]
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
     totals, bounds, _, pieces = found[0]
@@ -115,5 +113,5 @@ def test_threads_and_place_in_the_world_change_nothing(bent):
     [(np.ones(4), [0, 5], 10), (np.ones(5), [0, 4], 10), (np.ones(5), [0, 5], 0)],
 )
 def test_what_does_not_fit_is_refused(weights, offsets, most):
-    with pytest.raises(ValueError, match="must|differ"):
+    with pytest.raises(ValueError, match=r"must|differ"):
         cut(np.zeros((5, 3)), weights, offsets=np.array(offsets), most=most)
