@@ -92,7 +92,7 @@ class Curves3D:
     @property
     def radii(self) -> FloatArray:
         """(C, 2) larger and smaller radius; NaN where there is none."""
-        radii = np.linalg.norm(self.frames[:, 1:], axis=2)
+        radii: FloatArray = np.linalg.norm(self.frames[:, 1:], axis=2)
         radii[(self.kinds == LINE) | (self.kinds == SPLINE)] = np.nan
         return radii
 

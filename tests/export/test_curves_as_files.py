@@ -109,7 +109,7 @@ def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
     from OCP.STEPControl import STEPControl_Reader
     from OCP.TopAbs import TopAbs_ShapeEnum
     from OCP.TopExp import TopExp_Explorer
-    from OCP.TopoDS import TopoDS
+    from OCP import TopoDS
 
     from colmap_edges.export.step import write_step
 
@@ -123,7 +123,7 @@ def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
     explorer = TopExp_Explorer(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_EDGE)
     found = []
     while explorer.More():
-        found.append(BRepAdaptor_Curve(TopoDS.Edge_s(explorer.Current())))
+        found.append(BRepAdaptor_Curve(TopoDS.TopoDS.Edge(explorer.Current())))
         explorer.Next()
     names = [curve.GetType().name.removeprefix("GeomAbs_") for curve in found]
     assert names == ["Line", "Circle", "Circle", "Ellipse", "Ellipse", "BSplineCurve"]

@@ -297,8 +297,8 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
         costs = part.sums(costs_of(squares, judge.shares[which][part.owners], judge.correlation))
         least = np.minimum(least, costs + spline_price(size, 1.0) * judge.logs[which])
     for row in which[least < limit[which]].tolist():
-        part = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
-        points, weights = judge.stack.points[part], judge.stack.weights[part]
+        own = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
+        points, weights = judge.stack.points[own], judge.stack.weights[own]
         prices = judge.logs[row], judge.shares[row], judge.correlation
         spline = fit_spline(points, weights, *prices, limit[row])
         if spline is not None:

@@ -16,7 +16,7 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_o
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.curves.rounds import fit_lines, principal_axes
 from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, softened
-from colmap_edges.kernels import _kernels
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 NOTHING, LINE, ARC = -1, 0, 1  # kinds of pieces, as the kernel has them
 # Parameters, one of them where along the edge the piece ends.

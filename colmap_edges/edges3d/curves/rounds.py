@@ -117,7 +117,7 @@ def circle_sigmas(inside: FloatArray, off: FloatArray) -> FloatArray:
     """(S, 4) deviations from the (S, 3, 3) covariances of a fit in the plane and off it."""
     inside, off = (np.einsum("sii->si", each) for each in (inside, off))
     columns = (inside[:, :2].sum(axis=1) / 2, off[:, 2], off[:, :2].sum(axis=1) / 2, inside[:, 2])
-    return np.sqrt(np.maximum(np.column_stack(columns), 0))
+    return np.asarray(np.sqrt(np.maximum(np.column_stack(columns), 0)))
 
 
 def least_squares(

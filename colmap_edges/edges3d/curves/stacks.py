@@ -49,7 +49,7 @@ def softened(weights: FloatArray, squares: FloatArray) -> FloatArray:
         return weights * np.minimum(1, SOFT / np.sqrt(weights * squares))
 
 
-def costs_of(squares: FloatArray, shares: FloatArray, correlation: float) -> FloatArray:
+def costs_of(squares: FloatArray, shares: FloatArray | float, correlation: float) -> FloatArray:
     """(N,) costs of residuals, none larger than that of a point of no curve.
 
     Args:
@@ -65,5 +65,5 @@ def solved(matrices: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
     damped = matrices.copy()
     diagonals = np.einsum("sii->si", damped)  # a view
     diagonals += 1e-12 * diagonals + 1e-300
-    inverses: FloatArray = np.linalg.inv(damped)
+    inverses = np.asarray(np.linalg.inv(damped), dtype=np.float64)
     return np.einsum("sij,sj->si", inverses, values), inverses

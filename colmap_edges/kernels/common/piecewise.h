@@ -21,15 +21,16 @@ struct Piece {
 
 // What a piece costs beside the squares of its residuals, which are in standard deviations.
 struct PieceCosts {
-  double line, arc;     // once a piece
-  double nothing;       // each point that belongs to none
-  double variance;      // by which squares are divided, those of a piece of n points by
-  double shared;        // 1 + n / shared as much
+  double line, arc;  // once a piece
+  double nothing;    // each point that belongs to none
+  double variance;   // by which squares are divided, those of a piece of n points by
+  double shared;     // 1 + n / shared as much
 };
 
 // Weighted sums of points, from which lines and circles are fitted.
 struct Moments {
-  double w = 0, p[3] = {}, pp[6] = {}, pz[3] = {}, z = 0, zz = 0;  // z is |p|^2; pp: xx xy xz yy yz zz
+  double w = 0, p[3] = {}, pp[6] = {}, pz[3] = {}, z = 0,
+         zz = 0;  // z is |p|^2; pp: xx xy xz yy yz zz
 
   void Add(const Vec3& point, double weight) {
     const double x = point.x, y = point.y, t = point.z, square = x * x + y * y + t * t;
@@ -42,7 +43,8 @@ struct Moments {
   }
 };
 
-// Ascending eigenvalues of a symmetric matrix (xx xy xz yy yz zz) and their eigenvectors, by Jacobi.
+// Ascending eigenvalues of a symmetric matrix (xx xy xz yy yz zz) and their eigenvectors, by
+// Jacobi.
 inline void Eigen3(const double given[6], double values[3], Vec3 vectors[3]) {
   double a[3][3] = {{given[0], given[1], given[2]},
                     {given[1], given[3], given[4]},
@@ -87,8 +89,7 @@ inline double TaubinResidual(double xx, double xy, double yy, double xz, double 
   const double z = xx + yy, det = xx * yy - xy * xy, variance = zz - z * z;
   const double a3 = 4 * z, a2 = -3 * z * z - zz;
   const double a1 = variance * z + 4 * det * z - xz * xz - yz * yz;
-  const double a0 =
-      xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance * det;
+  const double a0 = xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy) - variance * det;
   double x = 0, y = a0;
   for (int i = 0; i < 20; ++i) {
     const double slope = a1 + x * (2 * a2 + 3 * a3 * x);
@@ -113,9 +114,8 @@ inline void Residuals(const Moments& m, double* line, double* arc) {
   Eigen3(spread, values, axes);
   *line = m.w * (values[0] + values[1]);
   // Moments of q = p - mean with |q|^2.
-  const double at[3][3] = {{m.pp[0], m.pp[1], m.pp[2]},
-                           {m.pp[1], m.pp[3], m.pp[4]},
-                           {m.pp[2], m.pp[4], m.pp[5]}};
+  const double at[3][3] = {
+      {m.pp[0], m.pp[1], m.pp[2]}, {m.pp[1], m.pp[3], m.pp[4]}, {m.pp[2], m.pp[4], m.pp[5]}};
   const double mm = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2];
   double at_mean[3], bent = m.zz + mm * mm * m.w + 2 * mm * m.z - 4 * mm * mm * m.w;
   const double centered = m.z - mm * m.w;  // sum of |q|^2
@@ -128,8 +128,8 @@ inline void Residuals(const Moments& m, double* line, double* arc) {
     // sum (p - m)(|p|^2 - 2 p m + |m|^2)
     qz[k] = (m.pz[k] - 2 * at_mean[k] + mm * m.p[k] - mean[k] * centered) / m.w;
   }
-  const double plane = TaubinResidual(values[2], 0, values[1], Dot(qz, axes[2]),
-                                      Dot(qz, axes[1]), bent / m.w);
+  const double plane =
+      TaubinResidual(values[2], 0, values[1], Dot(qz, axes[2]), Dot(qz, axes[1]), bent / m.w);
   *arc = m.w * (values[0] + std::min(plane, values[1]));
 }
 
@@ -179,8 +179,8 @@ class PieceTable {
     }
     const size_t known = pieces->size();
     for (size_t j = count_ - 1; j > 0; j = from[j]) {
-      const bool goes_on = kind[j] == kNothing && pieces->size() > known &&
-                           pieces->back().kind == kNothing;
+      const bool goes_on =
+          kind[j] == kNothing && pieces->size() > known && pieces->back().kind == kNothing;
       if (goes_on) {
         pieces->back().first = places_[from[j]];
       } else {
