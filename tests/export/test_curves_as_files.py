@@ -105,11 +105,11 @@ def test_dxf_keeps_points_at_any_scale(curves, tmp_path, scale, offset):
 
 def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
     pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+    from OCP import TopoDS
     from OCP.BRepAdaptor import BRepAdaptor_Curve
     from OCP.STEPControl import STEPControl_Reader
     from OCP.TopAbs import TopAbs_ShapeEnum
     from OCP.TopExp import TopExp_Explorer
-    from OCP import TopoDS
 
     from colmap_edges.export.step import write_step
 
