@@ -29,7 +29,9 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
         points: (N, 3) edge points.
         noise: how far they are off.
     """
-    which = np.flatnonzero((curves.kinds != SPLINE) & np.isfinite(curves.direction_sigmas))
+    sizes = np.linalg.norm(curves.frames[:, 1:], axis=2)
+    sized = (sizes[:, 0] > 0) & ((curves.kinds == LINE) | (sizes[:, 1] > 0))
+    which = np.flatnonzero((curves.kinds != SPLINE) & np.isfinite(curves.direction_sigmas) & sized)
     if not len(which):
         return curves
     directions, groups = shared_directions(curves, which)
@@ -64,7 +66,7 @@ def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, In
         cosines = directions[open_] @ directions[place]
         apart = np.arccos(np.minimum(np.abs(cosines), 1))
         limit = np.minimum(MISFIT * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
-        members = open_[apart <= limit]
+        members = open_[(apart <= limit) | (open_ == place)]
         signs = np.sign(directions[members] @ directions[place])
         weights = signs / sigmas[members] ** 2
         groups[members] = len(means)

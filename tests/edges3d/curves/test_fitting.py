@@ -137,3 +137,30 @@ def test_threads_change_nothing(shapes):
     one, other = (fit_curves(edges, num_threads=threads) for threads in (1, 4))
     for entry in fields(Curves3D):
         np.testing.assert_array_equal(getattr(one, entry.name), getattr(other, entry.name))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_degenerate_edges_give_finite_curves(seed):
+    """Points on one place, on a grid, of any size, and deviations that are none."""
+    random = np.random.default_rng(seed)
+    polylines, closed = [], []
+    for kind in random.integers(0, 5, random.integers(1, 10)):
+        count = int(random.integers(1, 40))
+        walk = np.cumsum(random.normal(size=(count, 3)), axis=0)
+        shapes = (
+            np.zeros((count, 3)),
+            walk,
+            np.round(walk),
+            segment((0, 0, 0), (1, 1, 0), count),
+            arc(np.zeros(3), np.eye(3), (1, 1), 0, 700, count),
+        )
+        polylines.append(shapes[kind] * 10.0 ** random.integers(-6, 6))
+        closed.append(bool(random.random() < 0.4) and count > 2)
+    edges = edges_of(polylines, closed, sigma=float(random.choice([0, 1e-9, 1e-3, 10])))
+    sigmas = edges.sigmas.copy()
+    sigmas[random.random(len(sigmas)) < 0.2] = random.choice([np.nan, np.inf, 0])
+    for regularize in (False, True):
+        curves = fit_curves(replace(edges, sigmas=sigmas), regularize=regularize)
+        assert np.isfinite(curves.frames).all() and np.isfinite(curves.spans).all()
+        assert np.isfinite(curves.control_points).all() and np.isfinite(curves.lengths()).all()
+        assert (np.diff(curves.ranges)[:, 0] >= 2).all()
