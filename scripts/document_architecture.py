@@ -48,6 +48,7 @@ LIBRARIES = {
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),
     "click": (
         "cli.errors",
+        "cli.export_command",
         "cli.flags",
         "cli.help",
         "cli.main",
@@ -57,6 +58,8 @@ LIBRARIES = {
     ),
     "rich": ("cli.terminal",),
     "distributed": ("runtime.executors",),
+    "ezdxf": ("export.dxf",),
+    "OCP": ("export.step",),
     "rerun": ("report.rerun_viewer",),
     "matplotlib": (),
 }

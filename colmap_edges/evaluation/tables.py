@@ -78,11 +78,26 @@ def edge_tables(record: dict[str, Any]) -> str:
         parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
         if "recall_by_views" in record["curves"]:
             parts.append(_visible_curve_table(record["curves"]))
+    if "kinds" in record:
+        parts.append(_kind_table(record["kinds"]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
     if "reprojection" in record:
         parts.append(_reprojection_table(record["reprojection"]))
     return "\n\n".join([*parts, _length_table(record["lengths"])])
+
+
+def _kind_table(errors: dict[str, Any]) -> str:
+    header = (
+        "true curves found",
+        "curves",
+        "times each is found",
+        "length of the right kind",
+        "radii within 1 %",
+        "median error of the radius",
+    )
+    names = ("num_true", "num_found", "times_found", "right_kind", "right_radius")
+    return markdown(header, [[*(errors[name] for name in names), errors["median_radius_error"]]])
 
 
 def _distance_table(errors: dict[str, Any]) -> str:

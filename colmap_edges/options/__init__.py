@@ -20,6 +20,7 @@ from colmap_edges.options.presets import METHODS, PRESETS, QUALITIES, chosen_pre
 from colmap_edges.options.resolving import of_later_rounds, of_pose_edges, recorded, resolved
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
+    CurvesOptions,
     LinkingOptions,
     RefinementOptions,
     TracingOptions,
@@ -34,6 +35,7 @@ __all__ = [
     "BundleAdjustmentOptions",
     "ChainDepthOptions",
     "CorrespondenceOptions",
+    "CurvesOptions",
     "DetectionOptions",
     "EdgeGraphOptions",
     "FollowingOptions",

@@ -281,3 +281,14 @@ class LinkingOptions(Options):
         TRIED,
         within=(0, 50),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvesOptions(Options):
+    """What edges are: lines, arcs, circles, ellipses, splines."""
+
+    regularize: bool = option(
+        False,
+        "Make lines and planes of arcs parallel, perpendicular and coplanar, and circles "
+        "concentric, where they are so within their standard deviations",
+    )

@@ -17,6 +17,7 @@ from colmap_edges.options.paper import (
 )
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
+    CurvesOptions,
     LinkingOptions,
     RefinementOptions,
     TracingOptions,
@@ -35,6 +36,7 @@ class PipelineOptions(Options):
     tracing: TracingOptions = field(default_factory=TracingOptions)
     linking: LinkingOptions = field(default_factory=LinkingOptions)
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    curves: CurvesOptions = field(default_factory=CurvesOptions)
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
     following: FollowingOptions = field(default_factory=FollowingOptions)

@@ -25,6 +25,7 @@ NOT_OF_TRACING = {
     "detection",
     "edge_graph",
     "bundle_adjustment",
+    "curves",
     "meshing",
     "use_edges",
     "report",

@@ -12,13 +12,15 @@ import numpy as np
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
-from colmap_edges.evaluation.metrics import clouds, curves, depth, edges, visible_curves
+from colmap_edges.evaluation.metrics import clouds, curves, depth, edges, kinds, visible_curves
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
 from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
+from colmap_edges.evaluation.readers.results import read_edges
 
 Record = dict[str, Any]
+THRESHOLDS = (0.005, 0.01, 0.02)  # of the longest side of the reference's box
 
 
 def evaluate_mesh(
@@ -181,10 +183,21 @@ def evaluate_edges(
             record["curves"] = asdict(
                 curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
             )
+            limit = min(thresholds) * (np.ptp(true.points, axis=0).max() if unit_size else 1.0)
+            record |= _against_kinds(edges_path, reference_path, float(limit))
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
         record["depth"] = _points_against_depth(points, input_path, references)
     return record
+
+
+def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> Record:
+    """How well kinds and radii are told, where the reference and the output folder tell them."""
+    true = kinds.true_curves(reference_path, threshold / kinds.SAMPLES)
+    if true is None or not (edges_path.parent / "edges.json").is_file():
+        return {}
+    found = read_edges(edges_path.parent).curves
+    return {"kinds": asdict(kinds.compare_kinds(found, true, threshold))}
 
 
 def _points_against_depth(
@@ -226,4 +239,4 @@ def _against_visible_curves(
 def default_thresholds(reference: Curves, unit_size: bool) -> list[float]:
     """0.005, 0.01 and 0.02 of the longest side of the reference's box."""
     side = 1.0 if unit_size else float(np.ptp(reference.points, axis=0).max())
-    return [share * side for share in (0.005, 0.01, 0.02)]
+    return [share * side for share in THRESHOLDS]
