@@ -139,6 +139,12 @@ class VisibilityOptions(Options):
         TRIED,
         within=(0, 90),
     )
+    max_rms_ratio: float = constant(
+        0.25,
+        "Largest root mean square reprojection error of a 3D edge, in parts of max_error_px",
+        "chains scatter by 0.3 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
+        within=(0.01, 1),
+    )
     min_views: int = option(
         4, "Smallest number of views of a 3D edge, whatever the median", within=(2, 100)
     )

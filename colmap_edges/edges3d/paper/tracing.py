@@ -49,7 +49,7 @@ def trace_edges_paper(
     edges, stats["starts"] = follow_edges(chains, pepcs, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}
     edges, stats["visibility"] = expand_visibility(edges, chains, options.visibility, num_threads)
-    edges, stats["outliers"] = filter_outliers(edges, options.visibility)
+    edges, stats["outliers"] = filter_outliers(edges, chains, options.visibility)
     edges = sample_edges(
         edges, chains, options.sampling, options.following.max_error_px, num_threads
     )

@@ -8,6 +8,8 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import rows_by_view
+from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.paper.observations import (
     ObservedPoints,
     edge_neighbours,
@@ -30,9 +32,10 @@ def expand_visibility(
     """Add observations of edge points in views where they were not found so far.
 
     A point gains the nearest place of a polyline when that is the only polyline within d_v of its
-    projection, runs along the projected edge, is also the one its neighbours on the 3D edge come
-    to lie on, and all observations together still triangulate within the error. Points are
-    triangulated anew from all their observations.
+    projection, runs along the projected edge with its bright side where the point's other views
+    have it, is also the one its neighbours on the 3D edge come to lie on, and all observations
+    together still triangulate within the error. Points are triangulated anew from all their
+    observations.
 
     Returns:
         The edges with longer tracks, and counts of candidates and of those added.
@@ -61,6 +64,7 @@ def further_observations(
     """Places on single near polylines that agree in direction and with the neighbours."""
     tangents = edge_tangents(edges)
     neighbours = edge_neighbours(edges)
+    sides = sides_of_points(edges, tangents, observed, chains)
     found, places = [np.zeros(0, np.int64)], []
     for index in range(len(chains.views)):
         seen = np.zeros(edges.num_points, bool)
@@ -70,7 +74,9 @@ def further_observations(
         points, of_points = near_in_view(
             edges.points, tangents, neighbours, index, chains, options, num_threads
         )
+        along = projected_directions(edges.points[points], tangents[points], chains.views[index])
         fresh = ~seen[points]
+        fresh &= bright_sides(along, of_points.positions, chains.graph(index)) == sides[points]
         found.append(points[fresh])
         places.append(of_points.select(fresh))
     return observations_at(np.concatenate(found), join_places(places), chains)
@@ -83,6 +89,29 @@ def edge_tangents(edges: Edges3D) -> FloatArray:
     start, end = np.where(before >= 0, before, index), np.where(after >= 0, after, index)
     tangents: FloatArray = edges.points[end] - edges.points[start]
     return tangents
+
+
+def bright_sides(directions: FloatArray, positions: FloatArray, graph: EdgeGraph) -> IntArray:
+    """(N,) +1 where the graph's chain at (N,) positions is bright to the left of (N, 2) directions.
+
+    Left is a quarter turn from x towards y; -1 where it is bright to the right.
+    """
+    normals = graph.normals[positions.astype(np.int64)]
+    turns = directions[:, 0] * normals[:, 1] - directions[:, 1] * normals[:, 0]
+    return np.where(turns >= 0, 1, -1)
+
+
+def sides_of_points(
+    edges: Edges3D, tangents: FloatArray, observed: ObservedPoints, chains: IndexedViews
+) -> IntArray:
+    """(N,) the bright side of each point on its 3D edge as most of its views see it, 0 for a tie."""
+    votes = np.zeros(edges.num_points, np.int64)
+    for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
+        points = observed.points[rows]
+        along = projected_directions(edges.points[points], tangents[points], chains.views[index])
+        np.add.at(votes, points, bright_sides(along, observed.positions[rows], chains.graph(index)))
+    sides: IntArray = np.sign(votes)
+    return sides
 
 
 def near_in_view(
@@ -198,21 +227,60 @@ def min_inlier_views(view_counts: IntArray, min_views: int) -> float:
     return max(float(min_views), float(np.median(view_counts)) / 2 + 1)
 
 
-def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D, dict[str, float]]:
-    """Drop what too few views see: stretches of 3D edges whose points have fewer than k_v.
+def filter_outliers(
+    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions
+) -> tuple[Edges3D, dict[str, float]]:
+    """Drop 3D edges that are likely wrong, whole.
 
-    An edge is cut where points fall out; single points left over are dropped too.
+    Those whose points have fewer than k_v views in the median, and those whose observations do
+    not lie around them as the noise of chains does, but are spread over the tolerance as the
+    places of unrelated chains are: with a root mean square error above `max_rms_ratio` of it.
     """
     views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
-    kept = keep_points(edges, views >= threshold)
+    seen = medians_of_edges(views, edges) >= threshold
+    exact = rms_errors(edges, chains) <= options.max_rms_ratio * options.max_error_px
+    kept = keep_points(edges, (seen & exact)[edges.edge_ids])
     return kept, {
         "min_views": threshold,
         "points_before": edges.num_points,
         "points_after": kept.num_points,
         "edges_before": edges.num_edges,
+        "edges_of_few_views": int(np.count_nonzero(~seen)),
+        "edges_of_large_errors": int(np.count_nonzero(seen & ~exact)),
         "edges_after": kept.num_edges,
     }
+
+
+def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
+    """(E,) median over the points of each edge of (N,) values; 0 for edges without points."""
+    order = np.lexsort((values, edges.edge_ids))
+    counts = np.diff(edges.edge_offsets)
+    low = edges.edge_offsets[:-1] + np.maximum(counts - 1, 0) // 2
+    high = edges.edge_offsets[:-1] + counts // 2
+    medians = np.zeros(edges.num_edges)
+    filled = counts > 0
+    of_both = values[order[low[filled]]] + values[order[high[filled]]]
+    medians[filled] = of_both / 2
+    return medians
+
+
+def rms_errors(edges: Edges3D, chains: IndexedViews) -> FloatArray:
+    """(E,) root mean square distance of each edge's points from the chains of its views, pixels.
+
+    Across the chains: how far a point lies from its observation along a chain says nothing.
+    """
+    observed = observations_of(edges, chains)
+    errors = np.full(len(observed.points), np.nan)
+    for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
+        projected, _ = chains.views[index].project_ideal(edges.points[observed.points[rows]])
+        offsets = projected - observed.ideal[rows]
+        errors[rows] = np.einsum("ij,ij->i", offsets, observed.normals[rows])
+    ids = edges.edge_ids[observed.points]
+    counts = np.bincount(ids, minlength=edges.num_edges)
+    sums = np.bincount(ids, weights=errors**2, minlength=edges.num_edges)
+    rms: FloatArray = np.sqrt(sums / np.maximum(counts, 1))
+    return rms
 
 
 def keep_points(edges: Edges3D, keep: BoolArray) -> Edges3D:

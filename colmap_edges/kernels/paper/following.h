@@ -110,9 +110,11 @@ class EdgeTracer {
   }
 
  private:
-  // A candidate and the point where its ray meets the start's, with the inverse of its distance.
+  // A candidate, the way in which its chain runs where the start's runs with its points, the point
+  // where its ray meets the start's, and the inverse of its distance.
   struct Candidate {
     Place at;
+    int sign;
     Vec3 point;
     double inverse_distance;
   };
@@ -152,7 +154,31 @@ class EdgeTracer {
     return defined ? SineTo(line, at) : 0;
   }
 
+  // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the right.
+  int BrightSide(Place at) const {
+    const EdgeIndex& chains = ChainsAt(at);
+    const int64_t i = int64_t(at.position);
+    const Vec2 tangent = chains.tangent(i), normal = chains.normal(i);
+    return Cross(tangent, normal) >= 0 ? 1 : -1;
+  }
+
+  // Whether two strands have their bright sides on the same side of the 3D edge.
+  bool SameBrightSide(const Strand& a, const Strand& b) const {
+    return a.sign * BrightSide(a.at) == b.sign * BrightSide(b.at);
+  }
+
+  // The way in which the chain at `at` runs where that at `start` runs with its points: both leave
+  // the epipolar plane to the same side.
+  int SignAlong(Place start, Place at, const Vec3& epipolar_normal) const {
+    const auto leaves = [&](Place place) {
+      const Vec2 tangent = ChainsAt(place).tangent(int64_t(place.position));
+      return Dot(epipolar_normal, ViewAt(place).RotateBack({tangent.x, tangent.y, 0})) >= 0;
+    };
+    return leaves(start) == leaves(at) ? 1 : -1;
+  }
+
   // Groups well-conditioned candidates by view and puts the best-conditioned views first.
+  // Candidates whose bright side is on the other side of the 3D edge are of another edge.
   std::vector<CandidateView> RankViews(Place start, const Place* candidates,
                                        int64_t num_candidates) const {
     std::vector<CandidateView> groups;
@@ -163,13 +189,17 @@ class EdgeTracer {
       const double sine = std::min(EpipolarSine(start, at), EpipolarSine(at, start));
       const double parallax = Norm(Cross(ray, ViewAt(at).Ray(PixelAt(at))));
       if (sine < settings_.min_epipolar_sine) continue;
+      const int sign =
+          SignAlong(start, at, Cross(ViewAt(at).center - ViewAt(start).center, ray));
+      if (!SameBrightSide({start, 1}, {at, sign})) continue;
       const std::array<Sighting, 2> pair = {SightingOf(start), SightingOf(at)};
       Vec3 point;
       if (!Triangulate(pair.data(), 2, &point)) continue;
       if (at.view != view) groups.push_back({at.view, {}, 0});
       view = at.view;
       const double score = sine * std::min(1.0, parallax / settings_.full_triangulation_sine);
-      groups.back().candidates.push_back({at, point, 1 / Norm(point - ViewAt(start).center)});
+      groups.back().candidates.push_back(
+          {at, sign, point, 1 / Norm(point - ViewAt(start).center)});
       groups.back().score = std::max(groups.back().score, score);
     }
     for (CandidateView& group : groups) {
@@ -200,9 +230,10 @@ class EdgeTracer {
       const auto [begin, end] = MayAgree(first, a, b);
       for (size_t k = begin; k < end; ++k) {
         Selection selection;
-        selection.strands = {{start, 1}, {first.at, 0}, {b.candidates[k].at, 0}};
+        const Candidate& second = b.candidates[k];
+        selection.strands = {{start, 1}, {first.at, first.sign}, {second.at, second.sign}};
         if (!TriangulateStrands(selection.strands, &selection.point, &selection.error) ||
-            selection.error > settings_.max_error_px || !MatchDirections(&selection)) {
+            selection.error > settings_.max_error_px || !CanFollow(selection)) {
           continue;
         }
         if (!best->strands.empty() && !SamePoint(selection, *best)) return 2;
@@ -255,26 +286,16 @@ class EdgeTracer {
     return settings_.max_step_ratio * settings_.step_px * std::max(1.0, other_scale / leader_scale);
   }
 
-  // Finds the directions of the strands that belong together: one step along the leader, the first
-  // crossing each way on the others, the combination that triangulates best. True when at least
-  // min_steps (1 or 2: one or both directions) work.
-  bool MatchDirections(Selection* selection) const {
-    std::array<StepResult, 2> steps;
-    for (int k = 0; k < 2; ++k) FirstStep(*selection, k == 0 ? 1 : -1, &steps[k]);
-    if (steps[0].strands.empty() && steps[1].strands.empty()) return false;
-    const int base = steps[0].error <= steps[1].error ? 0 : 1;
-    const int lead = base == 0 ? 1 : -1;
-    for (size_t i = 0; i < selection->strands.size(); ++i) {
-      selection->strands[i].sign = lead * steps[base].strands[i].sign;
-    }
-    int valid = 1;
-    if (settings_.min_steps > 1) {
-      std::vector<Strand> strands = selection->strands;
-      if (base == 0) Reverse(&strands);
+  // Whether at least min_steps (1 or 2: one or both directions) can be walked from a selection.
+  bool CanFollow(const Selection& selection) const {
+    std::vector<Strand> strands = selection.strands;
+    int valid = 0;
+    for (int way = 0; way < 2; ++way, Reverse(&strands)) {
       StepResult step;
-      valid += Step(strands, selection->point, &step);
+      valid += Step(strands, selection.point, &step);
+      if (valid + 1 - way < settings_.min_steps) return false;
     }
-    return valid >= std::min(settings_.min_steps, 2);
+    return valid >= settings_.min_steps;
   }
 
   static void Reverse(std::vector<Strand>* strands) {
@@ -286,35 +307,11 @@ class EdgeTracer {
     return Walk(ChainsAt(from), from.position, sign, settings_.step_px, &to->position);
   }
 
-  // One step of the leader with `sign`, all combinations of directions of the other two strands.
-  void FirstStep(const Selection& selection, int sign, StepResult* best) const {
-    Place lead;
-    if (!Step(selection.strands[0].at, sign, &lead)) return;
-    std::array<std::vector<Strand>, 2> next;
-    for (int k = 0; k < 2; ++k) {
-      for (const int direction : {1, -1}) {
-        Strand strand{selection.strands[k + 1].at, direction};
-        if (MoveToLine(lead, selection.point, &strand)) next[k].push_back(strand);
-      }
-    }
-    for (const Strand& a : next[0]) {
-      for (const Strand& b : next[1]) {
-        StepResult step;
-        step.strands = {{lead, sign}, a, b};
-        if (TriangulateStrands(step.strands, &step.point, &step.error) &&
-            step.error <= settings_.max_error_px &&
-            Plausible(selection.point, step.point, step.strands) && step.error < best->error) {
-          *best = step;
-        }
-      }
-    }
-  }
-
   // Moves a strand to its first crossing with the epipolar line of the leader's new place.
-  bool MoveToLine(Place lead, const Vec3& point, Strand* strand) const {
+  bool MoveToLine(const Strand& lead, const Vec3& point, Strand* strand) const {
     Line2D line;
-    const PinholeView &from = ViewAt(lead), &to = ViewAt(strand->at);
-    if (!EpipolarLine(from, to, PixelAt(lead), &line)) return false;
+    const PinholeView &from = ViewAt(lead.at), &to = ViewAt(strand->at);
+    if (!EpipolarLine(from, to, PixelAt(lead.at), &line)) return false;
     Place at = strand->at;
     if (!FirstCrossing(ChainsAt(at), at.position, strand->sign, line, Reach(from, to, point),
                        &at.position) ||
@@ -322,7 +319,7 @@ class EdgeTracer {
       return false;
     }
     strand->at = at;
-    return true;
+    return SameBrightSide(lead, *strand);
   }
 
   // False for a 3D step much longer than what a view sees of it: an edge towards the camera, in
@@ -348,7 +345,7 @@ class EdgeTracer {
       step->strands = {{lead, strands[leader].sign}};
       for (size_t i = leader + 1; i < strands.size(); ++i) {
         Strand strand = strands[i];
-        if (MoveToLine(lead, point, &strand)) step->strands.push_back(strand);
+        if (MoveToLine(step->strands[0], point, &strand)) step->strands.push_back(strand);
       }
       if (Reconcile(step) && Plausible(point, step->point, step->strands)) return true;
     }
@@ -386,17 +383,11 @@ class EdgeTracer {
           continue;
         }
         Selection extended = *selection;
-        extended.strands.push_back({at, 0});
-        if (!TriangulateStrands(extended.strands, &extended.point, &extended.error) ||
-            extended.error > settings_.max_error_px || extended.error >= best.error) {
-          continue;
-        }
-        for (const int sign : {1, -1}) {
-          extended.strands.back().sign = sign;
-          if (FitsSteps(extended.strands.back(), steps, stepped)) {
-            best = extended;
-            break;
-          }
+        extended.strands.push_back({at, candidate.sign});
+        if (TriangulateStrands(extended.strands, &extended.point, &extended.error) &&
+            extended.error <= settings_.max_error_px && extended.error < best.error &&
+            FitsSteps(extended.strands.back(), steps, stepped)) {
+          best = extended;
         }
       }
       if (!best.strands.empty()) *selection = best;
@@ -416,7 +407,7 @@ class EdgeTracer {
       if (!stepped[k]) continue;
       Strand next{strand.at, k == 0 ? strand.sign : -strand.sign};
       Vec2 pixel;
-      if (MoveToLine(steps[k].strands[0].at, steps[k].point, &next) &&
+      if (MoveToLine(steps[k].strands[0], steps[k].point, &next) &&
           ViewAt(next.at).Project(steps[k].point, &pixel)) {
         fits += Norm(pixel - PixelAt(next.at)) <= settings_.max_error_px;
       }
