@@ -107,9 +107,10 @@ class FollowingOptions(Options):
     min_steps: int = constant(
         2, "Directions that must be followable from a start (1 or 2)", TRIED, within=(1, 2)
     )
-    max_view_triples: int = constant(
+    max_selections: int = constant(
         3,
-        "Triples of views tried, best conditioned first, until a selection is valid",
+        "Selections tried until one is valid, those that most views agree with first, and triples "
+        "of views tried for each, best conditioned first",
         TRIED,
         within=(1, 100),
     )

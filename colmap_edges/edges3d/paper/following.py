@@ -28,10 +28,12 @@ def follow_edges(
 ) -> tuple[Edges3D, dict[str, int]]:
     """Turn PEPCs into 3D edges.
 
-    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried: valid
-    is one that triangulates and can be followed. A PEPC with exactly one valid selection (those
-    that are one 3D point count as one) is extended to further views and followed both ways in all
-    its views at once. Starts on stretches that an earlier 3D edge covers are skipped.
+    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried, those
+    first that candidates of most other views agree with: valid is one that triangulates and can be
+    followed. A PEPC with exactly one valid selection (those that are one 3D point count as one, and
+    those do not count that two views fewer agree with) is extended to further views and followed
+    both ways in all its views at once. Starts on stretches that an earlier 3D edge covers are
+    skipped.
 
     Returns:
         3D edges with points about `step_px` apart, and the number of starts by outcome.
@@ -51,7 +53,7 @@ def follow_edges(
         options.max_stretch,
         MIN_SELECTION_VIEWS,
         options.min_steps,
-        options.max_view_triples,
+        options.max_selections,
         num_threads,
     )
     places = Places(views=views, positions=positions)

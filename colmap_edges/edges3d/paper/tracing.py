@@ -21,7 +21,11 @@ from colmap_edges.edges3d.paper.following import follow_edges
 from colmap_edges.edges3d.paper.matching import match_polylines
 from colmap_edges.edges3d.paper.places import IndexedViews, index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
-from colmap_edges.edges3d.paper.visibility import expand_visibility, filter_outliers
+from colmap_edges.edges3d.paper.visibility import (
+    drop_doubtful_views,
+    expand_visibility,
+    filter_outliers,
+)
 from colmap_edges.options import PipelineOptions
 
 logger = logging.getLogger(__name__)
@@ -49,6 +53,7 @@ def trace_edges_paper(
     edges, stats["starts"] = follow_edges(chains, pepcs, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}
     edges, stats["visibility"] = expand_visibility(edges, chains, options.visibility, num_threads)
+    edges, stats["doubtful_views"] = drop_doubtful_views(edges, chains, options.visibility)
     edges, stats["outliers"] = filter_outliers(edges, chains, options.visibility)
     edges = sample_edges(
         edges, chains, options.sampling, options.following.max_error_px, num_threads

@@ -25,6 +25,9 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
+MIN_VIEW_POINTS = 3  # of an edge that a view observes: a point and both its neighbours
+MIN_VIEW_SHARE = 1 / 3  # of an edge's points that a view observes; set by trial
+
 
 def expand_visibility(
     edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
@@ -266,21 +269,57 @@ def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
 
 
 def rms_errors(edges: Edges3D, chains: IndexedViews) -> FloatArray:
-    """(E,) root mean square distance of each edge's points from the chains of its views, pixels.
+    """(E,) root mean square distance of each edge's points from the chains of its views, pixels."""
+    errors = errors_across(edges, chains)
+    return rms_of_groups(errors, edges.edge_ids[edges.observations.points], edges.num_edges)
 
-    Across the chains: how far a point lies from its observation along a chain says nothing.
-    """
-    observed = observations_of(edges, chains)
-    errors = np.full(len(observed.points), np.nan)
-    for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
-        projected, _ = chains.views[index].project_ideal(edges.points[observed.points[rows]])
-        offsets = projected - observed.ideal[rows]
-        errors[rows] = np.einsum("ij,ij->i", offsets, observed.normals[rows])
-    ids = edges.edge_ids[observed.points]
-    counts = np.bincount(ids, minlength=edges.num_edges)
-    sums = np.bincount(ids, weights=errors**2, minlength=edges.num_edges)
+
+def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> FloatArray:
+    """(num_groups,) root mean square of the (T,) errors of each group; 0 of empty ones."""
+    counts = np.bincount(groups, minlength=num_groups)
+    sums = np.bincount(groups, weights=errors**2, minlength=num_groups)
     rms: FloatArray = np.sqrt(sums / np.maximum(counts, 1))
     return rms
+
+
+def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
+    """(T,) distances in pixels of points from their observations, across the chains; NaN behind.
+
+    How far a point lies from its observation along a chain says nothing.
+    """
+    observed = edges.observations
+    errors = np.full(len(observed.views), np.nan)
+    for index, rows in observed.by_view():
+        view, points = chains.views[index], edges.points[observed.points[rows]]
+        offsets = view.project_ideal(points)[0] - view.ideal_from_image(observed.pixels[rows])
+        errors[rows] = np.einsum("ij,ij->i", offsets, observed.normals[rows])
+    return errors
+
+
+def drop_doubtful_views(
+    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions
+) -> tuple[Edges3D, dict[str, int]]:
+    """Leave out the views of a 3D edge that see it by chance, as those do that it is hidden from.
+
+    Chains that cross its projection there are near it for a short stretch and do not follow it: a
+    view stays that observes three points of an edge and a third of them, within a root mean square
+    error of `max_rms_ratio` of the tolerance.
+    """
+    observed = edges.observations
+    ids = edges.edge_ids[observed.points]
+    pairs, inverse = np.unique(ids * len(chains.views) + observed.views, return_inverse=True)
+    counts = np.bincount(inverse, minlength=len(pairs))
+    lengths = np.diff(edges.edge_offsets)[pairs // len(chains.views)]
+    rms = rms_of_groups(errors_across(edges, chains), inverse, len(pairs))
+    sure = rms <= options.max_rms_ratio * options.max_error_px
+    sure &= counts >= np.minimum(MIN_VIEW_POINTS, lengths)
+    sure &= counts >= MIN_VIEW_SHARE * lengths
+    kept = replace(edges, observations=observed.keep(sure[inverse]))
+    return kept, {
+        "views_of_edges": len(pairs),
+        "views_of_edges_kept": int(np.count_nonzero(sure)),
+        "observations_kept": len(kept.observations.views),
+    }
 
 
 def keep_points(edges: Edges3D, keep: BoolArray) -> Edges3D:

@@ -5,6 +5,7 @@
 
 #include "common/arrays.h"
 #include "common/parallel.h"
+#include "paper/agreement.h"
 #include "paper/correspondences.h"
 #include "paper/following.h"
 #include "paper/places.h"
@@ -109,6 +110,27 @@ nb::tuple CandidatesInSpheresArrays(const Views& views, Ints start_views, Double
   return ToPlaceArrays(std::move(offsets), all);
 }
 
+nb::tuple AgreedDepthsArrays(Doubles lows, Doubles highs, Ints of_views, int min_views) {
+  const size_t count = lows.size();
+  Require(highs.size() == count && of_views.size() == count,
+          "lows, highs and views differ in number");
+  std::vector<DepthInterval> intervals(count);
+  for (size_t i = 0; i < count; ++i) {
+    Require(of_views(i) >= 0, "views must not be negative");
+    intervals[i] = {lows(i), highs(i), of_views(i)};
+  }
+  std::vector<AgreedDepth> agreed;
+  FindAgreement(intervals, min_views, &agreed);
+  std::vector<double> inverse_distances;
+  std::vector<int32_t> num_views;
+  for (const AgreedDepth& depth : agreed) {
+    inverse_distances.push_back(depth.inverse_distance), num_views.push_back(depth.num_views);
+  }
+  const size_t total = agreed.size();
+  return nb::make_tuple(ToArray(std::move(inverse_distances), {total}),
+                        ToArray(std::move(num_views), {total}));
+}
+
 // Runs of the polylines of each label, by view and ascending: CSR. Labels are of the polylines of
 // all views.
 std::vector<int64_t> RunsOfLabels(const Views& views, const Ints& labels,
@@ -186,7 +208,7 @@ nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_p
                            Longs offsets, Ints candidate_views, Doubles candidate_positions,
                            double step_px, double max_error_px, double max_step_ratio,
                            double min_epipolar_sine, double full_triangulation_sine,
-                           double max_stretch, int min_views, int min_steps, int max_triples,
+                           double max_stretch, int min_views, int min_steps, int max_selections,
                            int num_threads) {
   const std::vector<Place> starts = ToPlaces(views, start_views, start_positions);
   const std::vector<Place> candidates = ToPlaces(views, candidate_views, candidate_positions);
@@ -195,7 +217,7 @@ nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_p
   Require(min_views >= 3, "min_views must be at least 3");
   const FollowSettings settings = {
       step_px,     max_error_px, max_step_ratio, min_epipolar_sine, full_triangulation_sine,
-      max_stretch, min_views,    min_steps,      max_triples};
+      max_stretch, min_views,    min_steps,      max_selections};
   std::vector<StartOutcome> outcomes;
   std::vector<Edge3D> edges;
   {
@@ -220,10 +242,12 @@ void BindPaper(nb::module_& m) {
   m.def("candidates_in_pecs", &CandidatesInPecsArrays, "indexes"_a, "start_views"_a,
         "start_positions"_a, "labels"_a, "depth_ranges"_a, "num_threads"_a,
         "Candidates of starts on polylines of equal label: CSR offsets, views, positions.");
+  m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
+        "Where intervals of most views overlap: inverse distances and numbers of views.");
   m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "start_views"_a, "start_positions"_a,
         "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a, "max_error_px"_a,
         "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a, "max_stretch"_a,
-        "min_views"_a, "min_steps"_a, "max_triples"_a, "num_threads"_a,
+        "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
         "3D edges of PEPCs: points, edge offsets, closed, track offsets, track views and "
         "positions, and the outcome of each start.");
 }

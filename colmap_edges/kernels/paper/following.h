@@ -11,6 +11,7 @@
 
 #include "common/geometry.h"
 #include "common/parallel.h"
+#include "paper/agreement.h"
 #include "paper/places.h"
 
 namespace colmap_edges {
@@ -24,7 +25,7 @@ struct FollowSettings {
   double max_stretch;              // longest 3D step, in steps seen frontally
   int min_views;                   // views that must see every edge point
   int min_steps;                   // steps that make a selection a valid 3D edge
-  int max_triples;                 // triples of views tried for a start
+  int max_selections;              // selections, and triples of views of one, that are tried
 };
 
 enum class StartOutcome : uint8_t {
@@ -85,43 +86,27 @@ class EdgeTracer {
   StartOutcome Trace(Place start, const Place* candidates, int64_t num_candidates,
                      Edge3D* edge) const {
     if (IsCovered(start, covered_)) return StartOutcome::kCovered;
-    const std::vector<CandidateView> groups = RankViews(start, candidates, num_candidates);
-    if (groups.size() < 2) return StartOutcome::kTooFewViews;
-    int tried = 0;
-    for (size_t sum = 1; sum < 2 * groups.size() && tried < settings_.max_triples; ++sum) {
-      // Pairs (i, j), i < j, best scores first: (0,1), (0,2), (0,3), (1,2), ...
-      for (size_t i = 0; 2 * i < sum && tried < settings_.max_triples; ++i) {
-        const size_t j = sum - i;
-        if (j >= groups.size()) continue;
-        ++tried;
-        Selection selection;
-        const int found = SelectUnique(start, groups[i], groups[j], &selection);
-        if (found > 1) return StartOutcome::kAmbiguous;
-        if (found == 0) continue;
-        Extend(groups, &selection);
-        if (MostlyCovered(MakePoint(selection.point, selection.strands).track, covered_))
-          return StartOutcome::kDuplicate;
-        Follow(selection, edge);
-        return int(edge->points.size()) > settings_.min_steps ? StartOutcome::kAccepted
-                                                              : StartOutcome::kInvalid;
-      }
-    }
-    return StartOutcome::kInvalid;
+    const std::vector<Candidate> usable = UsableCandidates(start, candidates, num_candidates);
+    if (usable.empty() || usable.back().group < 1) return StartOutcome::kTooFewViews;
+    Selection selection;
+    const int found = SelectUnique(start, usable, &selection);
+    if (found != 1) return found ? StartOutcome::kAmbiguous : StartOutcome::kInvalid;
+    Extend(usable, &selection);
+    if (MostlyCovered(MakePoint(selection.point, selection.strands).track, covered_))
+      return StartOutcome::kDuplicate;
+    Follow(selection, edge);
+    return int(edge->points.size()) > settings_.min_steps ? StartOutcome::kAccepted
+                                                          : StartOutcome::kInvalid;
   }
 
  private:
-  // A candidate, the way in which its chain runs where the start's runs with its points, the point
-  // where its ray meets the start's, and the inverse of its distance.
+  // A candidate, the way in which its chain runs where the start's runs with its points, where the
+  // start's ray meets it, and how well conditioned that is.
   struct Candidate {
     Place at;
+    int32_t group;  // its view, counted among those of the start's candidates
     int sign;
-    Vec3 point;
-    double inverse_distance;
-  };
-  struct CandidateView {
-    int32_t view;
-    std::vector<Candidate> candidates;  // by inverse distance
-    double score = 0;
+    double inverse_distance, px_per_inverse, score;
   };
   // Strands of one 3D edge point; the first is the leading view's. Signs are those of the
   // direction in which the leading strand walks with its points.
@@ -147,13 +132,6 @@ class EdgeTracer {
     return std::abs(line.a * tangent.x + line.b * tangent.y);
   }
 
-  // Sine of the angle between the chain at `at` and the epipolar line of `other` there.
-  double EpipolarSine(Place at, Place other) const {
-    Line2D line;
-    const bool defined = EpipolarLine(ViewAt(other), ViewAt(at), PixelAt(other), &line);
-    return defined ? SineTo(line, at) : 0;
-  }
-
   // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the right.
   int BrightSide(Place at) const {
     const EdgeIndex& chains = ChainsAt(at);
@@ -177,39 +155,44 @@ class EdgeTracer {
     return leaves(start) == leaves(at) ? 1 : -1;
   }
 
-  // Groups well-conditioned candidates by view and puts the best-conditioned views first.
-  // Candidates whose bright side is on the other side of the 3D edge are of another edge.
-  std::vector<CandidateView> RankViews(Place start, const Place* candidates,
-                                       int64_t num_candidates) const {
-    std::vector<CandidateView> groups;
+  // The well-conditioned candidates, by view. Those whose bright side is on the other side of the
+  // 3D edge are of another edge.
+  std::vector<Candidate> UsableCandidates(Place start, const Place* candidates,
+                                          int64_t num_candidates) const {
+    std::vector<Candidate> usable;
+    const PinholeView& from = ViewAt(start);
+    const Vec3 ray = from.Ray(PixelAt(start));
     int32_t view = -1;
-    const Vec3 ray = ViewAt(start).Ray(PixelAt(start));
+    bool defined = false;
+    Line2D line{}, back{};
+    Vec3 epipolar_normal;
     for (int64_t i = 0; i < num_candidates; ++i) {
       const Place at = candidates[i];
-      const double sine = std::min(EpipolarSine(start, at), EpipolarSine(at, start));
-      const double parallax = Norm(Cross(ray, ViewAt(at).Ray(PixelAt(at))));
-      if (sine < settings_.min_epipolar_sine) continue;
-      const int sign =
-          SignAlong(start, at, Cross(ViewAt(at).center - ViewAt(start).center, ray));
-      if (!SameBrightSide({start, 1}, {at, sign})) continue;
-      const std::array<Sighting, 2> pair = {SightingOf(start), SightingOf(at)};
-      Vec3 point;
-      if (!Triangulate(pair.data(), 2, &point)) continue;
-      if (at.view != view) groups.push_back({at.view, {}, 0});
-      view = at.view;
-      const double score = sine * std::min(1.0, parallax / settings_.full_triangulation_sine);
-      groups.back().candidates.push_back(
-          {at, sign, point, 1 / Norm(point - ViewAt(start).center)});
-      groups.back().score = std::max(groups.back().score, score);
+      const PinholeView& to = ViewAt(at);
+      if (at.view != view) {  // all candidates of a view have the same epipolar plane
+        view = at.view;
+        defined = EpipolarLine(from, to, PixelAt(start), &line) &&
+                  EpipolarLine(to, from, PixelAt(at), &back) &&
+                  SineTo(back, start) >= settings_.min_epipolar_sine;
+        epipolar_normal = Cross(to.center - from.center, ray);
+      }
+      const double sine = defined ? SineTo(line, at) : 0;
+      if (!defined || sine < settings_.min_epipolar_sine) continue;
+      const int sign = SignAlong(start, at, epipolar_normal);
+      Candidate candidate{at, 0, sign, 0, 0, 0};
+      if (!SameBrightSide({start, 1}, {at, sign}) ||
+          !MeetRay(from.center, ray, to, PixelAt(at), &candidate.inverse_distance,
+                   &candidate.px_per_inverse)) {
+        continue;
+      }
+      const double parallax = Norm(Cross(ray, to.Ray(PixelAt(at))));
+      candidate.score = std::min(sine, SineTo(back, start)) *
+                        std::min(1.0, parallax / settings_.full_triangulation_sine);
+      if (!usable.empty())
+        candidate.group = usable.back().group + (usable.back().at.view != view);
+      usable.push_back(candidate);
     }
-    for (CandidateView& group : groups) {
-      std::stable_sort(
-          group.candidates.begin(), group.candidates.end(),
-          [](const auto& a, const auto& b) { return a.inverse_distance < b.inverse_distance; });
-    }
-    std::stable_sort(groups.begin(), groups.end(),
-                     [](const auto& a, const auto& b) { return a.score > b.score; });
-    return groups;
+    return usable;
   }
 
   bool TriangulateStrands(const std::vector<Strand>& strands, Vec3* point, double* error,
@@ -223,48 +206,70 @@ class EdgeTracer {
     return true;
   }
 
-  // Number of different valid selections (at most 2) on three views; keeps the best of the first.
-  int SelectUnique(Place start, const CandidateView& a, const CandidateView& b,
-                   Selection* best) const {
-    for (const Candidate& first : a.candidates) {
-      const auto [begin, end] = MayAgree(first, a, b);
-      for (size_t k = begin; k < end; ++k) {
-        Selection selection;
-        const Candidate& second = b.candidates[k];
-        selection.strands = {{start, 1}, {first.at, first.sign}, {second.at, second.sign}};
-        if (!TriangulateStrands(selection.strands, &selection.point, &selection.error) ||
-            selection.error > settings_.max_error_px || !CanFollow(selection)) {
-          continue;
-        }
-        if (!best->strands.empty() && !SamePoint(selection, *best)) return 2;
-        if (selection.error < best->error) *best = selection;
-      }
+  // Number of valid selections (at most 2), of which `best` becomes the one that most views agree
+  // with. Others count that all but one as many agree with.
+  int SelectUnique(Place start, const std::vector<Candidate>& usable, Selection* best) const {
+    thread_local std::vector<DepthInterval> intervals;
+    thread_local std::vector<AgreedDepth> agreed;
+    intervals.clear();
+    for (const Candidate& candidate : usable) {
+      const double slack = settings_.max_error_px / candidate.px_per_inverse;
+      intervals.push_back({candidate.inverse_distance - slack, candidate.inverse_distance + slack,
+                           candidate.group});
     }
-    return best->strands.empty() ? 0 : 1;
+    FindAgreement(intervals, settings_.min_views - 1, &agreed);
+    int tried = 0, num_views = 0;
+    for (const AgreedDepth& depth : agreed) {
+      const bool found = num_views > 0;
+      if (found ? depth.num_views + 1 < num_views : tried++ == settings_.max_selections) break;
+      Selection selection;
+      if (!SelectAt(start, usable, depth.inverse_distance, &selection)) continue;
+      if (found && !SamePoint(selection, *best)) return 2;
+      if (!found) *best = selection, num_views = depth.num_views;
+    }
+    return num_views > 0;
   }
 
-  // The range of candidates of view b that may triangulate with a candidate of view a: a cheap
-  // necessary test. The point of the start and one candidate must project near the other, within
-  // a slack for the error that triangulation may spread over the three views.
-  std::pair<size_t, size_t> MayAgree(const Candidate& first, const CandidateView& a,
-                                     const CandidateView& b) const {
-    const PinholeView &view_a = views_[a.view]->pose(), &view_b = views_[b.view]->pose();
-    const Vec2 pixel_a = PixelAt(first.at);
-    Vec2 expected;
-    const bool projects = view_b.Project(first.point, &expected);
-    const double slack = 4 * settings_.max_error_px;
-    const auto agrees = [&](const Candidate& second) {
-      Vec2 pixel;
-      return (projects && Norm(PixelAt(second.at) - expected) <= slack) ||
-             (view_a.Project(second.point, &pixel) && Norm(pixel - pixel_a) <= slack);
+  // The first valid selection, of the start and the best conditioned two of the candidates, one a
+  // view, that come nearest to a point of the start's ray. False when there is none.
+  bool SelectAt(Place start, const std::vector<Candidate>& usable, double inverse_distance,
+                Selection* selection) const {
+    std::vector<const Candidate*> near = NearestOfViews(usable, inverse_distance);
+    std::stable_sort(near.begin(), near.end(),
+                     [](const auto* a, const auto* b) { return a->score > b->score; });
+    int tried = 0;
+    for (size_t sum = 1; sum + 2 <= 2 * near.size(); ++sum) {
+      // Pairs (i, j), i < j, best scores first: (0,1), (0,2), (0,3), (1,2), ...
+      for (size_t i = 0; 2 * i < sum; ++i) {
+        if (sum - i >= near.size()) continue;
+        if (tried++ == settings_.max_selections) return false;
+        const Candidate &a = *near[i], &b = *near[sum - i];
+        selection->strands = {{start, 1}, {a.at, a.sign}, {b.at, b.sign}};
+        if (TriangulateStrands(selection->strands, &selection->point, &selection->error) &&
+            selection->error <= settings_.max_error_px && CanFollow(*selection)) {
+          return true;
+        }
+      }
+    }
+    return false;
+  }
+
+  // Of each view that allows a point of the start's ray the candidate nearest to it.
+  std::vector<const Candidate*> NearestOfViews(const std::vector<Candidate>& usable,
+                                               double inverse_distance) const {
+    std::vector<const Candidate*> nearest;
+    const auto distance = [&](const Candidate& candidate) {
+      return std::abs(candidate.inverse_distance - inverse_distance) * candidate.px_per_inverse;
     };
-    const auto nearest = std::lower_bound(
-        b.candidates.begin(), b.candidates.end(), first.inverse_distance,
-        [](const Candidate& c, double value) { return c.inverse_distance < value; });
-    size_t begin = nearest - b.candidates.begin(), end = begin;
-    while (begin > 0 && agrees(b.candidates[begin - 1])) --begin;
-    while (end < b.candidates.size() && agrees(b.candidates[end])) ++end;
-    return {begin, end};
+    for (const Candidate& candidate : usable) {
+      if (distance(candidate) > settings_.max_error_px) continue;
+      if (nearest.empty() || nearest.back()->group != candidate.group) {
+        nearest.push_back(&candidate);
+      } else if (distance(candidate) < distance(*nearest.back())) {
+        nearest.back() = &candidate;
+      }
+    }
+    return nearest;
   }
 
   // Whether two selections are one 3D point as far as the views of the first can tell.
@@ -364,7 +369,7 @@ class EdgeTracer {
   }
 
   // Adds the candidates of further views that fit the point and the directions of its edge.
-  void Extend(const std::vector<CandidateView>& groups, Selection* selection) const {
+  void Extend(const std::vector<Candidate>& usable, Selection* selection) const {
     std::array<StepResult, 2> steps;
     std::array<bool, 2> stepped;
     for (int k = 0; k < 2; ++k) {
@@ -372,18 +377,19 @@ class EdgeTracer {
       if (k == 1) Reverse(&strands);
       stepped[k] = Step(strands, selection->point, &steps[k]);
     }
-    for (const CandidateView& group : groups) {
+    for (size_t i = 0; i < usable.size();) {
       Selection best;
-      if (SeenFrom(group.view, selection->strands)) continue;
-      for (const Candidate& candidate : group.candidates) {
-        const Place at = candidate.at;
+      const int32_t view = usable[i].at.view;
+      const bool seen = SeenFrom(view, selection->strands);
+      for (; i < usable.size() && usable[i].at.view == view; ++i) {
+        const Place at = usable[i].at;
         Vec2 pixel;
-        if (!ViewAt(at).Project(selection->point, &pixel) ||
+        if (seen || !ViewAt(at).Project(selection->point, &pixel) ||
             Norm(pixel - PixelAt(at)) > 4 * settings_.max_error_px) {
           continue;
         }
         Selection extended = *selection;
-        extended.strands.push_back({at, candidate.sign});
+        extended.strands.push_back({at, usable[i].sign});
         if (TriangulateStrands(extended.strands, &extended.point, &extended.error) &&
             extended.error <= settings_.max_error_px && extended.error < best.error &&
             FitsSteps(extended.strands.back(), steps, stepped)) {
