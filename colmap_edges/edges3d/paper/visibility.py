@@ -25,6 +25,7 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
+MIN_POINT_VIEWS = 3  # of an edge point; fewer give no evidence (paper: PEPC-selection)
 MIN_VIEW_POINTS = 3  # of an edge that a view observes: a point and both its neighbours
 MIN_VIEW_SHARE = 1 / 3  # of an edge's points that a view observes; set by trial
 
@@ -230,27 +231,20 @@ def min_inlier_views(view_counts: IntArray, min_views: int) -> float:
     return max(float(min_views), float(np.median(view_counts)) / 2 + 1)
 
 
-def filter_outliers(
-    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions
-) -> tuple[Edges3D, dict[str, float]]:
-    """Drop 3D edges that are likely wrong, whole.
+def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D, dict[str, float]]:
+    """Drop 3D edges that too few views see, whole: whose points have fewer than k_v in the median.
 
-    Those whose points have fewer than k_v views in the median, and those whose observations do
-    not lie around them as the noise of chains does, but are spread over the tolerance as the
-    places of unrelated chains are: with a root mean square error above `max_rms_ratio` of it.
+    Points that fewer than three views observe are left out, and an edge is cut there.
     """
     views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
     seen = medians_of_edges(views, edges) >= threshold
-    exact = rms_errors(edges, chains) <= options.max_rms_ratio * options.max_error_px
-    kept = keep_points(edges, (seen & exact)[edges.edge_ids])
+    kept = keep_points(edges, seen[edges.edge_ids] & (views >= MIN_POINT_VIEWS))
     return kept, {
         "min_views": threshold,
         "points_before": edges.num_points,
         "points_after": kept.num_points,
         "edges_before": edges.num_edges,
-        "edges_of_few_views": int(np.count_nonzero(~seen)),
-        "edges_of_large_errors": int(np.count_nonzero(seen & ~exact)),
         "edges_after": kept.num_edges,
     }
 
@@ -266,12 +260,6 @@ def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
     of_both = values[order[low[filled]]] + values[order[high[filled]]]
     medians[filled] = of_both / 2
     return medians
-
-
-def rms_errors(edges: Edges3D, chains: IndexedViews) -> FloatArray:
-    """(E,) root mean square distance of each edge's points from the chains of its views, pixels."""
-    errors = errors_across(edges, chains)
-    return rms_of_groups(errors, edges.edge_ids[edges.observations.points], edges.num_edges)
 
 
 def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> FloatArray:
@@ -297,13 +285,13 @@ def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
 
 
 def drop_doubtful_views(
-    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions
+    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, int]]:
     """Leave out the views of a 3D edge that see it by chance, as those do that it is hidden from.
 
     Chains that cross its projection there are near it for a short stretch and do not follow it: a
     view stays that observes three points of an edge and a third of them, within a root mean square
-    error of `max_rms_ratio` of the tolerance.
+    error of `max_rms_ratio` of the tolerance. Points are triangulated anew from the views that stay.
     """
     observed = edges.observations
     ids = edges.edge_ids[observed.points]
@@ -315,6 +303,11 @@ def drop_doubtful_views(
     sure &= counts >= np.minimum(MIN_VIEW_POINTS, lengths)
     sure &= counts >= MIN_VIEW_SHARE * lengths
     kept = replace(edges, observations=observed.keep(sure[inverse]))
+    anew, _ = triangulate_observations(
+        observations_of(kept, chains), kept.num_points, chains, num_threads
+    )
+    known = (kept.observations.counts >= MIN_POINT_VIEWS) & np.isfinite(anew).all(axis=1)
+    kept = replace(kept, points=np.where(known[:, None], anew, kept.points))
     return kept, {
         "views_of_edges": len(pairs),
         "views_of_edges_kept": int(np.count_nonzero(sure)),

@@ -204,7 +204,26 @@ nb::tuple ToEdgeArrays(const std::vector<Edge3D>& edges, std::vector<StartOutcom
       ToArray(std::move(positions), {total}), ToArray(std::move(codes), {num_starts}));
 }
 
-nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_positions,
+// Which chain points of all views 3D edges cover.
+struct CoveredChains {
+  explicit CoveredChains(const Views& views) : points(NothingCovered(views)) {}
+  Coverage points;
+};
+
+nb::object Covers(const CoveredChains& covered, Ints of_views, Doubles positions) {
+  const size_t count = of_views.size();
+  Require(positions.size() == count, "views and positions differ in number");
+  CheckViews(of_views, covered.points.size());
+  std::vector<uint8_t> result(count);
+  for (size_t i = 0; i < count; ++i) {
+    const double limit = double(covered.points[of_views(i)].size());
+    Require(positions(i) >= 0 && positions(i) < limit, "a position is not on a chain");
+    result[i] = IsCovered({of_views(i), positions(i)}, covered.points);
+  }
+  return nb::cast(ToArray(std::move(result), {count}));
+}
+
+nb::tuple TraceEdgesArrays(const Views& views, CoveredChains& covered, Ints start_views, Doubles start_positions,
                            Longs offsets, Ints candidate_views, Doubles candidate_positions,
                            double step_px, double max_error_px, double max_step_ratio,
                            double min_epipolar_sine, double full_triangulation_sine,
@@ -215,6 +234,11 @@ nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_p
   CheckOffsets(offsets, starts.size(), candidates.size());
   Require(step_px > 0 && max_error_px > 0, "step_px and max_error_px must be positive");
   Require(min_views >= 3, "min_views must be at least 3");
+  Require(covered.points.size() == views.size(), "coverage is of other views");
+  for (size_t v = 0; v < views.size(); ++v) {
+    Require(int64_t(covered.points[v].size()) == views[v]->num_points(),
+            "coverage is of other views");
+  }
   const FollowSettings settings = {
       step_px,     max_error_px, max_step_ratio, min_epipolar_sine, full_triangulation_sine,
       max_stretch, min_views,    min_steps,      max_selections};
@@ -224,7 +248,7 @@ nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_p
     nb::gil_scoped_release release;
     edges = TraceEdges(views,
                        {starts.data(), int64_t(starts.size()), offsets.data(), candidates.data()},
-                       settings, num_threads, &outcomes);
+                       settings, num_threads, &covered.points, &outcomes);
   }
   return ToEdgeArrays(edges, std::move(outcomes));
 }
@@ -244,11 +268,14 @@ void BindPaper(nb::module_& m) {
         "Candidates of starts on polylines of equal label: CSR offsets, views, positions.");
   m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
         "Where intervals of most views overlap: inverse distances and numbers of views.");
-  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "start_views"_a, "start_positions"_a,
+  nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
+      .def(nb::init<const Views&>(), "indexes"_a)
+      .def("covers", &Covers, "views"_a, "positions"_a, "(N,) whether places are covered, uint8.");
+  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "covered"_a, "start_views"_a, "start_positions"_a,
         "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a, "max_error_px"_a,
         "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a, "max_stretch"_a,
         "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
-        "3D edges of PEPCs: points, edge offsets, closed, track offsets, track views and "
+        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track offsets, track views and "
         "positions, and the outcome of each start.");
 }
 

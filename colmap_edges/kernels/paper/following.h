@@ -535,16 +535,21 @@ struct Pepcs {
   const Place* candidates;
 };
 
-// Validates the PEPCs in order and follows the accepted ones. They are traced in batches against
+inline Coverage NothingCovered(const Views& views) {
+  Coverage covered;
+  for (const EdgeIndex* chains : views) covered.emplace_back(chains->num_points());
+  return covered;
+}
+
+// Validates the PEPCs in order, follows the accepted ones where nothing is covered yet and marks
+// what they cover. They are traced in batches against
 // the coverage at the start of the batch; one whose surroundings were covered by an earlier one
 // of its batch is traced again, so the result is that of one thread.
 inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
                                       const FollowSettings& settings, int num_threads,
-                                      std::vector<StartOutcome>* outcomes) {
+                                      Coverage* covered, std::vector<StartOutcome>* outcomes) {
   constexpr int64_t kBatch = 256;
-  Coverage covered;
-  for (const EdgeIndex* chains : views) covered.emplace_back(chains->num_points());
-  const EdgeTracer tracer(views, settings, covered);
+  const EdgeTracer tracer(views, settings, *covered);
   std::vector<Edge3D> edges, batch(kBatch);
   outcomes->assign(pepcs.num_starts, StartOutcome::kCovered);
   const auto trace = [&](int64_t i, Edge3D* edge) {
@@ -557,11 +562,11 @@ inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
     for (int64_t k = 0; k < count; ++k) {
       const int64_t i = begin + k;
       if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
-      if (IsCovered(pepcs.starts[i], covered) || RunsIntoCovered(batch[k], covered)) {
+      if (IsCovered(pepcs.starts[i], *covered) || RunsIntoCovered(batch[k], *covered)) {
         trace(i, &batch[k]);
         if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
       }
-      MarkEdge(views, batch[k], &covered);
+      MarkEdge(views, batch[k], covered);
       edges.push_back(std::move(batch[k]));
     }
   }

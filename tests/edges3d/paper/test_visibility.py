@@ -21,6 +21,7 @@ from colmap_edges.edges3d.paper.observations import edge_neighbours, observation
 from colmap_edges.edges3d.paper.places import index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
 from colmap_edges.edges3d.paper.visibility import (
+    drop_doubtful_views,
     expand_visibility,
     filter_outliers,
     keep_points,
@@ -159,7 +160,7 @@ def test_no_edges_no_change():
     empty = keep_points(edges_of([LINE], [0, 1, 2]), np.zeros(32, bool))
     assert empty.num_edges == 0
     assert expand_visibility(empty, chains, OPTIONS, 1)[0].num_points == 0
-    assert filter_outliers(empty, chains, OPTIONS)[0].num_points == 0
+    assert filter_outliers(empty, OPTIONS)[0].num_points == 0
     assert sample_edges(empty, chains, SamplingOptions(), 2.0).num_points == 0
 
 
@@ -194,27 +195,49 @@ def test_edges_that_few_views_see_are_dropped_whole():
     few = np.arange(5 * count).reshape(count, 5)[: count // 2 + 1, :2]
     keep[few.ravel()] = False  # three views left for more than half of the line's points
     keep[5 * count : 5 * count + 2] = False  # and for one point of the helix
+    keep[5 * count + 30 : 5 * count + 33] = False  # two views left for another one
     thinned = replace(edges, observations=edges.observations.keep(keep))
-    kept, stats = filter_outliers(thinned, chains, OPTIONS)
+    kept, stats = filter_outliers(thinned, OPTIONS)
     check(kept)
-    assert stats["edges_of_few_views"] == 1
-    assert stats["edges_of_large_errors"] == 0
-    np.testing.assert_array_equal(kept.points, edges.points[count:])
+    assert (stats["edges_before"], stats["edges_after"]) == (2, 2)
+    assert kept.edge_offsets.tolist() == [0, 6, edges.num_points - count - 1]
+    np.testing.assert_array_equal(kept.points, np.delete(edges.points[count:], 6, axis=0))
 
 
-@pytest.mark.parametrize(("offset_px", "num_kept"), [(0.3, 2), (1.0, 1)])
-def test_edges_whose_chains_are_spread_over_the_tolerance_are_dropped(offset_px, num_kept):
-    chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX]) for view in VIEWS])
-    edges = on_their_chains(edges_of([LINE, HELIX], [0, 1, 2, 3, 4]), chains)
-    count = int(edges.edge_offsets[1])
-    points = edges.points.copy()
-    depths = VIEWS[0].cam_from_world(points[:count])[:, 2]
-    across = np.cross(LINE.points[-1] - LINE.points[0], (0, 0, 1.0))
-    across *= offset_px / VIEWS[0].focal_px / np.linalg.norm(across)
-    points[:count] += depths[:, None] * across
-    kept, stats = filter_outliers(replace(edges, points=points), chains, OPTIONS)
-    assert kept.num_edges == num_kept
-    assert stats["edges_of_large_errors"] == 2 - num_kept
+def views_after_doubts(edges, chains):
+    kept, stats = drop_doubtful_views(edges, chains, OPTIONS)
+    assert stats["observations_kept"] == len(kept.observations.views)
+    return np.bincount(kept.observations.views, minlength=len(VIEWS))
+
+
+def test_views_that_see_an_edge_by_chance_are_left_out():
+    chains = index_views(VIEWS, [graph_of(view, [LINE]) for view in VIEWS])
+    edges = on_their_chains(edges_of([LINE], [0, 1, 2, 3, 4]), chains)
+    count = edges.num_points
+    np.testing.assert_array_equal(views_after_doubts(edges, chains)[:5], 5 * [count])
+    # View 1 observes two points in a row, view 2 a third of them.
+    few = np.ones((count, 5), bool)
+    few[2:, 1] = False
+    few[-(-count // 3) :, 2] = False
+    rare = replace(edges, observations=edges.observations.keep(few.ravel()))
+    counts = views_after_doubts(rare, chains)
+    np.testing.assert_array_equal(counts[:5], [count, 0, -(-count // 3), count, count])
+
+
+@pytest.mark.parametrize(("offset_px", "stays"), [(0.3, True), (1.0, False)])
+def test_views_whose_chains_run_beside_an_edge_are_left_out(offset_px, stays):
+    graphs = [graph_of(view, [LINE]) for view in VIEWS]
+    edges = on_their_chains(edges_of([LINE], [0, 1, 2, 3, 4]), index_views(VIEWS, graphs))
+    moved = replace(graphs[1], ideal=graphs[1].ideal + offset_px * graphs[1].normals)
+    chains = index_views(VIEWS, [graphs[0], moved, *graphs[2:]])
+    observed = edges.observations
+    rows = observed.views == 1
+    pixels = observed.pixels.copy()
+    pixels[rows] += offset_px * observed.normals[rows]
+    beside = replace(edges, observations=replace(observed, pixels=pixels))
+    counts = views_after_doubts(beside, chains)
+    assert counts[1] == (edges.num_points if stays else 0)
+    assert (counts[[0, 2, 3, 4]] == edges.num_points).all()
 
 
 @given(st.lists(st.lists(st.integers(0, 9), min_size=0, max_size=6), min_size=1, max_size=5))
