@@ -39,7 +39,6 @@ LIBRARIES = {
         "report.rerun_viewer",
         "surfaces.silhouettes",
     ),
-    "networkx": ("edges3d.paper.matching",),
     "plotly": ("report.page",),
     "plyfile": ("evaluation.readers.ply",),
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),

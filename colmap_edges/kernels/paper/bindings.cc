@@ -6,6 +6,7 @@
 #include "common/arrays.h"
 #include "common/parallel.h"
 #include "paper/agreement.h"
+#include "paper/communities.h"
 #include "paper/correspondences.h"
 #include "paper/following.h"
 #include "paper/places.h"
@@ -129,6 +130,26 @@ nb::tuple AgreedDepthsArrays(Doubles lows, Doubles highs, Ints of_views, int min
   const size_t total = agreed.size();
   return nb::make_tuple(ToArray(std::move(inverse_distances), {total}),
                         ToArray(std::move(num_views), {total}));
+}
+
+nb::object LouvainArray(int num_nodes, Ints firsts, Ints seconds, Doubles weights,
+                        double resolution, uint64_t seed) {
+  Require(num_nodes >= 0, "num_nodes must not be negative");
+  Require(firsts.size() == weights.size() && seconds.size() == weights.size(),
+          "links and weights differ in number");
+  std::vector<WeightedLink> links;
+  for (size_t i = 0; i < weights.size(); ++i) {
+    Require(std::min(firsts(i), seconds(i)) >= 0 && std::max(firsts(i), seconds(i)) < num_nodes,
+            "node index out of range");
+    Require(std::isfinite(weights(i)) && weights(i) > 0, "weights must be positive");
+    links.push_back({firsts(i), seconds(i), weights(i)});
+  }
+  std::vector<int32_t> labels;
+  {
+    nb::gil_scoped_release release;
+    labels = LouvainCommunities(num_nodes, std::move(links), resolution, seed);
+  }
+  return nb::cast(ToArray(std::move(labels), {size_t(num_nodes)}));
 }
 
 // Runs of the polylines of each label, by view and ascending: CSR. Labels are of the polylines of
@@ -266,6 +287,9 @@ void BindPaper(nb::module_& m) {
   m.def("candidates_in_pecs", &CandidatesInPecsArrays, "indexes"_a, "start_views"_a,
         "start_positions"_a, "labels"_a, "depth_ranges"_a, "num_threads"_a,
         "Candidates of starts on polylines of equal label: CSR offsets, views, positions.");
+  m.def("louvain_communities", &LouvainArray, "num_nodes"_a, "firsts"_a, "seconds"_a, "weights"_a,
+        "resolution"_a, "seed"_a,
+        "(N,) communities of a weighted graph by Louvain's method, numbered by their first nodes.");
   m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
         "Where intervals of most views overlap: inverse distances and numbers of views.");
   nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
