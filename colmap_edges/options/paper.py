@@ -142,8 +142,9 @@ class VisibilityOptions(Options):
     )
     max_rms_ratio: float = constant(
         0.25,
-        "Largest root mean square reprojection error of a 3D edge, in parts of max_error_px",
-        "chains scatter by 0.3 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
+        "Largest root mean square distance, across them, of a 3D edge from the chains of a view that "
+        "observes it, in parts of max_error_px",
+        "chains scatter by 0.2 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
         within=(0.01, 1),
     )
     min_views: int = option(

@@ -108,7 +108,7 @@ def bright_sides(directions: FloatArray, positions: FloatArray, graph: EdgeGraph
 def sides_of_points(
     edges: Edges3D, tangents: FloatArray, observed: ObservedPoints, chains: IndexedViews
 ) -> IntArray:
-    """(N,) the bright side of each point on its 3D edge as most of its views see it, 0 for a tie."""
+    """(N,) the bright side of each point's 3D edge as most of its views see it, 0 for a tie."""
     votes = np.zeros(edges.num_points, np.int64)
     for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
         points = observed.points[rows]
@@ -291,7 +291,7 @@ def drop_doubtful_views(
 
     Chains that cross its projection there are near it for a short stretch and do not follow it: a
     view stays that observes three points of an edge and a third of them, within a root mean square
-    error of `max_rms_ratio` of the tolerance. Points are triangulated anew from the views that stay.
+    error of `max_rms_ratio` of the tolerance. Points are triangulated anew from those that stay.
     """
     observed = edges.observations
     ids = edges.edge_ids[observed.points]

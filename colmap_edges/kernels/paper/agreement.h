@@ -59,8 +59,8 @@ inline void FindAgreement(const std::vector<DepthInterval>& intervals, int min_v
                    [](const auto& a, const auto& b) { return a.num_views > b.num_views; });
 }
 
-// The inverse distance at which a ray of direction `ray` (length 1) from `origin` comes nearest to a
-// pixel of a view, and how many pixels the view sees it move for a change of 1. False behind the
+// The inverse distance at which a ray of direction `ray` (length 1) from `origin` comes nearest to
+// a pixel of a view, and how many pixels the view sees it move for a change of 1. False behind the
 // view or the origin.
 inline bool MeetRay(const Vec3& origin, const Vec3& ray, const PinholeView& view, Vec2 pixel,
                     double* inverse_distance, double* px_per_inverse) {

@@ -244,12 +244,12 @@ nb::object Covers(const CoveredChains& covered, Ints of_views, Doubles positions
   return nb::cast(ToArray(std::move(result), {count}));
 }
 
-nb::tuple TraceEdgesArrays(const Views& views, CoveredChains& covered, Ints start_views, Doubles start_positions,
-                           Longs offsets, Ints candidate_views, Doubles candidate_positions,
-                           double step_px, double max_error_px, double max_step_ratio,
-                           double min_epipolar_sine, double full_triangulation_sine,
-                           double max_stretch, int min_views, int min_steps, int max_selections,
-                           int num_threads) {
+nb::tuple TraceEdgesArrays(const Views& views, CoveredChains& covered, Ints start_views,
+                           Doubles start_positions, Longs offsets, Ints candidate_views,
+                           Doubles candidate_positions, double step_px, double max_error_px,
+                           double max_step_ratio, double min_epipolar_sine,
+                           double full_triangulation_sine, double max_stretch, int min_views,
+                           int min_steps, int max_selections, int num_threads) {
   const std::vector<Place> starts = ToPlaces(views, start_views, start_positions);
   const std::vector<Place> candidates = ToPlaces(views, candidate_views, candidate_positions);
   CheckOffsets(offsets, starts.size(), candidates.size());
@@ -295,11 +295,12 @@ void BindPaper(nb::module_& m) {
   nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
       .def(nb::init<const Views&>(), "indexes"_a)
       .def("covers", &Covers, "views"_a, "positions"_a, "(N,) whether places are covered, uint8.");
-  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "covered"_a, "start_views"_a, "start_positions"_a,
-        "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a, "max_error_px"_a,
-        "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a, "max_stretch"_a,
-        "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
-        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track offsets, track views and "
+  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "covered"_a, "start_views"_a,
+        "start_positions"_a, "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a,
+        "max_error_px"_a, "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a,
+        "max_stretch"_a, "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
+        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track "
+        "offsets, track views and "
         "positions, and the outcome of each start.");
 }
 

@@ -38,7 +38,9 @@ class WeightedGraph {
 
   int32_t num_nodes() const { return int32_t(strengths_.size()); }
   double strength(int32_t node) const { return strengths_[node]; }
-  double total_strength() const { return std::accumulate(strengths_.begin(), strengths_.end(), 0.0); }
+  double total_strength() const {
+    return std::accumulate(strengths_.begin(), strengths_.end(), 0.0);
+  }
 
   // Calls visit(neighbor, weight) for each link of a node with another one.
   template <typename Visit>

@@ -132,7 +132,8 @@ class EdgeTracer {
     return std::abs(line.a * tangent.x + line.b * tangent.y);
   }
 
-  // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the right.
+  // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the
+  // right.
   int BrightSide(Place at) const {
     const EdgeIndex& chains = ChainsAt(at);
     const int64_t i = int64_t(at.position);
@@ -188,8 +189,7 @@ class EdgeTracer {
       const double parallax = Norm(Cross(ray, to.Ray(PixelAt(at))));
       candidate.score = std::min(sine, SineTo(back, start)) *
                         std::min(1.0, parallax / settings_.full_triangulation_sine);
-      if (!usable.empty())
-        candidate.group = usable.back().group + (usable.back().at.view != view);
+      if (!usable.empty()) candidate.group = usable.back().group + (usable.back().at.view != view);
       usable.push_back(candidate);
     }
     return usable;

@@ -185,9 +185,7 @@ def test_chains_may_run_either_way():
         graphs[i] = replace(graphs[i], normals=-graphs[i].normals)
     chains = index_views(views, graphs)
     places = [on_chains(chains, UPRIGHT.points[1000:1001], view) for view in range(5)]
-    edges, counts = follow_edges(
-        chains, [one_pepc(places[0], places[1:])], FollowingOptions(), 1
-    )
+    edges, counts = follow_edges(chains, [one_pepc(places[0], places[1:])], FollowingOptions(), 1)
     assert counts["accepted"] == 1
     assert recall(edges, [UPRIGHT], 12 * PIXEL) > 0.9
 

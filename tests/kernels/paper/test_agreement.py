@@ -33,7 +33,7 @@ def test_agreement_is_where_most_views_overlap(intervals, min_views):
     depths, num_views = agreed(intervals, min_views)
     assert (np.diff(num_views) <= 0).all()
     for depth, number in zip(depths, num_views, strict=True):
-        assert number == counts_by_brute_force(intervals)[1][int(round(4 * depth))]
+        assert number == counts_by_brute_force(intervals)[1][round(4 * depth)]
     assert num_views.max(initial=0) == (counts.max() if counts.max() >= min_views else 0)
     # Every run of places that more views allow than those on both sides of it is there once.
     changes = np.flatnonzero(np.diff(counts))
