@@ -142,8 +142,8 @@ class VisibilityOptions(Options):
     )
     max_rms_ratio: float = constant(
         0.25,
-        "Largest root mean square distance, across them, of a 3D edge from the chains of a view that "
-        "observes it, in parts of max_error_px",
+        "Largest root mean square distance, across them, of a 3D edge from the chains of a view "
+        "that observes it, in parts of max_error_px",
         "chains scatter by 0.2 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
         within=(0.01, 1),
     )
