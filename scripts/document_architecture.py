@@ -42,7 +42,6 @@ LIBRARIES = {
         "report.still",
         "surfaces.silhouettes",
     ),
-    "networkx": ("edges3d.paper.matching",),
     "plotly": ("report.page",),
     "plyfile": ("evaluation.readers.ply",),
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),
