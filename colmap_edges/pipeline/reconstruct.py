@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from colmap_edges.colmap.model import observation_residuals
+from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.upsampling import upsampled
 from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
-from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.detect import Detection, detect_stage
 from colmap_edges.pipeline.read import check_model, check_pictures
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.diagnosis import Finding, diagnose
@@ -85,27 +85,31 @@ def reconstruct(
     """
     options = options or PipelineOptions()
     check_type("options", options, (PipelineOptions,))
-    check_paths(
-        image_path=image_path,
-        cache_path=cache_path or "",
-        mask_path=mask_path or "",
-        edge_path=edge_path or "",
-    )
-    image_path = Path(image_path)
-    mask_path = Path(mask_path) if mask_path else None
-    edge_path = Path(edge_path) if edge_path else None
+    images = path_of("image_path", image_path)
+    cache = path_of("cache_path", cache_path) if cache_path else None
+    masks = path_of("mask_path", mask_path) if mask_path else None
+    maps = path_of("edge_path", edge_path) if edge_path else None
     stages = Stages()
     model = as_model(reconstruction_or_path)
     check_model(model, "the reconstruction")
-    check_pictures(model, image_path, mask_path, edge_path, options)
-    model = upsampled(model, image_path, options.detection)
-    with open_workers(options, Path(cache_path) if cache_path else None) as workers:
-        detection = detect_stage(
-            model, image_path, options, stages, None, workers, mask_path, edge_path
-        )
+    check_pictures(model, images, masks, maps, options)
+    model = upsampled(model, images, options.detection)
+    with open_workers(options, cache) as workers:
+        detection = detect_stage(model, images, options, stages, None, workers, masks, maps)
         settings = resolved(options, model.scale)
         model, traced = edge_stages(model, detection, settings, stages, workers)
         detection.graphs.release()
+    return result_of(model, detection, traced, options, stages)
+
+
+def result_of(
+    model: Model,
+    detection: Detection,
+    traced: TracedEdges,
+    options: PipelineOptions,
+    stages: Stages,
+) -> EdgeReconstruction:
+    """Gather what `reconstruct` gives back."""
     edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)
@@ -123,11 +127,11 @@ def reconstruct(
     )
 
 
-def check_paths(**paths: object) -> None:
-    """Check that paths are given as such, by their names.
+def path_of(name: str, path: Path | str) -> Path:
+    """The path that an argument gives.
 
     Raises:
-        ColmapEdgesError: when one is of another type.
+        ColmapEdgesError: when it is of another type.
     """
-    for name, path in paths.items():
-        check_type(name, path, (str, os.PathLike))
+    check_type(name, path, (str, os.PathLike))
+    return Path(path)
