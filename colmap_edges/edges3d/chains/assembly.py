@@ -12,6 +12,7 @@ from colmap_edges.core.edges3d import Edges3D, TracedEdges, mean_colors
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
+from colmap_edges.edges3d.chains.merging import merge_traced
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
@@ -41,9 +42,10 @@ def link(
         goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    pieces, contours = make_edges(given, kept.edges), make_edges(given, kept.contours)
+    once, merged = merge_traced(given, kept.edges, options, num_threads)
+    pieces, contours = make_edges(given, once), make_edges(given, kept.contours)
     edges = meet_at_corners(linked(pieces), given, options, num_threads)
-    return TracedEdges(edges=edges, contours=linked(contours)), {
+    return TracedEdges(edges=edges, contours=linked(contours)), merged | {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": int(edges.end_nodes.max(initial=-1)) + 1,

@@ -1,0 +1,174 @@
+"""Pieces of all reference views that are one edge -> one piece, refined on what all observed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.observations import ChainObservations
+from colmap_edges.core.view import lift
+from colmap_edges.edges3d.chains.curves import Curves, replace_depths
+from colmap_edges.edges3d.chains.filtering import Traced, chosen
+from colmap_edges.edges3d.chains.observing import Observers, drop_lone, placed
+from colmap_edges.edges3d.chains.refinement import depth_step, joint_step
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
+from colmap_edges.edges3d.linking.merging import Pieces, merge_pieces
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import PipelineOptions
+
+
+def merge_traced(
+    given: TracingInput, traced: list[Traced], options: PipelineOptions, num_threads: int
+) -> tuple[list[Traced], dict[str, int]]:
+    """Each edge once: copies leave their observations to the piece that stays.
+
+    Args:
+        given: the views with their whole edge graphs.
+        traced: the curves of every reference view, at positions on these graphs.
+        options: noise, how near an observation is, and how often an edge is seen.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        What stays, refined where it took observations, and counts.
+    """
+    traced = [each for each in traced if len(each.points)]
+    if not traced:
+        return traced, {"points_merged": 0}
+    pieces = Pieces(
+        points=np.concatenate([t.points for t in traced]),
+        offsets=offsets_of(np.concatenate([np.diff(t.offsets) for t in traced])),
+        sigmas=np.concatenate([t.sigmas for t in traced]),
+        observations=ChainObservations.concatenated([t.observations for t in traced]),
+        views=[given.views[view] for view in range(given.num_views)],
+    )
+    merging = merge_pieces(pieces, given, options, num_threads)
+    starts = offsets_of(np.array([len(t.points) for t in traced]))
+    owners = np.searchsorted(starts, merging.takers, "right") - 1
+    result = []
+    for place, each in enumerate(traced):
+        rows = np.flatnonzero(owners == place)
+        takers, givers = merging.takers[rows] - starts[place], merging.givers[rows]
+        taken = taken_observations(pieces.observations, givers, takers)
+        result.append(
+            with_observations(
+                given, each, merging.kept[starts[place] : starts[place + 1]], taken, options, num_threads
+            )
+        )
+    return result, {"points_merged": int((~merging.kept).sum())}
+
+
+def taken_observations(
+    observations: ChainObservations, givers: IntArray, takers: IntArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """(R,) points that take observations, their views and positions."""
+    rows = entries_of(observations.offsets, givers)
+    points = np.repeat(takers, observations.counts[givers])
+    return points, observations.views[rows].astype(np.int64), observations.positions[rows]
+
+
+def with_observations(
+    given: TracingInput,
+    traced: Traced,
+    kept: BoolArray,
+    taken: tuple[IntArray, IntArray, FloatArray],
+    options: PipelineOptions,
+    num_threads: int,
+) -> Traced:
+    """The points of one reference view that stay, refined with observations taken from copies."""
+    curve_ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
+    runs = np.cumsum(np.append(True, (np.diff(curve_ids) != 0) | (kept[1:] != kept[:-1]))) - 1
+    stays = np.cumsum(kept) - 1
+    points, views, positions = taken
+    left = chosen(traced, runs, kept)
+    if len(points) == 0:
+        return left
+    return refined_with(given, left, (stays[points], views, positions), options, num_threads)
+
+
+def refined_with(
+    given: TracingInput,
+    traced: Traced,
+    taken: tuple[IntArray, IntArray, FloatArray],
+    options: PipelineOptions,
+    num_threads: int,
+) -> Traced:
+    """Curves of one reference view refined on their observations and others."""
+    reference = given.views[traced.reference]
+    points, views, positions = taken
+    own = traced.observations
+    others = np.unique(np.concatenate([own.views, views]))
+    others = others[others != traced.reference]
+    table = np.full((len(traced.points), given.num_views), np.nan)
+    table[points, views] = positions
+    table[own.points, own.views] = own.positions
+    at_reference = table[:, traced.reference]
+    table = np.ascontiguousarray(table[:, others])
+    ideal, depths = reference.project_ideal(traced.points)
+    curves = Curves(
+        ideal=ideal,
+        inverse_depths=1 / depths,
+        indices=np.zeros(len(ideal), np.int64),
+        offsets=traced.offsets,
+        sides=np.zeros(len(ideal), np.int8),
+    )
+    observers = Observers(
+        reference=reference,
+        own=given.index(traced.reference),
+        others=[given.index(view) for view in others.tolist()],
+        options=options.refinement,
+        num_threads=num_threads,
+    )
+    curves, table, residuals, information = refit(curves, table, observers)
+    observed = np.isfinite(table).sum(axis=1)
+    with np.errstate(divide="ignore"):
+        sigmas = options.refinement.noise_px / np.sqrt(information)
+    return replace(
+        traced,
+        points=lift(reference, curves.ideal, curves.inverse_depths),
+        sigmas=np.minimum(traced.sigmas, sigmas / curves.inverse_depths**2),
+        uncertainties=np.minimum(
+            traced.uncertainties, sigmas / curves.inverse_depths * reference.focal_px
+        ),
+        residuals=np.nansum(np.abs(residuals), axis=1) / np.maximum(observed, 1),
+        observations=ChainObservations.of_table(
+            np.append(traced.reference, others), np.column_stack([at_reference, table])
+        ),
+    )
+
+
+def refit(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray, FloatArray]:
+    """Refine curves on given observations, and drop those that do not fit.
+
+    Returns:
+        The curves, (N, K) positions, (N, K) residuals in pixels and (N,) information on inverse
+        depth in units of the noise.
+    """
+    options = observers.options
+    for last in (False, True):
+        positions = slid(curves, positions, observers)
+        if last:
+            normals = curves.normals
+            sums = observers.sums(curves, positions, normals)
+            changes, shifts = joint_step(curves, sums, options)
+            curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+        else:
+            changes = depth_step(curves, observers.sums(curves, positions), options)
+        curves = replace_depths(curves, curves.inverse_depths + changes)
+    positions = slid(curves, positions, observers)
+    residuals, information = _kernels.observation_residuals(
+        *placed(observers.reference, curves), positions, observers.others, observers.num_threads
+    )
+    return curves, positions, residuals, information
+
+
+def slid(curves: Curves, positions: FloatArray, observers: Observers) -> FloatArray:
+    """(N, K) the positions nearest to the curves on the same chains; NaN where that is not near."""
+    at, others, threads = placed(observers.reference, curves), observers.others, observers.num_threads
+    positions = _kernels.slide_positions(*at, positions, others, threads)
+    residuals, _ = _kernels.observation_residuals(*at, positions, others, threads)
+    near = np.abs(residuals) <= observers.options.max_residual_px
+    return drop_lone(np.where(near, positions, np.nan), curves.offsets)
