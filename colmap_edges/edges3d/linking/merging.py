@@ -29,6 +29,8 @@ MIN_COSINE = float(np.cos(np.radians(15.0)))  # of the angle between pieces that
 MAX_ALONG_SPACINGS = 0.75  # how far past a point of a piece that piece is still beside another
 SAMPLES = 8  # places along a pair of pieces at which views are asked
 CHANCE_RATE = 0.1  # of places beside an edge at which a view observes one that is not there
+MAX_COPY_SIGMAS = 3.0  # between copies of which either is as good
+WEAK_RATIO = 1.0  # of observations
 OUTLIER_RATE = 0.1  # of copies, those that lie farther away than noise tells
 
 
@@ -127,9 +129,48 @@ def merge_pieces(
         num_threads: threads to use; the result does not depend on it.
     """
     matches = find_matches(pieces)
-    ratios = log_ratios(pieces, matches, given, options, num_threads)
-    same = matches.select(ratios <= 0)
-    return choose(pieces, same, options.tracing.min_curve_points)
+    pairs = pairs_of(pieces, matches)
+    ratios = log_ratios(pieces, matches, pairs, given, options, num_threads)
+    same = ratios[pairs] <= 0
+    matches, pairs = matches.select(same), pairs[same]
+    apart = mean_of(pairs, offsets_in_noise(pieces, matches, options))[pairs] > MAX_COPY_SIGMAS
+    ghosts = weaker_points(pieces, matches.select(apart), pairs[apart])
+    return choose(pieces, ghosts, matches.select(~apart), options.tracing.min_curve_points)
+
+
+def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
+    """(M,) number of the pair of pieces of each match."""
+    ids = np.sort(pieces.ids[np.column_stack([matches.points, matches.others])], axis=1)
+    keys = ids[:, 0] * len(pieces.offsets) + ids[:, 1]
+    return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64)
+
+
+def mean_of(groups: IntArray, values: FloatArray) -> FloatArray:
+    """(G,) means of (M,) values by group."""
+    means: FloatArray = np.bincount(groups, values) / np.maximum(np.bincount(groups), 1)
+    return means
+
+
+def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
+    """(M,) how far the pieces are apart, in standard deviations of that."""
+    size = pieces.pixel_sizes[matches.points]
+    offset = np.linalg.norm(matches.offsets, axis=1) / size
+    known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
+    return offset / np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+
+
+def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArray:
+    """(N,) the points of copies that lie off the edge: fewer views observe them."""
+    counts = pieces.observations.counts
+    first = pieces.ids[matches.points] < pieces.ids[matches.others]
+    # Of each pair the sums of the counts of the one piece and of the other, along both.
+    lower = np.where(first, counts[matches.points], counts[matches.others])
+    upper = np.where(first, counts[matches.others], counts[matches.points])
+    gain = mean_of(pairs, lower) / np.maximum(mean_of(pairs, upper), 1e-9)
+    ratio = np.where(first, gain[pairs], 1 / np.maximum(gain[pairs], 1e-9))
+    weaker = np.zeros(len(pieces.points), bool)
+    weaker[matches.points[ratio <= WEAK_RATIO]] = True
+    return weaker
 
 
 def find_matches(pieces: Pieces) -> Matches:
@@ -159,19 +200,13 @@ def find_matches(pieces: Pieces) -> Matches:
 def log_ratios(
     pieces: Pieces,
     matches: Matches,
+    pairs: IntArray,
     given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
 ) -> FloatArray:
-    """(M,) log of how much likelier the pieces of each match are two edges than one.
-
-    It is that of the two pieces, from all matches between them.
-    """
-    ids = np.sort(np.column_stack([pieces.ids[matches.points], pieces.ids[matches.others]]), axis=1)
-    _, pairs = np.unique(ids, axis=0, return_inverse=True)
-    count = int(pairs.max(initial=-1)) + 1
-    counts = np.maximum(np.bincount(pairs, minlength=count), 1)
-    ratios = np.bincount(pairs, distance_ratios(pieces, matches, options), count) / counts
+    """(P,) log of how much likelier the pieces of each pair are two edges than one."""
+    ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
     rows = spread(pairs, SAMPLES)
     chosen = matches.select(rows)
     seen = seen_by(pieces, chosen)
@@ -179,9 +214,8 @@ def log_ratios(
     # A view's word on two pieces is the mean of what it says along them.
     keys = pairs[rows][seen.matches] * len(pieces.views) + seen.views
     each, place = np.unique(keys, return_inverse=True)
-    means = np.bincount(place, llr) / np.maximum(np.bincount(place), 1)
-    ratios += np.bincount(each // len(pieces.views), means, count)
-    return np.asarray(ratios[pairs], np.float64)
+    told = np.bincount(each // len(pieces.views), mean_of(place, llr), len(ratios))
+    return np.asarray(ratios + told, np.float64)
 
 
 def spread(groups: IntArray, count: int) -> IntArray:
@@ -298,11 +332,12 @@ def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
     return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
 
 
-def choose(pieces: Pieces, same: Matches, min_points: int) -> Merging:
+def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) -> Merging:
     """Of copies keep the points of the piece that is observed most.
 
     Args:
         pieces: the pieces.
+        ghosts: (N,) points that do not stay.
         same: the matches between copies, in both directions.
         min_points: shorter runs of points that remain of a piece are left out.
     """
@@ -311,21 +346,27 @@ def choose(pieces: Pieces, same: Matches, min_points: int) -> Merging:
     order = np.argsort(-worth, kind="stable")
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    kept = np.ones(len(pieces.points), bool)
+    kept = ~ghosts
     begins = np.searchsorted(same.points, pieces.offsets)
     for piece in order.tolist():
         rows = slice(begins[piece], begins[piece + 1])
         points, others = same.points[rows], same.others[rows]
         better = rank[pieces.ids[others]] < rank[piece]
-        if not better.any():
-            continue
         first, last = pieces.offsets[piece : piece + 2]
-        covered = np.zeros(last - first, bool)
-        covered[points[better & kept[others]] - first] = True
-        if covered.any():
-            kept[first:last] = long_runs(~covered, min_points)
+        kept[points[better & kept[others]]] = False
+        if not kept[first:last].all():
+            left = kept[first:last]
+            kept[first:last] = long_runs(grown(left) & ~ghosts[first:last], min_points)
     gives = ~kept[same.others] & kept[same.points]
     return Merging(kept=kept, takers=same.points[gives], givers=same.others[gives])
+
+
+def grown(mask: BoolArray) -> BoolArray:
+    """`mask` and the entry before and after each that is true."""
+    result = mask.copy()
+    result[1:] |= mask[:-1]
+    result[:-1] |= mask[1:]
+    return result
 
 
 def long_runs(mask: BoolArray, least: int) -> BoolArray:
