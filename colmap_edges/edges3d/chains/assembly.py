@@ -42,8 +42,8 @@ def link(
         goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    once, merged = merge_traced(given, kept.edges, options, num_threads)
-    pieces, contours = make_edges(given, once), make_edges(given, kept.contours)
+    once, merged = merge_traced(given, kept, options, num_threads)
+    pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
     edges = meet_at_corners(linked(pieces), given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {
         "pieces": pieces.num_edges,

@@ -6,11 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import lift
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
-from colmap_edges.edges3d.chains.filtering import Traced, chosen
+from colmap_edges.edges3d.chains.filtering import (
+    Sorted,
+    Traced,
+    chosen,
+    find_pieces,
+    sort_remains,
+)
 from colmap_edges.edges3d.chains.observing import Observers, drop_lone, placed
 from colmap_edges.edges3d.chains.refinement import depth_step, joint_step
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
@@ -20,22 +26,23 @@ from colmap_edges.options import PipelineOptions
 
 
 def merge_traced(
-    given: TracingInput, traced: list[Traced], options: PipelineOptions, num_threads: int
-) -> tuple[list[Traced], dict[str, int]]:
+    given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
+) -> tuple[Sorted, dict[str, int]]:
     """Each edge once: copies leave their observations to the piece that stays.
 
     Args:
         given: the views with their whole edge graphs.
-        traced: the curves of every reference view, at positions on these graphs.
+        kept: the pieces of every reference view, at positions on these graphs.
         options: noise, how near an observation is, and how often an edge is seen.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        What stays, refined where it took observations, and counts.
+        What stays, refined where it took observations, and counts. What is left of a piece scatters
+        as contours do where only its better part was an edge; that goes to the contours.
     """
-    traced = [each for each in traced if len(each.points)]
+    traced = [each for each in kept.edges if len(each.points)]
     if not traced:
-        return traced, {"points_merged": 0}
+        return kept, {"points_merged": 0}
     pieces = Pieces(
         points=np.concatenate([t.points for t in traced]),
         offsets=offsets_of(np.concatenate([np.diff(t.offsets) for t in traced])),
@@ -46,17 +53,20 @@ def merge_traced(
     merging = merge_pieces(pieces, given, options, num_threads)
     starts = offsets_of(np.array([len(t.points) for t in traced]))
     owners = np.searchsorted(starts, merging.takers, "right") - 1
-    result = []
+    edges, contours = [], list(kept.contours)
     for place, each in enumerate(traced):
         rows = np.flatnonzero(owners == place)
-        takers, givers = merging.takers[rows] - starts[place], merging.givers[rows]
-        taken = taken_observations(pieces.observations, givers, takers)
-        result.append(
-            with_observations(
-                given, each, merging.kept[starts[place] : starts[place + 1]], taken, options, num_threads
-            )
-        )
-    return result, {"points_merged": int((~merging.kept).sum())}
+        stays = merging.kept[starts[place] : starts[place + 1]]
+        takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
+        left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
+        if len(rows):
+            taken = taken_observations(pieces.observations, merging.givers[rows], takers)
+            left = refined_with(given, left, taken, options, num_threads)
+        fixed, moving = sort_remains(left, kept.limits, options.tracing)
+        edges.append(fixed)
+        contours.append(moving)
+    count = {"points_merged": int((~merging.kept).sum())}
+    return replace(kept, edges=edges, contours=contours), count
 
 
 def taken_observations(
@@ -66,25 +76,6 @@ def taken_observations(
     rows = entries_of(observations.offsets, givers)
     points = np.repeat(takers, observations.counts[givers])
     return points, observations.views[rows].astype(np.int64), observations.positions[rows]
-
-
-def with_observations(
-    given: TracingInput,
-    traced: Traced,
-    kept: BoolArray,
-    taken: tuple[IntArray, IntArray, FloatArray],
-    options: PipelineOptions,
-    num_threads: int,
-) -> Traced:
-    """The points of one reference view that stay, refined with observations taken from copies."""
-    curve_ids = np.repeat(np.arange(len(traced.offsets) - 1), np.diff(traced.offsets))
-    runs = np.cumsum(np.append(True, (np.diff(curve_ids) != 0) | (kept[1:] != kept[:-1]))) - 1
-    stays = np.cumsum(kept) - 1
-    points, views, positions = taken
-    left = chosen(traced, runs, kept)
-    if len(points) == 0:
-        return left
-    return refined_with(given, left, (stays[points], views, positions), options, num_threads)
 
 
 def refined_with(
@@ -167,7 +158,11 @@ def refit(
 
 def slid(curves: Curves, positions: FloatArray, observers: Observers) -> FloatArray:
     """(N, K) the positions nearest to the curves on the same chains; NaN where that is not near."""
-    at, others, threads = placed(observers.reference, curves), observers.others, observers.num_threads
+    at, others, threads = (
+        placed(observers.reference, curves),
+        observers.others,
+        observers.num_threads,
+    )
     positions = _kernels.slide_positions(*at, positions, others, threads)
     residuals, _ = _kernels.observation_residuals(*at, positions, others, threads)
     near = np.abs(residuals) <= observers.options.max_residual_px

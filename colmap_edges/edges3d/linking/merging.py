@@ -326,8 +326,7 @@ def across_in(view: View, points: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
-    """Log likelihood ratios for two edges of a view that sees both, and against of one that does
-    not."""
+    """Log likelihood ratios of a view that sees both: for two edges; and of one: against."""
     rate = options.chain_depth.visibility_rate * options.chain_depth.detection_rate
     return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
 
