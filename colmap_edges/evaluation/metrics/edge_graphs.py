@@ -243,17 +243,28 @@ def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
 
 def found_corners(edges: Edges3D) -> FloatArray:
     """(C, 3) nodes at which ends of edges meet at an angle."""
-    tips, inner = end_points(edges.edge_offsets, END_POINTS)
+    tips, inward = inward_directions(edges)
     nodes = edges.end_nodes.ravel().astype(np.int64)
     used = nodes >= 0
     count = int(nodes.max(initial=-1)) + 1
-    inward = edges.points[inner] - edges.points[tips]
-    lengths = np.linalg.norm(inward, axis=1, keepdims=True)
-    inward /= np.where(lengths > 0, lengths, 1)
     corners = bent(nodes[used], inward[used], count)
     sums = [np.bincount(nodes[used], of, count) for of in edges.points[tips[used]].T]
     counts = np.bincount(nodes[used], minlength=count)
     return (np.column_stack(sums) / np.maximum(counts, 1)[:, None])[corners]
+
+
+def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
+    """(2E,) points at the ends of edges, and (2E, 3) unit directions of the edges from there.
+
+    Those of the parabolas through the last points: chords of small circles meet at angles, too.
+    """
+    tips, inner = end_points(edges.edge_offsets, END_POINTS)
+    points, middle = edges.points, (tips + inner) // 2
+    curved = (np.abs(tips - inner) == END_POINTS)[:, None]
+    chords = points[inner] - points[tips]
+    inward = np.where(curved, 4 * (points[middle] - points[tips]) - chords, chords)
+    lengths = np.linalg.norm(inward, axis=1, keepdims=True)
+    return tips, inward / np.where(lengths > 0, lengths, 1)
 
 
 def compare_corners(
