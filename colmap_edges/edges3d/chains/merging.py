@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    entries_of,
+    offsets_of,
+    owners_of,
+)
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import lift
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
@@ -17,8 +24,8 @@ from colmap_edges.edges3d.chains.filtering import (
     find_pieces,
     sort_remains,
 )
-from colmap_edges.edges3d.chains.observing import Observers, drop_lone, placed
-from colmap_edges.edges3d.chains.refinement import depth_step, joint_step
+from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
+from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, depth_step, joint_step
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.merging import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -57,45 +64,64 @@ def merge_traced(
     for place, each in enumerate(traced):
         rows = np.flatnonzero(owners == place)
         stays = merging.kept[starts[place] : starts[place + 1]]
-        takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
         left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
-        if len(rows):
-            taken = taken_observations(pieces.observations, merging.givers[rows], takers)
-            left = refined_with(given, left, taken, options, num_threads)
-        fixed, moving = sort_remains(left, kept.limits, options.tracing)
-        edges.append(fixed)
-        contours.append(moving)
+        takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
+        taken = taken_observations(pieces.observations, merging.givers[rows], takers)
+        for part in refined_parts(given, left, taken, options, num_threads):
+            fixed, moving = sort_remains(part, kept.limits, options.tracing)
+            edges.append(fixed)
+            contours.append(moving)
     count = {"points_merged": int((~merging.kept).sum())}
     return replace(kept, edges=edges, contours=contours), count
 
 
+@dataclass(frozen=True, kw_only=True)
+class Taken:
+    """Observations that (R,) points take, in views and at positions on their chains."""
+
+    points: IntArray
+    views: IntArray
+    positions: FloatArray
+
+
 def taken_observations(
     observations: ChainObservations, givers: IntArray, takers: IntArray
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """(R,) points that take observations, their views and positions."""
+) -> Taken:
+    """What points take of others, one from each."""
     rows = entries_of(observations.offsets, givers)
-    points = np.repeat(takers, observations.counts[givers])
-    return points, observations.views[rows].astype(np.int64), observations.positions[rows]
+    return Taken(
+        points=np.repeat(takers, observations.counts[givers]),
+        views=observations.views[rows].astype(np.int64),
+        positions=observations.positions[rows],
+    )
+
+
+def refined_parts(
+    given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
+) -> list[Traced]:
+    """The curves that take no observations as they are, the others refined with these."""
+    if len(taken.points) == 0:
+        return [traced]
+    curves = owners_of(traced.offsets)
+    takes = np.isin(curves, curves[taken.points])
+    points = np.cumsum(takes)[taken.points] - 1
+    part = refined_with(
+        given,
+        chosen(traced, curves, takes),
+        replace(taken, points=points),
+        options,
+        num_threads,
+    )
+    return [chosen(traced, curves, ~takes), part]
 
 
 def refined_with(
-    given: TracingInput,
-    traced: Traced,
-    taken: tuple[IntArray, IntArray, FloatArray],
-    options: PipelineOptions,
-    num_threads: int,
+    given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
 ) -> Traced:
     """Curves of one reference view refined on their observations and others."""
     reference = given.views[traced.reference]
-    points, views, positions = taken
-    own = traced.observations
-    others = np.unique(np.concatenate([own.views, views]))
-    others = others[others != traced.reference]
-    table = np.full((len(traced.points), given.num_views), np.nan)
-    table[points, views] = positions
-    table[own.points, own.views] = own.positions
-    at_reference = table[:, traced.reference]
-    table = np.ascontiguousarray(table[:, others])
+    others, table = observation_table(traced, taken, given.num_views)
+    at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
     ideal, depths = reference.project_ideal(traced.points)
     curves = Curves(
         ideal=ideal,
@@ -129,6 +155,20 @@ def refined_with(
     )
 
 
+def observation_table(traced: Traced, taken: Taken, num_views: int) -> tuple[IntArray, FloatArray]:
+    """The views that observe curves besides their reference, and (N, 1 + K) positions there.
+
+    Those on the chains of the reference view come first. Own observations go before those taken.
+    """
+    own = traced.observations
+    table = np.full((len(traced.points), num_views), np.nan)
+    table[taken.points, taken.views] = taken.positions
+    table[own.points, own.views] = own.positions
+    others = np.flatnonzero(np.isfinite(table).any(axis=0))
+    others = others[others != traced.reference]
+    return others, table[:, np.append(traced.reference, others)]
+
+
 def refit(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[Curves, FloatArray, FloatArray, FloatArray]:
@@ -139,21 +179,30 @@ def refit(
         depth in units of the noise.
     """
     options = observers.options
-    for last in (False, True):
-        positions = slid(curves, positions, observers)
-        if last:
-            normals = curves.normals
-            sums = observers.sums(curves, positions, normals)
-            changes, shifts = joint_step(curves, sums, options)
-            curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
-        else:
-            changes = depth_step(curves, observers.sums(curves, positions), options)
-        curves = replace_depths(curves, curves.inverse_depths + changes)
+    positions = slid(curves, positions, observers)
+    movable = ~weak_points(curves, observers.sums(curves, positions))
+    changes = depth_step(curves, observers.sums(curves, positions), options)
+    curves = replace_depths(curves, curves.inverse_depths + np.where(movable, changes, 0))
+    positions = slid(curves, positions, observers)
+    normals = curves.normals
+    changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
+    shifts, changes = np.where(movable, (shifts, changes), 0)
+    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+    curves = replace_depths(curves, curves.inverse_depths + changes)
     positions = slid(curves, positions, observers)
     residuals, information = _kernels.observation_residuals(
         *placed(observers.reference, curves), positions, observers.others, observers.num_threads
     )
     return curves, positions, residuals, information
+
+
+def weak_points(curves: Curves, sums: Sums) -> BoolArray:
+    """(N,) points of curves along the epipolar lines, whose depths the gray beside them told."""
+    count = len(curves.offsets) - 1
+    across, every = (
+        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
+    )
+    return np.asarray((across < WELL_ACROSS * every)[curves.curve_ids], np.bool_)
 
 
 def slid(curves: Curves, positions: FloatArray, observers: Observers) -> FloatArray:
