@@ -12,7 +12,6 @@ from colmap_edges.core.arrays import (
     IntArray,
     entries_of,
     offsets_of,
-    owners_of,
 )
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import lift
@@ -25,7 +24,7 @@ from colmap_edges.edges3d.chains.filtering import (
     sort_remains,
 )
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
-from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, depth_step, joint_step
+from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, joint_step
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.merging import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -66,11 +65,12 @@ def merge_traced(
         stays = merging.kept[starts[place] : starts[place + 1]]
         left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
         takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
-        taken = taken_observations(pieces.observations, merging.givers[rows], takers)
-        for part in refined_parts(given, left, taken, options, num_threads):
-            fixed, moving = sort_remains(part, kept.limits, options.tracing)
-            edges.append(fixed)
-            contours.append(moving)
+        if len(rows):
+            taken = taken_observations(pieces.observations, merging.givers[rows], takers)
+            left = refined_with(given, left, taken, options, num_threads)
+        fixed, moving = sort_remains(left, kept.limits, options.tracing)
+        edges.append(fixed)
+        contours.append(moving)
     count = {"points_merged": int((~merging.kept).sum())}
     return replace(kept, edges=edges, contours=contours), count
 
@@ -94,25 +94,6 @@ def taken_observations(
         views=observations.views[rows].astype(np.int64),
         positions=observations.positions[rows],
     )
-
-
-def refined_parts(
-    given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
-) -> list[Traced]:
-    """The curves that take no observations as they are, the others refined with these."""
-    if len(taken.points) == 0:
-        return [traced]
-    curves = owners_of(traced.offsets)
-    takes = np.isin(curves, curves[taken.points])
-    points = np.cumsum(takes)[taken.points] - 1
-    part = refined_with(
-        given,
-        chosen(traced, curves, takes),
-        replace(taken, points=points),
-        options,
-        num_threads,
-    )
-    return [chosen(traced, curves, ~takes), part]
 
 
 def refined_with(
@@ -178,14 +159,11 @@ def refit(
         The curves, (N, K) positions, (N, K) residuals in pixels and (N,) information on inverse
         depth in units of the noise.
     """
-    options = observers.options
-    positions = slid(curves, positions, observers)
-    movable = ~weak_points(curves, observers.sums(curves, positions))
-    changes = depth_step(curves, observers.sums(curves, positions), options)
-    curves = replace_depths(curves, curves.inverse_depths + np.where(movable, changes, 0))
     positions = slid(curves, positions, observers)
     normals = curves.normals
-    changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
+    sums = observers.sums(curves, positions, normals)
+    changes, shifts = joint_step(curves, sums, observers.options)
+    movable = ~weak_points(curves, sums)
     shifts, changes = np.where(movable, (shifts, changes), 0)
     curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)

@@ -27,7 +27,7 @@ from colmap_edges.options import PipelineOptions
 MAX_OFFSET_PX = 6.0  # how far light and blur move an edge in an image
 MIN_COSINE = float(np.cos(np.radians(15.0)))  # of the angle between pieces that are parallel
 MAX_ALONG_SPACINGS = 0.75  # how far past a point of a piece that piece is still beside another
-SAMPLES = 5  # places along a pair of pieces at which views are asked
+SAMPLES = 3  # places along a pair of pieces at which views are asked
 CHANCE_RATE = 0.1  # of places beside an edge at which a view observes one that is not there
 MAX_COPY_SIGMAS = 3.0  # between copies of which either is as good
 WEAK_RATIO = 1.0  # of observations
