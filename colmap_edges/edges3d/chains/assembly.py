@@ -17,6 +17,7 @@ from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
+from colmap_edges.edges3d.linking.nodes import meet_at_nodes
 from colmap_edges.options import PipelineOptions
 
 
@@ -45,10 +46,12 @@ def link(
     once, merged = merge_traced(given, kept, options, num_threads)
     pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
     edges = meet_at_corners(linked(pieces), given, options, num_threads)
+    edges = meet_at_nodes(edges, given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),
-        "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
+        "nodes": len(edges.nodes.points),
+        "junctions": int((edges.nodes.through_points >= 0).sum()),
     }
 
 

@@ -293,6 +293,12 @@ def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D
 
     Points past the corner or next to it are left out.
     """
+    order, lengths = order_to(edges, ends, met)
+    return longer.reordered(order, offsets_of(lengths), edges.closed, edges.end_nodes)
+
+
+def order_to(edges: Edges3D, ends: Ends, met: Corners) -> tuple[IntArray, IntArray]:
+    """The points of edges with M that follow them as some of their ends; (E,) points of each."""
     limits = MIN_GAP_SPACINGS * ends.spacings[met.members]
     skip = num_behind(edges, met.members, met.points, -ends.outward[met.members], limits)
     begins = edges.edge_offsets[:-1] + skip[::2]
@@ -304,5 +310,4 @@ def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D
     rank = np.concatenate([np.zeros(len(own)), np.where(met.members % 2 == 0, -1, 1)])
     points = np.concatenate([own, edges.num_points + np.arange(len(met.members))])
     order = np.lexsort((rank, owners))  # stable: points of an edge stay in their order
-    lengths = np.bincount(owners, minlength=edges.num_edges)
-    return longer.reordered(points[order], offsets_of(lengths), edges.closed, edges.end_nodes)
+    return points[order], np.bincount(owners, minlength=edges.num_edges)
