@@ -128,6 +128,23 @@ class Edges3D:
             ids[through[through >= 0]] = np.flatnonzero(through >= 0)
         return ids
 
+    def distinct(self) -> tuple[DistinctPoints, IntArray]:
+        """The physical points, each once, and the (N,) place of every edge point among them.
+
+        Points of one edge alone come first, in their order, then the nodes.
+        """
+        ids = self.node_ids
+        own = np.flatnonzero(ids < 0)
+        rows = np.where(ids < 0, np.cumsum(ids < 0) - 1, len(own) + ids)
+        points = DistinctPoints(
+            points=np.concatenate([self.points[own], self.nodes.points]),
+            colors=np.concatenate([self.colors[own], self.nodes.colors]),
+            observations=Observations.concatenated(
+                [self.observations.select(own), self.nodes.observations]
+            ),
+        )
+        return points, rows.astype(np.int64)
+
     def reordered(
         self,
         order: IntArray,
@@ -154,6 +171,21 @@ class Edges3D:
             end_nodes=end_nodes,
             colors=self.colors[order],
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistinctPoints:
+    """Edge points and nodes, each physical point once.
+
+    Attributes:
+        points: (D, 3) float64 world points.
+        colors: (D, 3) uint8 RGB.
+        observations: their tracks.
+    """
+
+    points: FloatArray
+    colors: ByteArray
+    observations: Observations
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,13 +89,15 @@ def meet_at_nodes(
 def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meetings:
     """Open ends near each other whose lines run to one point, or past each other to none."""
     radius = options.linking.node_radius_spacings
-    a, b, _ = near_pairs(lines.ends, radius)
+    a, b, gap = near_pairs(lines.ends, radius)
     is_open = np.repeat(~edges.closed, 2)
     # Neighbours that end side by side point the same way; they meet nowhere.
     cosine = np.einsum("ij,ij->i", lines.ends.outward[a], lines.ends.outward[b])
     keep = is_open[a] & is_open[b] & (cosine <= np.cos(np.radians(MIN_ANGLE_DEG)))
+    keep &= a // 2 != b // 2
+    links = nearest_links(a[keep], b[keep], np.linalg.norm(gap[keep], axis=1))
     count = len(lines.centers)
-    graph = coo_array((np.ones(keep.sum()), (a[keep], b[keep])), shape=(count, count))
+    graph = coo_array((np.ones(len(links)), links.T), shape=(count, count))
     labels = connected_components(graph, directed=False)[1]
     members = np.flatnonzero(np.bincount(labels)[labels] > 1)
     owners = np.unique(labels[members], return_inverse=True)[1].astype(np.int64)
@@ -110,13 +112,22 @@ def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meet
     return Meetings(corners=corners, through=np.full(len(none), -1, np.int64)).select(used)
 
 
+def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:
+    """(L, 2) of each end the pair with the end nearest to it; corners may be near each other."""
+    order = np.argsort(np.tile(distances, 2), kind="stable")
+    ends, others = np.concatenate([a, b])[order], np.concatenate([b, a])[order]
+    each, first = np.unique(ends, return_index=True)
+    return np.column_stack([each, others[first]])
+
+
 def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatArray, FloatArray]:
     """(C, 3) points nearest to the lines of their ends by their deviations, (C, 3, 3) covariances.
 
     Along lines that are all parallel the ends themselves tell where, to a spacing.
     """
     members, count = corners.members, len(corners.positions)
-    outward, spacings = lines.outward[members], lines.ends.spacings[members] + 1e-300
+    outward, spacings = lines.outward[members], lines.ends.spacings[members]
+    spacings = np.maximum(spacings, 1e-6 * spacings.max(initial=0.0))
     tips, _ = end_points(edges.edge_offsets, 0)
     sigmas = np.nan_to_num(edges.sigmas[tips[members]], nan=0.0, posinf=0.0)
     across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
@@ -212,10 +223,12 @@ def observed_meetings(
         views=seen.views[first],
         positions=seen.positions[first],
     )
-    columns = np.repeat(np.arange(len(corners.members)), np.diff(asked.tocsr().indptr))
-    keys = corners.owners[columns] * num_views + asked.tocsr().indices
-    num_asked = np.bincount(np.unique(keys) // num_views, minlength=count)
-    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
+    # Ends that meet are observed there themselves; one that runs on to another edge is not.
+    num_asked = np.bincount(
+        corners.owners, np.bincount(asked.indices, minlength=len(corners.members)), count
+    )
+    ratio = np.where(meetings.through >= 0, MIN_SEEN_RATIO, 0)
+    least = np.maximum(options.tracing.min_observations, ratio * num_asked)
     enough = of_nodes.counts >= least
     return meetings.select(enough), of_nodes.select(np.flatnonzero(enough))
 

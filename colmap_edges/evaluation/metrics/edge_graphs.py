@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.polylines import end_points
+from colmap_edges.core.polylines import curve_tangents, end_points
 from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, make_score, score
 from colmap_edges.evaluation.metrics.curves import sample
@@ -242,12 +242,16 @@ def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
 
 
 def found_corners(edges: Edges3D) -> FloatArray:
-    """(C, 3) nodes at which ends of edges meet at an angle."""
+    """(C, 3) nodes at which ends of edges meet each other, or an edge that goes on, at an angle."""
     tips, inward = inward_directions(edges)
     nodes = edges.end_nodes.ravel().astype(np.int64)
     used = nodes >= 0
     count = int(nodes.max(initial=-1)) + 1
-    corners = bent(nodes[used], inward[used], count)
+    passed = np.flatnonzero(edges.nodes.through_points >= 0)
+    onto = edges.nodes.through_points[passed]
+    along = unit(curve_tangents(edges.points, edges.edge_offsets)[onto])
+    places = np.concatenate([nodes[used], passed, passed])
+    corners = bent(places, np.concatenate([inward[used], along, -along]), count)
     sums = [np.bincount(nodes[used], of, count) for of in edges.points[tips[used]].T]
     counts = np.bincount(nodes[used], minlength=count)
     return (np.column_stack(sums) / np.maximum(counts, 1)[:, None])[corners]
@@ -263,8 +267,13 @@ def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
     curved = (np.abs(tips - inner) == END_POINTS)[:, None]
     chords = points[inner] - points[tips]
     inward = np.where(curved, 4 * (points[middle] - points[tips]) - chords, chords)
-    lengths = np.linalg.norm(inward, axis=1, keepdims=True)
-    return tips, inward / np.where(lengths > 0, lengths, 1)
+    return tips, unit(inward)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """(N, 3) vectors at length 1; those without length stay."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1)
 
 
 def compare_corners(
