@@ -78,7 +78,7 @@ def meet_at_nodes(
     corners = meetings.corners
     nodes = Nodes(
         points=corners.positions,
-        sigmas=node_sigmas(edges, lines, corners),
+        sigmas=node_sigmas(edges, lines, meetings),
         observations=observations,
         colors=mean_colors(colors, observations.offsets),
         through_points=meetings.through,
@@ -142,12 +142,25 @@ def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatAr
     return np.einsum("nij,nj->ni", covariances, pulls), covariances
 
 
-def node_sigmas(edges: Edges3D, lines: Lines, corners: Corners) -> FloatArray:
+def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
     """(C,) standard deviations of nodes in the directions in which they are known least."""
-    covariances = solve_nodes(edges, lines, corners)[1]
-    if len(covariances) == 0:
+    if len(meetings.through) == 0:
         return np.zeros(0)
-    return np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    information = np.linalg.inv(solve_nodes(edges, lines, meetings.corners)[1])
+    passed = np.flatnonzero(meetings.through >= 0)
+    points = meetings.through[passed]
+    tangents = unit_tangents(edges)[points]
+    across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
+    known = (edges.sigmas[points] > 0) & np.isfinite(edges.sigmas[points])
+    weights = np.where(known, 1 / np.where(known, edges.sigmas[points], 1) ** 2, 0)
+    information[passed] += across * weights[:, None, None]
+    return 1 / np.sqrt(np.linalg.eigvalsh(information)[:, 0])
+
+
+def unit_tangents(edges: Edges3D) -> FloatArray:
+    """(N, 3) unit directions along the edges."""
+    tangents = curve_tangents(edges.points, edges.edge_offsets)
+    return tangents / (np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-300)
 
 
 def with_junctions(
@@ -158,8 +171,7 @@ def with_junctions(
     free = np.repeat(~edges.closed, 2)
     free[meetings.corners.members] = False
     of, onto = pairs_beside(edges, lines, np.flatnonzero(free), reach)
-    tangents = curve_tangents(edges.points, edges.edge_offsets)[onto]
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-300
+    tangents = unit_tangents(edges)[onto]
     outward, spacings = lines.outward[of], lines.ends.spacings[of] + 1e-300
     cosine = np.einsum("ij,ij->i", outward, tangents)
     away = lines.centers[of] - edges.points[onto]
@@ -223,12 +235,12 @@ def observed_meetings(
         views=seen.views[first],
         positions=seen.positions[first],
     )
-    # Ends that meet are observed there themselves; one that runs on to another edge is not.
-    num_asked = np.bincount(
-        corners.owners, np.bincount(asked.indices, minlength=len(corners.members)), count
+    # Of ends that meet some are seen by few; these see the node, too.
+    num_asked = np.full(count, np.iinfo(np.int64).max)
+    np.minimum.at(
+        num_asked, corners.owners, np.bincount(asked.indices, minlength=len(corners.members))
     )
-    ratio = np.where(meetings.through >= 0, MIN_SEEN_RATIO, 0)
-    least = np.maximum(options.tracing.min_observations, ratio * num_asked)
+    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
     enough = of_nodes.counts >= least
     return meetings.select(enough), of_nodes.select(np.flatnonzero(enough))
 
