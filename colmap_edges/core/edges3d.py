@@ -98,6 +98,11 @@ class Edges3D:
         return len(self.points)
 
     @property
+    def num_distinct(self) -> int:
+        """Number of physical points: edge points that are one node count once."""
+        return int((self.node_ids < 0).sum()) + len(self.nodes.points)
+
+    @property
     def edge_ids(self) -> IntArray:
         """(N,) edge of each point."""
         return owners_of(self.edge_offsets)

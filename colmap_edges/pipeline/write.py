@@ -45,8 +45,8 @@ def write_stage(
         write_json(edges, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
-            "edge_points": edges.num_points,
-            "observations": len(residuals),
+            "edge_points": edges.num_distinct,
+            "observations": len(edges.distinct()[0].observations.views),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
     return with_edge_points(model, edges, ids)
