@@ -101,7 +101,7 @@ def refined_with(
 ) -> Traced:
     """Curves of one reference view refined on their observations and others."""
     reference = given.views[traced.reference]
-    others, table = observation_table(traced, taken, given.num_views)
+    others, table = observation_table(traced, taken)
     at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
     ideal, depths = reference.project_ideal(traced.points)
     curves = Curves(
@@ -136,18 +136,19 @@ def refined_with(
     )
 
 
-def observation_table(traced: Traced, taken: Taken, num_views: int) -> tuple[IntArray, FloatArray]:
+def observation_table(traced: Traced, taken: Taken) -> tuple[IntArray, FloatArray]:
     """The views that observe curves besides their reference, and (N, 1 + K) positions there.
 
     Those on the chains of the reference view come first. Own observations go before those taken.
     """
     own = traced.observations
-    table = np.full((len(traced.points), num_views), np.nan)
-    table[taken.points, taken.views] = taken.positions
-    table[own.points, own.views] = own.positions
-    others = np.flatnonzero(np.isfinite(table).any(axis=0))
-    others = others[others != traced.reference]
-    return others, table[:, np.append(traced.reference, others)]
+    views = np.unique(np.concatenate([own.views, taken.views, [traced.reference]]))
+    table = np.full((len(traced.points), len(views)), np.nan)
+    table[taken.points, np.searchsorted(views, taken.views)] = taken.positions
+    table[own.points, np.searchsorted(views, own.views)] = own.positions
+    at = int(np.searchsorted(views, traced.reference))
+    others = np.delete(np.arange(len(views)), at)
+    return views[others], table[:, np.append(at, others)]
 
 
 def refit(
@@ -159,7 +160,7 @@ def refit(
         The curves, (N, K) positions, (N, K) residuals in pixels and (N,) information on inverse
         depth in units of the noise.
     """
-    positions = slid(curves, positions, observers)
+    positions, _, _ = slid(curves, positions, observers)
     normals = curves.normals
     sums = observers.sums(curves, positions, normals)
     changes, shifts = joint_step(curves, sums, observers.options)
@@ -167,11 +168,7 @@ def refit(
     shifts, changes = np.where(movable, (shifts, changes), 0)
     curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
-    positions = slid(curves, positions, observers)
-    residuals, information = _kernels.observation_residuals(
-        *placed(observers.reference, curves), positions, observers.others, observers.num_threads
-    )
-    return curves, positions, residuals, information
+    return curves, *slid(curves, positions, observers)
 
 
 def weak_points(curves: Curves, sums: Sums) -> BoolArray:
@@ -183,14 +180,20 @@ def weak_points(curves: Curves, sums: Sums) -> BoolArray:
     return np.asarray((across < WELL_ACROSS * every)[curves.curve_ids], np.bool_)
 
 
-def slid(curves: Curves, positions: FloatArray, observers: Observers) -> FloatArray:
-    """(N, K) the positions nearest to the curves on the same chains; NaN where that is not near."""
-    at, others, threads = (
-        placed(observers.reference, curves),
-        observers.others,
-        observers.num_threads,
+def slid(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The nearest places on the same chains, where these are near enough.
+
+    Returns:
+        (N, K) positions, (N, K) residuals in pixels, both NaN where there is none, and (N,)
+        information on inverse depth in units of the noise.
+    """
+    at, others = placed(observers.reference, curves), observers.others
+    positions = _kernels.slide_positions(*at, positions, others, observers.num_threads)
+    residuals, information = _kernels.observation_residuals(
+        *at, positions, others, observers.num_threads
     )
-    positions = _kernels.slide_positions(*at, positions, others, threads)
-    residuals, _ = _kernels.observation_residuals(*at, positions, others, threads)
     near = np.abs(residuals) <= observers.options.max_residual_px
-    return drop_lone(np.where(near, positions, np.nan), curves.offsets)
+    positions = drop_lone(np.where(near, positions, np.nan), curves.offsets)
+    return positions, np.where(np.isfinite(positions), residuals, np.nan), information

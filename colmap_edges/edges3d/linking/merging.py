@@ -177,7 +177,8 @@ def find_matches(pieces: Pieces) -> Matches:
     """Points beside other pieces that run parallel."""
     radius = MAX_OFFSET_PX * pieces.pixel_sizes
     tree = cKDTree(pieces.points)
-    found = tree.query_ball_point(pieces.points, radius + pieces.spacings, return_sorted=False)
+    reach = np.hypot(radius, pieces.spacings)
+    found = tree.query_ball_point(pieces.points, reach, return_sorted=False)
     a = np.repeat(np.arange(len(found)), [len(row) for row in found])
     b = np.concatenate([np.zeros(0, np.int64), *(np.array(r, np.int64) for r in found)])
     keep = pieces.ids[a] != pieces.ids[b]
