@@ -61,14 +61,15 @@ class Pieces:
     def tangents(self) -> FloatArray:
         """(N, 3) unit directions along the pieces."""
         along = curve_tangents(self.points, self.offsets)
-        return along / (np.linalg.norm(along, axis=1, keepdims=True) + 1e-300)
+        lengths = np.linalg.norm(along, axis=1, keepdims=True)
+        return np.asarray(along / (lengths + 1e-300), np.float64)
 
     @cached_property
     def spacings(self) -> FloatArray:
         """(N,) distance to the next point of the piece, or the one before."""
         apart = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         apart[np.diff(self.ids) != 0] = 0
-        return np.maximum(np.append(apart, 0), np.append(0, apart))
+        return np.asarray(np.maximum(np.append(apart, 0), np.append(0, apart)), np.float64)
 
     @cached_property
     def pixel_sizes(self) -> FloatArray:
@@ -156,7 +157,8 @@ def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions)
     size = pieces.pixel_sizes[matches.points]
     offset = np.linalg.norm(matches.offsets, axis=1) / size
     known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
-    return offset / np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+    noise = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+    return np.asarray(offset / noise, np.float64)
 
 
 def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArray:

@@ -138,8 +138,8 @@ def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatAr
     pull = np.einsum("nij,nj->ni", across, lines.centers[members])
     np.add.at(pulls, corners.owners, pull + stay[:, None] * lines.ends.positions[members])
     information[np.bincount(corners.owners, minlength=count) == 0] = np.eye(3)
-    covariances = np.linalg.inv(information)
-    return np.einsum("nij,nj->ni", covariances, pulls), covariances
+    covariances = np.asarray(np.linalg.inv(information), np.float64)
+    return np.asarray(np.einsum("nij,nj->ni", covariances, pulls), np.float64), covariances
 
 
 def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
@@ -154,13 +154,14 @@ def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
     known = (edges.sigmas[points] > 0) & np.isfinite(edges.sigmas[points])
     weights = np.where(known, 1 / np.where(known, edges.sigmas[points], 1) ** 2, 0)
     information[passed] += across * weights[:, None, None]
-    return 1 / np.sqrt(np.linalg.eigvalsh(information)[:, 0])
+    return np.asarray(1 / np.sqrt(np.linalg.eigvalsh(information)[:, 0]), np.float64)
 
 
 def unit_tangents(edges: Edges3D) -> FloatArray:
     """(N, 3) unit directions along the edges."""
     tangents = curve_tangents(edges.points, edges.edge_offsets)
-    return tangents / (np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-300)
+    lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
+    return np.asarray(tangents / (lengths + 1e-300), np.float64)
 
 
 def with_junctions(

@@ -91,13 +91,14 @@ def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
     """(N,) length that each sample of `curves.sample` stands for."""
     if not len(curves.segments):
         # Where curves meet, or are listed twice, samples coincide.
-        distinct = np.unique(curves.points.round(9), axis=0)
-        if len(distinct) < 2:
+        size = float(np.ptp(curves.points, axis=0).max(initial=0.0)) if len(curves.points) else 0.0
+        if size == 0:
             return np.zeros(len(curves.points))
+        points = curves.points / size
+        distinct = np.unique(points.round(9), axis=0)
         step = float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
-        return step / cKDTree(curves.points).query_ball_point(
-            curves.points, step / 4, return_length=True
-        )
+        counts = cKDTree(points).query_ball_point(points, step / 4, return_length=True)
+        return np.asarray(size * step / counts, np.float64)
     lengths = curves.lengths()
     counts = sample_counts(lengths, spacing)
     return np.repeat(lengths / np.maximum(counts, 1), counts)
