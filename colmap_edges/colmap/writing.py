@@ -173,16 +173,18 @@ def ids_of_edge_points(edges: Edges3D, points: NewPoints) -> IntArray:
 
 
 def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
-    """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
-    points, places = edges.distinct()
-    observed, ids = points.observations, np.zeros(len(points.points), np.int64)
-    ids[places] = point3D_ids
+    """The model as arrays with the points of all edges after its own, as the mesher takes them.
+
+    Edge points that are one node have one id and stand there once for each edge; `reconstruction`
+    stays as it was.
+    """
+    observed = edges.observations
     offsets = model.track_offsets[-1] + observed.offsets[1:]
     return replace(
         model,
-        points3D_xyz=np.concatenate([model.points3D_xyz, points.points]),
-        point3D_ids=np.concatenate([model.point3D_ids, ids]),
-        points3D_rgb=np.concatenate([model.points3D_rgb, points.colors]),
+        points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
+        point3D_ids=np.concatenate([model.point3D_ids, point3D_ids]),
+        points3D_rgb=np.concatenate([model.points3D_rgb, edges.colors]),
         track_offsets=np.concatenate([model.track_offsets, offsets]),
         track_views=np.concatenate([model.track_views, observed.views]),
         track_points2D=np.concatenate([model.track_points2D, observed.pixels]),
