@@ -80,6 +80,13 @@ def edge_tables(record: dict[str, Any]) -> str:
             parts.append(_visible_curve_table(record["curves"]))
     if "kinds" in record:
         parts.append(_kind_table(record["kinds"]))
+    if "times_found" in record:
+        parts.append(_times_found_table(record["times_found"]))
+    if "corners" in record:
+        parts.append(_corner_table(record["corners"]))
+    if "twins" in record:
+        header = [f"parallel twin within {row['limit_px']:g} px" for row in record["twins"]]
+        parts.append(markdown(header, [[row["share"] for row in record["twins"]]]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
     if "reprojection" in record:
@@ -104,6 +111,19 @@ def _distance_table(errors: dict[str, Any]) -> str:
     names = ("accuracy", "completeness", "spacing", "unit")
     header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
     return markdown(header, [[errors[name] for name in names]])
+
+
+def _times_found_table(rows: list[dict[str, float]]) -> str:
+    names = ("threshold", "result_length", "found_length", "times")
+    header = ("threshold", "edges on true curves", "true curves found", "times each is found")
+    return markdown(header, [[row[name] for name in names] for row in rows])
+
+
+def _corner_table(corners: dict[str, Any]) -> str:
+    names = ("threshold", "precision", "recall", "f_score")
+    header = ("corners: threshold", "precision", "recall", "F", "found", "true")
+    counts = (corners["result_corners"], corners["reference_corners"])
+    return markdown(header, [[*(row[n] for n in names), *counts] for row in corners["scores"]])
 
 
 def _visible_curve_table(errors: dict[str, Any]) -> str:

@@ -79,7 +79,7 @@ def write_json(
     residuals: FloatArray,
     path: Path,
 ) -> None:
-    """Write what each edge is, and the curves that it consists of, one line each.
+    """Write what each edge and each node is, and the curves of the edges, one line each.
 
     Args:
         edges: the edges; an edge's id is its place in them.
@@ -91,6 +91,7 @@ def write_json(
     """
     parts = {
         "edges": edge_records(edges, model, point3D_ids, residuals),
+        "nodes": node_records(edges, model, point3D_ids),
         "curves": curve_records(curves, edges.edge_offsets),
     }
     lists = (
@@ -127,6 +128,39 @@ def edge_records(
                 "residual_px": finite(residuals[rows].mean()) if len(views) else None,
                 "end_nodes": edges.end_nodes[edge].tolist(),
                 "sigmas": [short(sigma) for sigma in edges.sigmas[first:last].tolist()],
+            }
+        )
+    return records
+
+
+def node_records(edges: Edges3D, model: Model, point3D_ids: IntArray) -> list[dict[str, Any]]:
+    """One mapping a node: id, point3D id, place, deviation, views, ends that meet, edge through.
+
+    An end is an edge's id with 0 for its first and 1 for its last point; the edge that passes
+    through is its id with the place of the node among its points.
+    """
+    nodes, node_ids = edges.nodes, edges.node_ids
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    ids = np.full(len(nodes.points), -1, np.int64)
+    ids[node_ids[node_ids >= 0]] = point3D_ids[node_ids >= 0]
+    met = edges.end_nodes.ravel()
+    order = np.argsort(met, kind="stable")
+    bounds = np.searchsorted(met[order], np.arange(len(ids) + 1))
+    records = []
+    for node, through in enumerate(nodes.through_points.tolist()):
+        ends = order[bounds[node] : bounds[node + 1]]
+        rows = slice(*nodes.observations.offsets[node : node + 2])
+        edge = int(np.searchsorted(edges.edge_offsets, through, "right")) - 1
+        passing = [edge, through - int(edges.edge_offsets[edge])]
+        records.append(
+            {
+                "id": node,
+                "point3D_id": int(ids[node]),
+                "xyz": nodes.points[node].tolist(),
+                "sigma": float(nodes.sigmas[node]),
+                "image_ids": np.unique(image_ids[nodes.observations.views[rows]]).tolist(),
+                "ends": [[int(end) // 2, int(end) % 2] for end in ends],
+                "through": passing if through >= 0 else None,
             }
         )
     return records

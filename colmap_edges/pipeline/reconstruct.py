@@ -32,7 +32,7 @@ class EdgeReconstruction:
         edges: the 3D edges with their tracks.
         contours: view-dependent contours (silhouettes of smooth bodies, reflections), for `mesh`;
             they are no edges and not in `reconstruction`.
-        point3D_ids: (N,) ids of the edge points in `reconstruction`.
+        point3D_ids: (N,) ids of the edge points in `reconstruction`; those of one node have one.
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
             and SfM points are the input's unless `refine_poses` is set.
         residuals_px: (T,) distance of each observation from the projection of its edge point.

@@ -103,7 +103,7 @@ def trace_stage(
             details = json.loads(str(entry.pop("details")))
             traced = unflattened(TracedEdges, entry)
         edges = traced.edges
-        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_distinct}
         if cache:
             stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
         stage.counts["details"] = details

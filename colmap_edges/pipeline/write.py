@@ -53,9 +53,9 @@ def write_stage(
         stage.counts = {
             "edges": edges.num_edges,
             "curves": curves.num_curves,
-            "edge_points": edges.num_points,
+            "edge_points": edges.num_distinct,
             "length": float(f"{edge_lengths(edges).sum():.6g}"),
-            "observations": len(residuals),
+            "observations": len(edges.distinct()[0].observations.views),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
     return with_edge_points(model, edges, ids)

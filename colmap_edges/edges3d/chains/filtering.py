@@ -245,6 +245,25 @@ def sort_pieces(
     )
 
 
+def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tuple[Traced, Traced]:
+    """Split what is left of pieces where points are observed too little.
+
+    The scatter of few points is known to one over the square root of their number of itself.
+
+    Returns:
+        The pieces that are edges, and those that scatter around any fixed curve.
+    """
+    keep = traced.observations.counts >= options.min_observations
+    keep &= traced.uncertainties <= limits.uncertainty_px
+    pieces, long = find_pieces(traced, keep, np.inf, options)
+    sizes = np.bincount(pieces)
+    fixed = scatter_of(traced, pieces) <= limits.residual_px * (1 + 1 / np.sqrt(sizes))
+    return (
+        chosen(traced, pieces, keep & (long & fixed)[pieces]),
+        chosen(traced, pieces, keep & (long & ~fixed)[pieces]),
+    )
+
+
 def find_pieces(
     traced: Traced, keep: BoolArray, log_chance: float, options: TracingOptions
 ) -> tuple[IntArray, BoolArray]:

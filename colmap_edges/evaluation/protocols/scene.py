@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
-from colmap_edges.evaluation.metrics import clouds, curves, depth, edges, kinds, visible_curves
+from colmap_edges.evaluation.metrics import (
+    clouds,
+    curves,
+    depth,
+    edge_graphs,
+    edges,
+    kinds,
+    visible_curves,
+)
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
-from colmap_edges.evaluation.readers import peers
+from colmap_edges.evaluation.readers import peers, results
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 from colmap_edges.evaluation.readers.results import read_edges
 
@@ -165,6 +174,8 @@ def evaluate_edges(
         "edges": str(edges_path),
         "lengths": asdict(edges.segment_lengths(found)),
     }
+    run = run_edges(edges_path, model)
+    record["twins"] = _twins(found, run, model)
     if edges_path.suffix in (".ply", ".npz"):
         points = model
         if input_path is not None:
@@ -174,17 +185,18 @@ def evaluate_edges(
         points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
         true = load_curves(reference_path)
+        limits = thresholds or default_thresholds(true, unit_size)
         if surface_path is not None:
             record["curves"] = _against_visible_curves(
                 found, true, model, input_path, surface_path, thresholds_px
             )
         else:
-            thresholds = thresholds or default_thresholds(true, unit_size)
             record["curves"] = asdict(
-                curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
+                curves.compare_curves(found, true, limits, unit_size=unit_size, crop=crop)
             )
-            limit = min(thresholds) * (np.ptp(true.points, axis=0).max() if unit_size else 1.0)
+            limit = min(limits) * (np.ptp(true.points, axis=0).max() if unit_size else 1.0)
             record |= _against_kinds(edges_path, reference_path, float(limit))
+        record |= _as_graph(found, run, true, limits, unit_size=unit_size)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
         record["depth"] = _points_against_depth(points, input_path, references)
@@ -198,6 +210,51 @@ def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> 
         return {}
     found = read_edges(edges_path.parent).curves
     return {"kinds": asdict(kinds.compare_kinds(found, true, threshold))}
+
+
+def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
+    """The edges of an output folder with their tracks and nodes; None for edges without these."""
+    described = edges_path.with_name("edges.json").is_file()
+    if (
+        edges_path.name != "edges.ply"
+        or not described
+        or not (edges_path.parent / "sparse").is_dir()
+    ):
+        return None
+    return results.load_edges(edges_path.parent, model)
+
+
+def _twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
+    """Share of the edges' length that lies doubled, in pixels of the views that observe them."""
+    if run is None:
+        sizes = visible_curves.visibility(found.points, model.views, None).pixel_size
+    else:
+        sizes = edge_graphs.observed_pixel_sizes(run, model.views)
+    sizes = np.where(np.isfinite(sizes), sizes, np.median(sizes[np.isfinite(sizes)], axis=0))
+    return [asdict(share) for share in edge_graphs.twin_shares(found, sizes)]
+
+
+def _as_graph(
+    found: Curves,
+    run: Edges3D | None,
+    true: Curves,
+    thresholds: Sequence[float],
+    *,
+    unit_size: bool,
+) -> Record:
+    """How often each true edge is found and, where nodes are known, how well corners are."""
+    unit = float(np.ptp(true.points, axis=0).max()) if unit_size else 1.0
+    times = edge_graphs.times_found(found, true, thresholds, unit)
+    record: Record = {"times_found": [asdict(row) for row in times]}
+    if run is not None and len(true.segments):
+        ends = (edge_graphs.found_corners(run) / unit, edge_graphs.true_corners(true) / unit)
+        scores = edge_graphs.compare_corners(*ends, thresholds)
+        record["corners"] = {
+            "scores": [asdict(row) for row in scores],
+            "result_corners": len(ends[0]),
+            "reference_corners": len(ends[1]),
+        }
+    return record
 
 
 def _points_against_depth(

@@ -11,9 +11,9 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.colmap.workspace import find_model, is_model
-from colmap_edges.core.arrays import FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_of, offsets_of
 from colmap_edges.core.curves3d import Curves3D
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
@@ -122,26 +122,48 @@ def edges_of_run(
         rows = np.searchsorted(written.point3D_ids, every)
         names = {view.name: index for index, view in enumerate(model.views)}
         views = np.array([names[view.name] for view in written.views], dtype=np.int32)
-        counts = np.diff(written.track_offsets)[rows]
-        sigmas = sigmas_of(records, lengths)
-        curves = told.get("curves")
+        offsets, sigmas = offsets_of(lengths), sigmas_of(records, lengths)
+        nodes = read_nodes(told.get("nodes", []), written, views, offsets)
+        edges = Edges3D(
+            points=written.points3D_xyz[rows],
+            edge_offsets=offsets,
+            closed=np.array([record["closed"] for record in records], dtype=bool),
+            observations=tracks_of(written, rows, views),
+            sigmas=sigmas,
+            end_nodes=np.array([r["end_nodes"] for r in records], dtype=np.int32).reshape(-1, 2),
+            colors=written.points3D_rgb[rows],
+            nodes=nodes,
+        )
+        return edges, every, told.get("curves")
     except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{run_path} holds no edges that fit its model: {error}") from error
-    taken = entries_of(written.track_offsets, rows)
-    edges = Edges3D(
+
+
+def read_nodes(
+    records: list[dict[str, Any]], written: Model, views: Int32Array, edge_offsets: IntArray
+) -> Nodes:
+    """The nodes of edges.json, with what the written model tells of them."""
+    ids = np.array([record["point3D_id"] for record in records], np.int64)
+    rows = np.searchsorted(written.point3D_ids, ids)
+    through = [record["through"] for record in records]
+    points = [edge_offsets[each[0]] + each[1] if each else -1 for each in through]
+    return Nodes(
         points=written.points3D_xyz[rows],
-        edge_offsets=offsets_of(lengths),
-        closed=np.array([record["closed"] for record in records], dtype=bool),
-        observations=Observations.of_pixels(
-            offsets=offsets_of(counts),
-            views=views[written.track_views[taken]],
-            pixels=written.track_points2D[taken],
-        ),
-        sigmas=sigmas,
-        end_nodes=np.array([r["end_nodes"] for r in records], dtype=np.int32).reshape(-1, 2),
+        sigmas=np.array([record["sigma"] for record in records], np.float64),
+        observations=tracks_of(written, rows, views),
         colors=written.points3D_rgb[rows],
+        through_points=np.array(points, np.int64),
     )
-    return edges, every, curves
+
+
+def tracks_of(written: Model, rows: IntArray, views: Int32Array) -> Observations:
+    """The tracks of some points of a model, by views that are called so."""
+    taken = entries_of(written.track_offsets, rows)
+    return Observations.of_pixels(
+        offsets=offsets_of(np.diff(written.track_offsets)[rows]),
+        views=views[written.track_views[taken]],
+        pixels=written.track_points2D[taken],
+    )
 
 
 def sigmas_of(records: list[dict[str, Any]], lengths: IntArray) -> FloatArray:
