@@ -26,7 +26,6 @@ from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry,
 from colmap_edges.evaluation.metrics.statistics import summarize
 from colmap_edges.evaluation.readers import peers, results
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
-from colmap_edges.evaluation.readers.results import read_edges
 
 Record = dict[str, Any]
 THRESHOLDS = (0.005, 0.01, 0.02)  # of the longest side of the reference's box
@@ -176,13 +175,9 @@ def evaluate_edges(
     }
     run = run_edges(edges_path, model)
     record["twins"] = _twins(found, run, model)
-    if edges_path.suffix in (".ply", ".npz"):
-        points = model
-        if input_path is not None:
-            points = edges.edge_points(model, load_model(input_path))
+    points = _edge_points(edges_path, model, input_path)
+    if edges_path.suffix in (".ply", ".npz"):  # a peer's lines are sampled where they project to
         record["reprojection"] = asdict(edges.reprojection_errors(points))
-    else:  # a peer's: sampled where its lines project to, so their reprojection says nothing
-        points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
         true = load_curves(reference_path)
         limits = thresholds or default_thresholds(true, unit_size)
@@ -203,23 +198,27 @@ def evaluate_edges(
     return record
 
 
+def _edge_points(edges_path: Path, model: Model, input_path: Path | None) -> Model:
+    """The points of edges: those that a model has beyond its input's, or samples of lines."""
+    if edges_path.suffix not in (".ply", ".npz"):
+        return edges.points_of_edges(peers.load(edges_path, model), model)
+    return model if input_path is None else edges.edge_points(model, load_model(input_path))
+
+
 def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> Record:
     """How well kinds and radii are told, where the reference and the output folder tell them."""
     true = kinds.true_curves(reference_path, threshold / kinds.SAMPLES)
     if true is None or not (edges_path.parent / "edges.json").is_file():
         return {}
-    found = read_edges(edges_path.parent).curves
+    found = results.read_edges(edges_path.parent).curves
     return {"kinds": asdict(kinds.compare_kinds(found, true, threshold))}
 
 
 def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
     """The edges of an output folder with their tracks and nodes; None for edges without these."""
-    described = edges_path.with_name("edges.json").is_file()
-    if (
-        edges_path.name != "edges.ply"
-        or not described
-        or not (edges_path.parent / "sparse").is_dir()
-    ):
+    beside = edges_path.parent
+    is_run = (beside / "edges.json").is_file() and (beside / "sparse").is_dir()
+    if edges_path.name != "edges.ply" or not is_run:
         return None
     return results.load_edges(edges_path.parent, model)
 
