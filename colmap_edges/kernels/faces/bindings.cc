@@ -199,7 +199,7 @@ class BoundFaceScene {
       for (const auto& of_view : found) {
         for (const CellSupport& s : of_view) {
           points.insert(points.end(), {s.point.x, s.point.y, s.point.z});
-          rows.insert(rows.end(), {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden});
+          rows.insert(rows.end(), {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
           views.insert(views.end(), s.views.begin(), s.views.end());
           offsets.push_back(int64_t(views.size()));
         }
@@ -207,7 +207,7 @@ class BoundFaceScene {
     }
     const size_t count = points.size() / 3, total = views.size(), size = offsets.size();
     return nb::make_tuple(ToArray(std::move(points), {count, 3}),
-                          ToArray(std::move(rows), {count, 6}),
+                          ToArray(std::move(rows), {count, 7}),
                           ToArray(std::move(offsets), {size}), ToArray(std::move(views), {total}));
   }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -89,8 +90,6 @@ class FaceScene {
   void AddPoints(int32_t v, ViewCosts* made) const;
   void AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                     ViewCosts* made) const;
-  double Correlation(const FaceView& view, int32_t cell, const Plane& plane,
-                     const FaceView& other) const;
 
   std::vector<std::vector<ObservedPoint>> sights_;
   std::vector<std::vector<double>> nearest_;
@@ -128,61 +127,96 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
                       weights.behind * Saturated(behind[i], 2);
 }
 
-inline double FaceScene::Correlation(const FaceView& view, int32_t cell, const Plane& plane,
-                                     const FaceView& other) const {
-  constexpr int kRadius = 4;  // pixels of the small pictures, every second
-  const Vec2 middle = view.CellCenter(cell);
-  double sum_a = 0, sum_b = 0, sum_aa = 0, sum_bb = 0, sum_ab = 0;
+// The homography from pixels of a view to those of another by way of a plane.
+inline Mat3 PlaneHomography(const FaceView& view, const Plane& plane, const FaceView& other) {
+  const double f = view.pose.focal_px, g = other.pose.focal_px;
+  const Vec3 shift = other.pose.FromWorld(view.pose.center);
+  const double distance = plane.Distance(view.pose.center);
+  const Mat3 turn = MultiplyByTransposed(other.pose.R, view.pose.R);
+  const Vec3 normal = view.pose.Rotate(plane.normal);
+  Mat3 h;
+  for (int i = 0; i < 3; ++i) {
+    double row[3];
+    for (int j = 0; j < 3; ++j) row[j] = shift[i] * normal[j] - distance * turn[3 * i + j];
+    row[2] -= (row[0] * view.principal.x + row[1] * view.principal.y) / f;
+    h[3 * i] = row[0] / f, h[3 * i + 1] = row[1] / f, h[3 * i + 2] = row[2];
+  }
+  for (int j = 0; j < 3; ++j) {
+    h[j] = g * h[j] + other.principal.x * h[6 + j];
+    h[3 + j] = g * h[3 + j] + other.principal.y * h[6 + j];
+  }
+  return h;
+}
+
+constexpr int kPatchRadius = 4, kPatchStep = 2;  // pixels of the small pictures
+
+// The gray around a cell, and how much it varies there.
+struct Patch {
+  std::array<Vec2, 25> pixels;
+  std::array<double, 25> grays;
   int count = 0;
-  for (int dy = -kRadius; dy <= kRadius; dy += 2) {
-    for (int dx = -kRadius; dx <= kRadius; dx += 2) {
-      const Vec2 pixel = {middle.x + dx, middle.y + dy};
-      if (pixel.x < 0 || pixel.y < 0 || pixel.x >= view.width() || pixel.y >= view.height())
-        continue;
-      const Vec3 ray = view.RayThrough(pixel);
-      const double depth = plane.DepthAlong(view.pose.center, ray);
-      if (std::isnan(depth)) return NAN;
-      Vec2 there;
-      double unused;
-      if (!other.Project(view.pose.center + depth * ray, &there, &unused)) return NAN;
-      const double x = std::clamp(there.x - 0.5, 0.0, other.width() - 1.001);
-      const double y = std::clamp(there.y - 0.5, 0.0, other.height() - 1.001);
-      const int32_t c = int32_t(x), r = int32_t(y);
-      const double s = x - c, t = y - r;
-      const uint8_t* at = other.gray + size_t(r) * other.width() + c;
-      const double b = (1 - t) * ((1 - s) * at[0] + s * at[1]) +
-                       t * ((1 - s) * at[other.width()] + s * at[other.width() + 1]);
-      const double a = view.gray[size_t(pixel.y) * view.width() + int32_t(pixel.x)];
-      sum_a += a, sum_b += b, sum_aa += a * a, sum_bb += b * b, sum_ab += a * b;
-      ++count;
+  double sum = 0, squares = 0;
+
+  Patch(const FaceView& view, int32_t cell) {
+    const Vec2 middle = view.CellCenter(cell);
+    for (int dy = -kPatchRadius; dy <= kPatchRadius; dy += kPatchStep) {
+      for (int dx = -kPatchRadius; dx <= kPatchRadius; dx += kPatchStep) {
+        const int64_t x = int64_t(middle.x) + dx, y = int64_t(middle.y) + dy;
+        if (x < 0 || y < 0 || x >= view.width() || y >= view.height()) continue;
+        const double gray = view.gray[y * view.width() + x];
+        pixels[count] = {x + 0.5, y + 0.5}, grays[count++] = gray;
+        sum += gray, squares += gray * gray;
+      }
     }
   }
-  if (count < 9) return NAN;
-  const double noise = 4.0;  // variance of gray that is no texture
-  const double aa = sum_aa / count - sum_a * sum_a / count / count;
-  const double bb = sum_bb / count - sum_b * sum_b / count / count;
-  const double ab = sum_ab / count - sum_a * sum_b / count / count;
-  const double difference = aa + bb - 2 * ab;
-  // Share of the variance that the other does not explain, in [0, 1]; 0 without texture.
-  return std::min(1.0, difference / (aa + bb + 2 * noise)) ;
-}
+  double variance() const { return squares / count - sum * sum / count / count; }
+
+  // Share of the variance of both that they have not in common, from 0 to 1, each brightness apart;
+  // NaN where the other view does not see all of it.
+  double Difference(const Mat3& homography, const FaceView& other, double noise) const {
+    double sum_b = 0, squares_b = 0, products = 0;
+    for (int i = 0; i < count; ++i) {
+      const Vec3 p = Multiply(homography, {pixels[i].x, pixels[i].y, 1});
+      const double x = p.x / p.z - 0.5, y = p.y / p.z - 0.5;
+      if (!(x >= 0 && y >= 0 && x < other.width() - 1 && y < other.height() - 1)) return NAN;
+      const int32_t column = int32_t(x), row = int32_t(y);
+      const double s = x - column, t = y - row;
+      const uint8_t* at = other.gray + size_t(row) * other.width() + column;
+      const uint8_t* below = at + other.width();
+      const double b =
+          (1 - t) * ((1 - s) * at[0] + s * at[1]) + t * ((1 - s) * below[0] + s * below[1]);
+      sum_b += b, squares_b += b * b, products += grays[i] * b;
+    }
+    const double aa = variance(), bb = squares_b / count - sum_b * sum_b / count / count;
+    const double ab = products / count - sum * sum_b / count / count;
+    return std::min(1.0, (aa + bb - 2 * ab) / (aa + bb + 2 * noise));
+  }
+};
 
 inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                     ViewCosts* made) const {
   const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
   const double tolerance = weights.depth_tolerance;
+  const size_t num_neighbors = neighbors[v].size();
+  std::vector<Mat3> homographies;
+  for (int32_t k = 0; k < num_planes; ++k)
+    for (const int32_t u : neighbors[v])
+      homographies.push_back(PlaneHomography(view, planes[made->planes[k]], views[u]));
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const Vec3 ray = view.RayOfCell(cell);
+    const Patch patch(view, cell);
+    const bool has_texture = weights.correlation > 0 && patch.variance() > 4;
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
       const double depth = made->depths[i];
       if (std::isnan(depth)) continue;
       const Vec3 point = view.pose.center + depth * ray;
       double through = 0, there = 0, agree = 0, disagree = 0, hidden = 0;
-      double differences[3] = {1, 1, 1};
+      std::array<double, 3> differences;
       int tried = 0;
-      for (const int32_t u : neighbors[v]) {
+      for (size_t j = 0; j < num_neighbors; ++j) {
+        const int32_t u = neighbors[v][j];
         const FaceView& other = views[u];
         Vec2 pixel;
         double at;
@@ -191,8 +225,8 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
         const double nearest = nearest_[u][c];
         through += nearest > at * (1 + 2 * tolerance);
         there += std::abs(nearest - at) < tolerance / 2 * at;
-        if (tried < 3 && weights.correlation > 0) {
-          const double d = Correlation(view, cell, planes[made->planes[k]], other);
+        if (has_texture && tried < 3) {
+          const double d = patch.Difference(homographies[k * num_neighbors + j], other, 4);
           if (!std::isnan(d)) differences[tried++] = d;
         }
         if (labels.empty()) continue;
@@ -215,8 +249,9 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
       made->costs[i] += weights.seen_through * Saturated(through, 2) -
                         weights.seen_there * Saturated(there, 2);
       if (tried > 0) {
-        std::sort(differences, differences + tried);
-        made->costs[i] += weights.correlation * differences[tried / 2];
+        const double most = *std::max_element(differences.begin(), differences.begin() + tried);
+        const double least = *std::min_element(differences.begin(), differences.begin() + tried);
+        made->costs[i] += weights.correlation * (most + least) / 2;
       }
       if (!labels.empty())
         made->costs[i] += -weights.agree * Saturated(agree, 2) +

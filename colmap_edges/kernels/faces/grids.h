@@ -32,6 +32,14 @@ struct FaceView {
     return {(cell % columns + 0.5) * kCellPx, (cell / columns + 0.5) * kCellPx};
   }
   Vec3 RayOfCell(int32_t cell) const { return RayThrough(CellCenter(cell)); }
+  // Where a cell is sampled: its centre, at the picture's border its outer side, so that samples
+  // span the picture.
+  Vec2 CellSample(int32_t cell) const {
+    const auto at = [](int32_t i, int32_t count) {
+      return kCellPx * (i == 0 ? 0.02 : i == count - 1 ? count - 0.02 : i + 0.5);
+    };
+    return {at(cell % columns, columns), at(cell / columns, rows)};
+  }
 
   // Pixel and depth of a world point; false behind the view or outside its picture.
   bool Project(const Vec3& point, Vec2* pixel, double* depth) const {

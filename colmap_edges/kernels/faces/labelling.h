@@ -61,7 +61,7 @@ inline ViewLabels LabelViews(const FaceScene& scene, const BorderCosts& borders,
 struct CellSupport {
   Vec3 point;
   int32_t view, cell, plane;
-  int32_t agreeing = 0, through = 0, hidden = 0;
+  int32_t agreeing = 0, through = 0, hidden = 0, holding = 0;
   std::vector<int32_t> views;  // that agree, with its own first
 };
 
@@ -72,15 +72,17 @@ inline std::vector<CellSupport> SupportOf(const FaceScene& scene, const ViewLabe
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t plane = labels[v][cell];
     if (plane < 0) continue;
-    const Vec3 ray = view.RayOfCell(cell);
+    const Vec3 ray = view.RayThrough(view.CellSample(cell));
     const double depth = scene.planes[plane].DepthAlong(view.pose.center, ray);
-    CellSupport support{view.pose.center + depth * ray, v, cell, plane, 1, 0, 0, {v}};
+    if (!(Norm(view.pose.center + depth * ray - scene.center) <= scene.reach)) continue;
+    CellSupport support{view.pose.center + depth * ray, v, cell, plane, 1, 0, 0, 1, {v}};
     for (const int32_t u : scene.neighbors[v]) {
       const FaceView& other = scene.views[u];
       Vec2 pixel;
       double at;
       if (!other.Project(support.point, &pixel, &at)) continue;
       const int32_t label = labels[u][other.CellAt(pixel)];
+      ++support.holding;
       if (label < 0) continue;
       const double theirs =
           label == plane ? at

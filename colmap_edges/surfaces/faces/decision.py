@@ -53,6 +53,7 @@ class Samples:
     agreeing: Int32Array
     through: Int32Array
     hidden: Int32Array
+    holding: Int32Array
     offsets: IntArray
     seen_by: Int32Array
 
@@ -120,13 +121,15 @@ def label(scene: Any, rounds: int, threads: int) -> Int32Array:
 def samples_of(scene: Any, labels: Int32Array, threads: int) -> Samples:
     points, rows, offsets, views = scene.support(labels, WEIGHTS["depth_tolerance"], threads)
     return Samples(points=points, views=rows[:, 0], cells=rows[:, 1], planes=rows[:, 2],
-        agreeing=rows[:, 3], through=rows[:, 4], hidden=rows[:, 5], offsets=offsets, seen_by=views)
+        agreeing=rows[:, 3], through=rows[:, 4], hidden=rows[:, 5], holding=rows[:, 6], offsets=offsets, seen_by=views)
 
 
 def accepted(samples: Samples) -> BoolArray:
     """Which samples are believed."""
     a, t, h = samples.agreeing, samples.through, samples.hidden
-    return (a >= 3) & (t <= 0.15 * a) & (h <= 0.3 * a)
+    return (a >= 2) & (a >= AGREE * samples.holding) & (t <= 0.15 * a) & (h <= HID * a)
+
+AGREE, HID = 0.5, 0.3
 
 
 def thinned(samples: Samples, sizes: FloatArray, keep: BoolArray) -> IntArray:

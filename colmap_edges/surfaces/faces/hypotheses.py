@@ -12,8 +12,8 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 
-MAX_POINTS = 8000  # on which hypotheses are tried
-NUM_PAIRS = 12000  # of edges that are tried
+MAX_POINTS = 4000  # on which hypotheses are tried
+NUM_PAIRS = 6000  # of edges that are tried
 NUM_NEAR = 256  # points among which the other edge of a pair is
 NUM_AXES = 6  # directions of many edges
 AXIS_COSINE = np.cos(np.radians(3.0))
@@ -125,10 +125,11 @@ class Hypotheses:
         share = self.weights / self.weights.sum()
         first = self.rng.choice(len(self.points), NUM_PAIRS, p=share)
         num_near = min(NUM_NEAR, len(self.points))
-        _, near = cKDTree(self.points).query(self.points, num_near)
+        sources, rows = np.unique(first, return_inverse=True)
+        _, near = cKDTree(self.points).query(self.points[sources], num_near)
         ranks = np.floor(num_near ** self.rng.random((NUM_PAIRS, 2))).astype(np.int64)
         ranks = np.minimum(ranks, num_near - 1)
-        second, third = near[first, ranks[:, 0]], near[first, ranks[:, 1]]
+        second, third = near[rows, ranks[:, 0]], near[rows, ranks[:, 1]]
         lengths = self.points[second] - self.points[first]
         one = np.where(self.has_tangent[first][:, None], self.tangents[first], lengths)
         other = np.where(
