@@ -20,7 +20,12 @@ struct EvidenceWeights {
   double depth_tolerance;            // share of depth that tells one surface from another
 };
 
-inline double Saturated(double count, double scale) { return 1 - std::exp(-count / scale); }
+inline double Saturated(double count, double scale) {
+  return count > 0 ? 1 - std::exp(-count / scale) : 0;
+}
+
+constexpr int32_t kMinCells = 6;
+constexpr double kHopeless = 0.8;
 
 struct ObservedPoint {
   int32_t point;
@@ -65,18 +70,8 @@ class FaceScene {
     nearest_.assign(views.size(), {});
   }
 
-  // The planes that at least `min_points` observed points of a view lie on.
-  std::vector<int32_t> PlanesOf(int32_t v, int32_t min_points, std::vector<int32_t>* counts) const {
-    counts->assign(planes.size(), 0);
-    for (const ObservedPoint& sight : sights_[v])
-      for (int64_t k = points.plane_offsets[sight.point];
-           k < points.plane_offsets[sight.point + 1]; ++k)
-        ++(*counts)[points.planes[k]];
-    std::vector<int32_t> chosen;
-    for (int32_t p = 0; p < int32_t(planes.size()); ++p)
-      if ((*counts)[p] >= min_points) chosen.push_back(p);
-    return chosen;
-  }
+  // The planes on which at least `min_cells` cells of a view have as many observed points as on any.
+  std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;
 
   // `labels`: of all views, planes or -1, to agree with; empty at first.
   ViewCosts Costs(int32_t v, const std::vector<std::vector<int32_t>>& labels) const;
@@ -94,6 +89,34 @@ class FaceScene {
   std::vector<std::vector<ObservedPoint>> sights_;
   std::vector<std::vector<double>> nearest_;
 };
+
+inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
+                                                std::vector<int32_t>* counts) const {
+  counts->assign(planes.size(), 0);
+  std::vector<int32_t> here(planes.size(), 0), won(planes.size(), 0), touched, order;
+  std::vector<std::pair<int32_t, int32_t>> by_cell;
+  for (const ObservedPoint& sight : sights_[v]) by_cell.emplace_back(sight.cell, sight.point);
+  std::sort(by_cell.begin(), by_cell.end());
+  for (size_t i = 0; i < by_cell.size();) {
+    const int32_t cell = by_cell[i].first;
+    for (; i < by_cell.size() && by_cell[i].first == cell; ++i) {
+      const int32_t point = by_cell[i].second;
+      for (int64_t k = points.plane_offsets[point]; k < points.plane_offsets[point + 1]; ++k) {
+        const int32_t plane = points.planes[k];
+        ++(*counts)[plane];
+        if (here[plane]++ == 0) touched.push_back(plane);
+      }
+    }
+    int32_t most = 0;
+    for (const int32_t plane : touched) most = std::max(most, here[plane]);
+    for (const int32_t plane : touched) won[plane] += here[plane] == most, here[plane] = 0;
+    touched.clear();
+  }
+  std::vector<int32_t> chosen;
+  for (int32_t p = 0; p < int32_t(planes.size()); ++p)
+    if (won[p] >= min_cells) chosen.push_back(p);
+  return chosen;
+}
 
 inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
   const FaceView& view = views[v];
@@ -210,7 +233,7 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
       const double depth = made->depths[i];
-      if (std::isnan(depth)) continue;
+      if (std::isnan(depth) || made->costs[i] > kHopeless) continue;
       const Vec3 point = view.pose.center + depth * ray;
       double through = 0, there = 0, agree = 0, disagree = 0, hidden = 0;
       std::array<double, 3> differences;
@@ -266,8 +289,8 @@ inline ViewCosts FaceScene::Costs(int32_t v,
   const FaceView& view = views[v];
   ViewCosts made;
   std::vector<int32_t> counts;
-  made.planes = PlanesOf(v, 3, &counts);
-  if (!labels.empty()) {  // and those that neighbours see here
+  made.planes = PlanesOf(v, kMinCells, &counts);
+  if (!labels.empty() && false) {  // and those that neighbours see here
     std::vector<uint8_t> seen(planes.size(), 0);
     for (const int32_t u : neighbors[v])
       for (const int32_t label : labels[u])

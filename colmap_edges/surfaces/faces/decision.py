@@ -23,8 +23,9 @@ from colmap_edges.core.arrays import (
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import Grid
-from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, TOLERANCE, Planes
+from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 
+ON_TOLERANCE = 2.0  # standard deviations
 NUM_NEIGHBORS = 12
 
 WEIGHTS = dict(
@@ -78,7 +79,7 @@ def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int3
     """Offsets and planes, row by row, that each point lies on."""
     distances = np.abs(evidence.points @ planes.normals.T - planes.offsets)
     along = (evidence.rays @ planes.normals.T) * evidence.ray_sigmas[:, None]
-    near = distances <= TOLERANCE * np.hypot(along, evidence.sigmas[:, None])
+    near = distances <= ON_TOLERANCE * np.hypot(along, evidence.sigmas[:, None])
     near &= np.abs(evidence.tangents @ planes.normals.T) <= 3 * MAX_SLOPE
     rows, columns = np.nonzero(near)
     return offsets_of(np.bincount(rows, minlength=len(near))), columns.astype(np.int32)
