@@ -97,9 +97,13 @@ def _against_depth(
     results = [depth.depth_errors(caster, reference) for reference in references]
     if pictures_path is not None:
         pictures.write_error_maps(pictures_path, results)
-    pooled, coverage = depth.pool(results)
-    views = {r.name: asdict(r.statistics()) | {"coverage": r.coverage} for r in results}
-    return {"depth": {"pooled": asdict(pooled) | {"coverage": coverage}, "views": views}}
+    views = {result.name: result.record() for result in results}
+    mean = {
+        name: float(np.mean([view[name] for view in views.values()]))
+        for name in ("coverage", *depth.RIGHT_WITHIN)
+        if views
+    }
+    return {"depth": {"pooled": depth.pool(results), "mean_of_views": mean, "views": views}}
 
 
 def _against_points(caster: RayCaster, model: Model) -> Record:
