@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
@@ -131,6 +132,18 @@ def accepted(samples: Samples) -> BoolArray:
     return (a >= 2) & (a >= AGREE * samples.holding) & (t <= 0.15 * a) & (h <= HID * a)
 
 AGREE, HID = 0.5, 0.3
+
+
+NEAR_CELLS = 1.5
+
+
+def is_lonely(samples: Samples, sizes: FloatArray, known: FloatArray) -> BoolArray:
+    """Whether the mesher has less than two points of its own near a sample."""
+    if len(known) < 2:
+        return np.ones(len(samples.points), bool)
+    distances, _ = cKDTree(known).query(samples.points, 2)
+    lonely: BoolArray = distances[:, 1] > NEAR_CELLS * sizes
+    return lonely
 
 
 def thinned(samples: Samples, sizes: FloatArray, keep: BoolArray) -> IntArray:

@@ -117,3 +117,13 @@ def edge_lengths(edges: Edges3D) -> FloatArray:
     lengths = np.linalg.norm(edges.points[segments[:, 0]] - edges.points[segments[:, 1]], axis=1)
     halves = np.repeat(lengths / 2, 2)
     return np.bincount(segments.ravel(), halves, edges.num_points)
+
+
+def joined(one: Evidence, other: Evidence) -> Evidence:
+    """The evidence of both."""
+    arrays = {
+        name: np.concatenate([getattr(one, name), getattr(other, name)])
+        for name in vars(one)
+        if name != "offsets"
+    }
+    return Evidence(offsets=joined_offsets([one.offsets, other.offsets]), **arrays)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray
 from colmap_edges.surfaces.faces.evidence import Evidence
 
 MAX_POINTS = 4000  # on which hypotheses are tried
@@ -19,9 +17,11 @@ NUM_AXES = 6  # directions of many edges
 AXIS_COSINE = np.cos(np.radians(3.0))
 MAX_SLOPE = 0.1  # sine between an edge and a plane on which it lies
 TOLERANCE = 1.2  # standard deviations
-MIN_SHARE = 0.0005  # of all edges' length that lies on a plane
+MIN_SHARE = 0.005  # of all edges' length that lies on a plane
 MAX_PLANES = 60
 EXPLAINED_WEIGHT = 0.3  # of edges that lie on a plane already, since two planes meet at edges
+LEAST_WEIGHT = 0.1  # of edges that lie on many
+CHUNK = 256  # hypotheses at a time
 SAME_SHARE = 0.7  # of the points of one plane that lie on another of which it is a duplicate
 SNAP_GAIN = 0.97  # of a plane's support that has to stay when its normal becomes a common one
 
@@ -42,7 +42,7 @@ class Planes:
 class Hypotheses:
     """Planes through evidence, and what supports them."""
 
-    def __init__(self, evidence: Evidence, rng: np.random.Generator, num_threads: int) -> None:
+    def __init__(self, evidence: Evidence, rng: np.random.Generator) -> None:
         """Choose the points on which planes are tried."""
         count = len(evidence.points)
         chosen = np.arange(count)
@@ -54,24 +54,20 @@ class Hypotheses:
         self.rays = evidence.rays[chosen]
         self.sigmas, self.ray_sigmas = evidence.sigmas[chosen], evidence.ray_sigmas[chosen]
         self.weights = evidence.weights[chosen]
-        self.rng, self.num_threads = rng, num_threads
+        self.rng = rng
 
-    def support(self, normals: FloatArray, offsets: FloatArray, weights: FloatArray) -> FloatArray:
-        """(K,) weights of what lies on planes."""
-        support: FloatArray = _kernels.plane_support(
-            self.points,
-            self.tangents,
-            self.rays,
-            self.sigmas,
-            self.ray_sigmas,
-            weights,
-            normals,
-            offsets,
-            MAX_SLOPE,
-            TOLERANCE,
-            self.num_threads,
-        )
-        return support
+    def members(self, normals: FloatArray, offsets: FloatArray) -> Float32Array:
+        """(K, N) 1 where a point lies on a plane, 0 elsewhere."""
+        members = np.zeros((len(offsets), len(self.points)), np.float32)
+        for first in range(0, len(offsets), CHUNK):
+            part = slice(first, first + CHUNK)
+            chosen = normals[part].T
+            along = (self.rays @ chosen) * self.ray_sigmas[:, None]
+            off = (self.points @ chosen - offsets[part]) ** 2
+            near = off <= TOLERANCE**2 * (along**2 + self.sigmas[:, None] ** 2)
+            near &= np.abs(self.tangents @ chosen) <= MAX_SLOPE
+            members[part] = near.T
+        return members
 
     def deviations(self, normal: FloatArray) -> FloatArray:
         """(N,) standard deviations of the points' distances from a plane."""
@@ -188,7 +184,7 @@ class Hypotheses:
         on = self.on(normal, offset)
         offsets = self.points[on] @ nearest
         tried = np.quantile(offsets, np.linspace(0.1, 0.9, 17))
-        support = self.support(np.repeat(nearest[None], len(tried), axis=0), tried, self.weights)
+        support = self.members(np.repeat(nearest[None], len(tried), axis=0), tried) @ self.weights
         best = int(np.argmax(support))
         if support[best] < SNAP_GAIN * self.weights[on].sum():
             return normal, offset
@@ -200,12 +196,12 @@ class Hypotheses:
         return nearest, float(at)
 
 
-def find_planes(evidence: Evidence, rng: np.random.Generator, num_threads: int) -> Planes:
+def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
     """Planes on which much of the evidence lies, those with the most first."""
     none = Planes(normals=np.zeros((0, 3)), offsets=np.zeros(0))
     if len(evidence.points) < 8:
         return none
-    tried = Hypotheses(evidence, rng, num_threads)
+    tried = Hypotheses(evidence, rng)
     common = tried.common_normals()
     normals, offsets = tried.candidates(common)
     if not len(offsets):
@@ -221,36 +217,35 @@ def greedy(
     tried: Hypotheses, normals: FloatArray, offsets: FloatArray, common: FloatArray
 ) -> list[tuple[FloatArray, float]]:
     """One plane after the other, each with the most support that is not another's yet."""
-    weights = tried.weights.copy()
-    least = MIN_SHARE * weights.sum()
-    support = tried.support(normals, offsets, weights)
-    heap = [(-s, i) for i, s in enumerate(support.tolist()) if s >= least]
-    heapq.heapify(heap)
+    whole = tried.weights.astype(np.float32)
+    least = MIN_SHARE * float(whole.sum())
+    members = tried.members(normals, offsets)
+    support = members @ whole
+    members = members[support >= least]
+    normals, offsets, support = (a[support >= least] for a in (normals, offsets, support))
+    weights, open_ = whole.copy(), np.ones(len(offsets), bool)
     found: list[tuple[FloatArray, float]] = []
-    members: list[IntArray] = []
-    while heap and len(found) < MAX_PLANES:
-        _, i = heapq.heappop(heap)
-        left = weights[tried.on(normals[i], offsets[i])].sum()
-        if left < least:
-            continue
-        if heap and left < -heap[0][0]:
-            heapq.heappush(heap, (-left, i))
-            continue
-        weights[tried.on(normals[i], offsets[i])] *= EXPLAINED_WEIGHT
-        fitted = tried.fitted(normals[i], offsets[i], common)
+    owned: list[BoolArray] = []
+    while len(found) < MAX_PLANES and open_.any():
+        left = np.where(open_, members @ weights, 0)
+        best = int(np.argmax(left))
+        if left[best] < least:
+            break
+        open_[best] = False
+        fitted = tried.fitted(normals[best], offsets[best], common)
         if fitted is None:
             continue
-        on = tried.on(*fitted)
-        weights[on] *= EXPLAINED_WEIGHT
-        own = np.flatnonzero(on)
-        if any(is_same(own, other, tried.weights) for other in members):
+        own = tried.on(*fitted)
+        open_ &= members @ (whole * own) <= SAME_SHARE * support
+        if any(is_same(own, other, whole) for other in owned):
             continue
+        weights[own] = np.maximum(EXPLAINED_WEIGHT * weights[own], LEAST_WEIGHT * whole[own])
         found.append(fitted)
-        members.append(own)
+        owned.append(own)
     return found
 
 
-def is_same(one: IntArray, other: IntArray, weights: FloatArray) -> bool:
-    """Whether most of what lies on one plane lies on the other, and the other way round too."""
-    shared = weights[np.intersect1d(one, other, assume_unique=True)].sum()
+def is_same(one: BoolArray, other: BoolArray, weights: Float32Array) -> bool:
+    """Whether most of what lies on one of two planes lies on the other."""
+    shared = weights[one & other].sum()
     return bool(shared > SAME_SHARE * min(weights[one].sum(), weights[other].sum()))
