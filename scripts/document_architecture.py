@@ -37,6 +37,8 @@ LIBRARIES = {
         "report.overlay",
         "report.pictures",
         "report.rerun_viewer",
+        "surfaces.faces.grids",
+        "surfaces.faces.outlines",
         "surfaces.silhouettes",
     ),
     "networkx": ("edges3d.paper.matching",),

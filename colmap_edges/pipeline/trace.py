@@ -28,6 +28,7 @@ NOT_OF_TRACING = {
     "bundle_adjustment",
     "meshing",
     "use_edges",
+    "use_faces",
     "report",
     "refine_poses",
     "output_type",

@@ -100,9 +100,7 @@ def barycentric(corners: NDArray, places: NDArray) -> NDArray[np.float64]:
     return np.clip(np.column_stack([1 - v - w, v, w]), 0, 1)
 
 
-def illuminate(
-    surface: Surface, room: Room, seed: int = 0, bounces: int = BOUNCES
-) -> LitSurface:
+def illuminate(surface: Surface, room: Room, seed: int = 0, bounces: int = BOUNCES) -> LitSurface:
     """The light in a room whose surface is cut finely (see `unite`)."""
     caster = Caster.of(surface)
     materials = [body.material for body in room.bodies]

@@ -69,46 +69,6 @@ nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles wei
   return nb::make_tuple(ToArray(std::move(labels), {count}), energy);
 }
 
-// Whether segments and points lie on planes: each in how many standard deviations.
-struct PlaneEvidence {
-  Points3D points, tangents;  // tangents 0 of points without
-  Points3D rays;              // unit directions in which the points are less certain
-  Doubles sigmas, ray_sigmas;
-  double max_slope;  // sine between a tangent and the plane
-
-  bool IsOn(size_t i, const Vec3& normal, double offset, double tolerance) const {
-    const Vec3 point{points(i, 0), points(i, 1), points(i, 2)};
-    const Vec3 tangent{tangents(i, 0), tangents(i, 1), tangents(i, 2)};
-    if (std::abs(Dot(tangent, normal)) > max_slope) return false;
-    const double distance = Dot(point, normal) - offset;
-    const double along = Dot(Vec3{rays(i, 0), rays(i, 1), rays(i, 2)}, normal) * ray_sigmas(i);
-    return distance * distance <=
-           tolerance * tolerance * (sigmas(i) * sigmas(i) + along * along);
-  }
-};
-
-OutArray<double> PlaneSupportArrays(Points3D points, Points3D tangents, Points3D rays,
-                                    Doubles sigmas, Doubles ray_sigmas, Doubles weights,
-                                    Points3D normals, Doubles offsets, double max_slope,
-                                    double tolerance, int num_threads) {
-  const size_t count = points.shape(0), num_planes = normals.shape(0);
-  Require(tangents.shape(0) == count && rays.shape(0) == count && sigmas.size() == count &&
-              ray_sigmas.size() == count && weights.size() == count,
-          "what is known of the points differs in number");
-  Require(offsets.size() == num_planes, "normals and offsets differ in number");
-  std::vector<double> support(num_planes, 0);
-  {
-    nb::gil_scoped_release release;
-    const PlaneEvidence evidence{points, tangents, rays, sigmas, ray_sigmas, max_slope};
-    ParallelBlocks(int64_t(num_planes), num_threads, 16, [&](int64_t k) {
-      const Vec3 normal{normals(k, 0), normals(k, 1), normals(k, 2)};
-      for (size_t i = 0; i < count; ++i)
-        if (evidence.IsOn(i, normal, offsets(k), tolerance)) support[k] += weights(i);
-    });
-  }
-  return ToArray(std::move(support), {num_planes});
-}
-
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
 
 class BoundFaceScene {
@@ -224,9 +184,6 @@ void BindFaces(nb::module_& m) {
   m.def("expand_labels", &ExpandLabelsArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a,
         "crossing_factor"_a, "max_sweeps"_a,
         "(N,) labels that alpha expansion finds, and what they cost.");
-  m.def("plane_support", &PlaneSupportArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
-        "ray_sigmas"_a, "weights"_a, "normals"_a, "offsets"_a, "max_slope"_a, "tolerance"_a,
-        "num_threads"_a, "(K,) sums of the weights of what lies on each plane.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
       .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
                     Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,

@@ -290,16 +290,6 @@ inline ViewCosts FaceScene::Costs(int32_t v,
   ViewCosts made;
   std::vector<int32_t> counts;
   made.planes = PlanesOf(v, kMinCells, &counts);
-  if (!labels.empty() && false) {  // and those that neighbours see here
-    std::vector<uint8_t> seen(planes.size(), 0);
-    for (const int32_t u : neighbors[v])
-      for (const int32_t label : labels[u])
-        if (label >= 0) seen[label] = 1;
-    for (const int32_t p : made.planes) seen[p] = 1;
-    made.planes.clear();
-    for (int32_t p = 0; p < int32_t(planes.size()); ++p)
-      if (seen[p]) made.planes.push_back(p);
-  }
   const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
   made.depths.assign(size_t(view.num_cells()) * num_labels, NAN);
   made.costs.assign(size_t(view.num_cells()) * num_labels, 0);

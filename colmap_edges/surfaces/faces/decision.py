@@ -1,16 +1,13 @@
-"""Which cells of which views show which plane, and which of it is believed."""
+"""Which of the labelled cells are believed, and the points that the mesher gets of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 from scipy.spatial import cKDTree
 
-from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
@@ -18,140 +15,110 @@ from colmap_edges.core.arrays import (
     IntArray,
     entries_of,
     offsets_of,
-    order_of,
-    owners_of,
 )
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import Grid
-from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
+from colmap_edges.surfaces.faces.labelling import EvidenceWeights
+from colmap_edges.surfaces.silhouettes import SeenPoints
 
-ON_TOLERANCE = 2.0  # standard deviations
-NUM_NEIGHBORS = 12
-
-WEIGHTS = dict(
-    on=1.6, before=1.5, behind=0.3, seen_through=1.0, seen_there=0.4, unsupported=0.6, no_plane=1.1,
-    agree=1.0, disagree=1.0, hidden=0.5, correlation=1.0, depth_tolerance=0.02,
-)
-BORDERS = dict(weight=2.0, least=0.06, slope_scale=2.0, crossing_factor=0.35)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Labels:
-    """What the views' cells show."""
-
-    labels: Int32Array
-    offsets: IntArray
+MIN_AGREEING = 3  # views that show a plane at a place
+AGREEING_SHARE = 0.75  # of the views that hold the place
+MAX_THROUGH = 0.1  # views that show a plane behind it, for each that agrees
+MAX_HIDDEN = 0.15  # views that show a plane before it, for each that agrees
+NEAR_CELLS = 1.5  # within which the mesher has no two points of its own
+SPACING_CELLS = 1.2  # between points of a face
 
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """Points of labelled cells."""
+    """Places on planes that labelled cells see.
+
+    Attributes:
+        points: (S, 3) world units.
+        sizes: (S,) sides of the cells there, world units.
+        planes: (S,) int32.
+        holding: (S,) int32 views in whose pictures a place lies, its own and neighbours.
+        agreeing: (S,) int32 of them those that show the plane there, or one at its depth.
+        through: (S,) int32 of them those that show a plane farther away.
+        hidden: (S,) int32 of them those that show a nearer plane.
+        offsets: (S + 1,) of the agreeing views.
+        views: (T,) int32 agreeing views, row by row.
+    """
 
     points: FloatArray
-    views: Int32Array
-    cells: Int32Array
+    sizes: FloatArray
     planes: Int32Array
+    holding: Int32Array
     agreeing: Int32Array
     through: Int32Array
     hidden: Int32Array
-    holding: Int32Array
     offsets: IntArray
-    seen_by: Int32Array
+    views: Int32Array
 
 
-def neighbors_of(num_views: int, evidence: Evidence, count: int) -> list[IntArray]:
-    """Of each view those that see the most of the same points."""
-    owners = owners_of(evidence.offsets)
-    ones = np.ones(len(owners), np.float32)
-    seen = sparse.csr_matrix((ones, (evidence.views, owners)), (num_views, len(evidence.points)))
-    shared = (seen @ seen.T).tolil()
-    shared.setdiag(0)
-    rows = []
-    for v in range(num_views):
-        columns, values = np.array(shared.rows[v], int), np.array(shared.data[v])
-        columns, values = columns[values > 0], values[values > 0]
-        order = np.argsort(-values, kind="stable")[:count]
-        rows.append(columns[order])
-    return rows
+def sample_cells(
+    scene: Any, labels: Int32Array, centers: FloatArray, cell_angles: FloatArray, num_threads: int
+) -> Samples:
+    """The places that labelled cells see, and what other views say of them.
 
-
-def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int32Array]:
-    """Offsets and planes, row by row, that each point lies on."""
-    distances = np.abs(evidence.points @ planes.normals.T - planes.offsets)
-    along = (evidence.rays @ planes.normals.T) * evidence.ray_sigmas[:, None]
-    near = distances <= ON_TOLERANCE * np.hypot(along, evidence.sigmas[:, None])
-    near &= np.abs(evidence.tangents @ planes.normals.T) <= 3 * MAX_SLOPE
-    rows, columns = np.nonzero(near)
-    return offsets_of(np.bincount(rows, minlength=len(near))), columns.astype(np.int32)
-
-
-def make_scene(model: Model, grids: Sequence[Grid], evidence: Evidence, planes: Planes, threads: int) -> Any:
-    num_views = len(model.views)
-    plane_offsets, plane_rows = planes_of_points(evidence, planes)
-    owners = owners_of(evidence.offsets)
-    order = order_of(evidence.views, num_views)
-    observed = owners[order].astype(np.int32)
-    observed_offsets = offsets_of(np.bincount(evidence.views, minlength=num_views))
-    neighbors = neighbors_of(num_views, evidence, NUM_NEIGHBORS)
-    center = np.median(evidence.points, axis=0)
-    reach = 2.0 * np.quantile(np.linalg.norm(evidence.points - center, axis=1), 0.99)
-    return _kernels.FaceScene(
-        np.array([v.rotation for v in model.views]),
-        np.array([v.translation for v in model.views]),
-        np.array([g.focal_px for g in grids]),
-        np.array([g.principal for g in grids]),
-        [g.gray for g in grids],
-        np.ascontiguousarray(planes.normals),
-        planes.offsets,
-        evidence.points,
-        plane_offsets,
-        plane_rows,
-        observed_offsets,
-        observed,
-        offsets_of(np.array([len(n) for n in neighbors])),
-        np.concatenate(neighbors).astype(np.int32),
-        np.array([center, [reach, 0, 0]]),
-        threads,
+    Args:
+        scene: of `make_scene`.
+        labels: of the cells of all views.
+        centers: (V, 3) of the views.
+        cell_angles: (V,) side of a cell over the focal length.
+        num_threads: threads.
+    """
+    points, rows, offsets, views = scene.support(
+        labels, EvidenceWeights().depth_tolerance, num_threads
+    )
+    view = rows[:, 0]
+    return Samples(
+        points=points,
+        sizes=np.linalg.norm(points - centers[view], axis=1) * cell_angles[view],
+        planes=rows[:, 2],
+        agreeing=rows[:, 3],
+        through=rows[:, 4],
+        hidden=rows[:, 5],
+        holding=rows[:, 6],
+        offsets=offsets,
+        views=views,
     )
 
 
-def label(scene: Any, rounds: int, threads: int) -> Int32Array:
-    return scene.label(np.array(list(WEIGHTS.values())), np.array(list(BORDERS.values())), rounds, 2, threads)
+def are_believed(samples: Samples) -> BoolArray:
+    """(S,) whether enough views show the plane there, and few see through it or before it.
+
+    That few see a nearer plane matters most: walls run on behind the next wall.
+    """
+    agreeing = samples.agreeing
+    enough = (agreeing >= MIN_AGREEING) & (agreeing >= AGREEING_SHARE * samples.holding)
+    free = samples.through <= MAX_THROUGH * agreeing
+    believed: BoolArray = enough & free & (samples.hidden <= MAX_HIDDEN * agreeing)
+    return believed
 
 
-def samples_of(scene: Any, labels: Int32Array, threads: int) -> Samples:
-    points, rows, offsets, views = scene.support(labels, WEIGHTS["depth_tolerance"], threads)
-    return Samples(points=points, views=rows[:, 0], cells=rows[:, 1], planes=rows[:, 2],
-        agreeing=rows[:, 3], through=rows[:, 4], hidden=rows[:, 5], holding=rows[:, 6], offsets=offsets, seen_by=views)
-
-
-def accepted(samples: Samples) -> BoolArray:
-    """Which samples are believed."""
-    a, t, h = samples.agreeing, samples.through, samples.hidden
-    return (a >= 2) & (a >= AGREE * samples.holding) & (t <= 0.15 * a) & (h <= HID * a)
-
-AGREE, HID = 0.5, 0.3
-
-
-NEAR_CELLS = 1.5
-
-
-def is_lonely(samples: Samples, sizes: FloatArray, known: FloatArray) -> BoolArray:
-    """Whether the mesher has less than two points of its own near a sample."""
+def are_alone(samples: Samples, known: FloatArray) -> BoolArray:
+    """(S,) whether no two of the mesher's own (N, 3) points are near: there faces add nothing."""
     if len(known) < 2:
         return np.ones(len(samples.points), bool)
     distances, _ = cKDTree(known).query(samples.points, 2)
-    lonely: BoolArray = distances[:, 1] > NEAR_CELLS * sizes
-    return lonely
+    alone: BoolArray = distances[:, 1] > NEAR_CELLS * samples.sizes
+    return alone
 
 
-def thinned(samples: Samples, sizes: FloatArray, keep: BoolArray) -> IntArray:
-    """One sample of each plane in every cube as large as a cell there is seen."""
-    idx = np.flatnonzero(keep)
-    if not len(idx):
-        return idx
-    idx = idx[np.argsort(-samples.agreeing[idx], kind="stable")]
-    size = 1.2 * np.median(sizes[idx])
-    cubes = np.column_stack([np.floor(samples.points[idx] / size).astype(np.int64), samples.planes[idx]])
-    return np.sort(idx[np.unique(cubes, axis=0, return_index=True)[1]])
+def thinned(samples: Samples, chosen: IntArray) -> IntArray:
+    """Of the chosen samples one of each plane in every cube of about a cell: what most agree on."""
+    if not len(chosen):
+        return chosen
+    order = chosen[np.argsort(-samples.agreeing[chosen], kind="stable")]
+    side = SPACING_CELLS * np.median(samples.sizes[order])
+    cubes = np.floor(samples.points[order] / side).astype(np.int64)
+    cubes = np.column_stack([cubes, samples.planes[order]])
+    return np.sort(order[np.unique(cubes, axis=0, return_index=True)[1]])
+
+
+def seen_points(samples: Samples, chosen: IntArray) -> SeenPoints:
+    """The chosen samples as points that the agreeing views see."""
+    return SeenPoints(
+        samples.points[chosen],
+        offsets_of(np.diff(samples.offsets)[chosen]),
+        samples.views[entries_of(samples.offsets, chosen)],
+    )

@@ -82,7 +82,10 @@ def marks_of(view: View, index: int, grid: Grid, labels: Int32Array, planes: Pla
     label, gradients = label[on], gradients[on]
     pixels = np.column_stack([columns[on], rows[on]]) + 0.5
     along = np.column_stack([-gradients[:, 1], gradients[:, 0]])
-    normals, offsets = planes.normals[label], planes.offsets[label] - planes.normals[label] @ view.center
+    normals, offsets = (
+        planes.normals[label],
+        planes.offsets[label] - planes.normals[label] @ view.center,
+    )
 
     def meet(at: FloatArray) -> FloatArray:
         rays = rays_of(view, grid, at)
@@ -118,12 +121,16 @@ def find_faint_lines(
     lines = [
         line
         for plane in range(len(planes.offsets))
-        for line in lines_of_plane(marks, np.flatnonzero(marks.planes == plane), planes.normals[plane])
+        for line in lines_of_plane(
+            marks, np.flatnonzero(marks.planes == plane), planes.normals[plane]
+        )
     ]
     return as_evidence(marks, lines, model)
 
 
-def lines_of_plane(marks: Marks, own: IntArray, normal: FloatArray) -> list[tuple[IntArray, IntArray]]:
+def lines_of_plane(
+    marks: Marks, own: IntArray, normal: FloatArray
+) -> list[tuple[IntArray, IntArray]]:
     """Marks of a plane on one line each, with the step along the line of each of them."""
     if len(own) < MIN_PIXELS:
         return []
@@ -212,10 +219,17 @@ def as_evidence(marks: Marks, lines: list[tuple[IntArray, IntArray]], model: Mod
     at = np.array(points).reshape(-1, 3)
     views = np.concatenate([np.zeros(0, np.int64), *tracks]).astype(np.int32)
     offsets = offsets_of(np.array([len(t) for t in tracks], np.int64))
-    away = np.array([(p - model.camera_centers[t]).mean(axis=0) for p, t in zip(at, tracks, strict=True)])
+    away = np.array(
+        [(p - model.camera_centers[t]).mean(axis=0) for p, t in zip(at, tracks, strict=True)]
+    )
     away = away.reshape(-1, 3)
     distances = np.linalg.norm(away, axis=1)
-    near = np.array([np.median(np.linalg.norm(p - model.camera_centers[t], axis=1) / focals[t]) for p, t in zip(at, tracks, strict=True)])
+    near = np.array(
+        [
+            np.median(np.linalg.norm(p - model.camera_centers[t], axis=1) / focals[t])
+            for p, t in zip(at, tracks, strict=True)
+        ]
+    )
     return Evidence(
         points=at,
         tangents=np.array(tangents).reshape(-1, 3),

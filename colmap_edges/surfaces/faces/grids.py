@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, Picture
 from colmap_edges.core.view import View
+from colmap_edges.images.files import gray_of
 
 CELL_PX = 4  # side of a cell in pixels of the small picture
 NUM_COLUMNS = 80  # cells along the longer side of an image
@@ -30,36 +31,48 @@ class Grid:
     principal: FloatArray
 
 
-def make_grid(view: View, image: Picture) -> Grid:
-    """The small undistorted picture of a view's image (H, W, 3) or (H, W)."""
-    longer = max(view.width, view.height)
-    factor = NUM_COLUMNS * CELL_PX / longer
+def size_of(view: View) -> tuple[int, int, float]:
+    """Width and height of a view's small picture, and its size over the image's."""
+    factor = NUM_COLUMNS * CELL_PX / max(view.width, view.height)
     width, height = (
         CELL_PX * max(2, round(side * factor / CELL_PX)) for side in (view.width, view.height)
     )
-    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    while min(gray.shape) > 4 * min(width, height):
-        gray = cv2.resize(gray, (gray.shape[1] // 2, gray.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    small = cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA)
-    params = view.camera
-    focal = view.focal_px / view.scale * factor
-    principal = np.array([params.principal_point_x, params.principal_point_y]) * factor
+    return width, height, factor
+
+
+def make_grid(view: View, image: Picture) -> Grid:
+    """The small undistorted picture of a view's image (H, W, 3)."""
+    blank = blank_grid(view)
+    height, width = blank.gray.shape
+    small = gray_of(image)
+    while min(small.shape) > 4 * min(width, height):  # halving is quick
+        half = small.shape[1] // 2, small.shape[0] // 2
+        small = np.asarray(cv2.resize(small, half, interpolation=cv2.INTER_AREA), np.uint8)
+    small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    ideal = (np.column_stack([columns.ravel(), rows.ravel()]) - principal) / focal
+    ideal = (np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal) / blank.focal_px
     pixels = view.image_from_ideal(ideal * view.focal_px)
     scale = np.array([width / view.width, height / view.height])
     at = (pixels * scale - 0.5).astype(np.float32).reshape(height, width, 2)
-    undistorted = cv2.remap(small, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return Grid(gray=np.ascontiguousarray(undistorted), focal_px=focal, principal=principal)
+    gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return replace(blank, gray=np.ascontiguousarray(gray, np.uint8))
+
+
+def blank_grid(view: View) -> Grid:
+    """The picture of a view whose image shows nothing."""
+    width, height, factor = size_of(view)
+    camera = view.camera
+    principal = np.array([camera.principal_point_x, camera.principal_point_y]) * factor
+    gray = np.zeros((height, width), np.uint8)
+    return Grid(gray=gray, focal_px=view.focal_px / view.scale * factor, principal=principal)
 
 
 class GridTaker:
     """Takes the small pictures of all views while their images are in memory."""
 
-    def __init__(self, views: list[View]) -> None:
+    def __init__(self) -> None:
         """Hold none yet."""
-        self.taken: dict[int, Grid] = {}
-        self.views = views
+        self.grids: dict[int, Grid] = {}
 
     def visit(self, index: int, view: View, read: Callable[[], Picture], found: object) -> Grid:
         """Take the picture of a view."""
@@ -67,4 +80,4 @@ class GridTaker:
 
     def collect(self, index: int, kept: Grid) -> None:
         """Keep a picture."""
-        self.taken[index] = kept
+        self.grids[index] = kept
