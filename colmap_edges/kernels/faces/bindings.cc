@@ -77,7 +77,7 @@ class BoundFaceScene {
                  Doubles focals, Points2D principals, Grays grays, Points3D normals,
                  Doubles offsets, Points3D points, Longs plane_offsets, Ints planes_of_points,
                  Longs observed_offsets, Ints observed, Longs neighbor_offsets, Ints neighbors,
-                 Points3D bounds, int num_threads)
+                 Points3D bounds, Points3D directions, Points2D extents, int num_threads)
       : grays_(std::move(grays)) {
     const size_t num_views = rotations.shape(0);
     Require(translations.shape(0) == num_views && focals.size() == num_views &&
@@ -120,14 +120,23 @@ class BoundFaceScene {
     Require(bounds.shape(0) == 2, "bounds are a centre and a reach");
     scene_.center = {bounds(0, 0), bounds(0, 1), bounds(0, 2)};
     scene_.reach = bounds(1, 0);
+    const size_t num_planes = scene_.planes.size(), num_sides = extents.shape(0);
+    Require(directions.shape(0) == num_sides && (num_planes == 0 || num_sides % num_planes == 0),
+            "extents must have as many directions on every plane");
+    scene_.extents.resize(num_planes);
+    for (size_t i = 0; i < num_sides; ++i) {
+      Extent& extent = scene_.extents[i / (num_sides / num_planes)];
+      extent.directions.push_back({directions(i, 0), directions(i, 1), directions(i, 2)});
+      extent.low.push_back(extents(i, 0)), extent.high.push_back(extents(i, 1));
+    }
     nb::gil_scoped_release release;
     scene_.Allocate();
     ParallelFor(int64_t(num_views), num_threads, [&](int64_t v, int) { scene_.Prepare(int32_t(v)); });
   }
 
   OutArray<int32_t> Label(Doubles w, Doubles b, int num_rounds, int max_sweeps, int num_threads) {
-    Require(w.size() == 12 && b.size() == 4, "weights are missing");
-    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10), w(11)};
+    Require(w.size() == 13 && b.size() == 4, "weights are missing");
+    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10), w(11), w(12)};
     const BorderCosts borders{b(0), b(1), b(2), b(3)};
     std::vector<int32_t> all;
     {
@@ -187,10 +196,11 @@ void BindFaces(nb::module_& m) {
   nb::class_<BoundFaceScene>(m, "FaceScene")
       .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
                     Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,
-                    int>(),
+                    Points3D, Points2D, int>(),
            "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "normals"_a,
            "offsets"_a, "points"_a, "plane_offsets"_a, "planes_of_points"_a, "observed_offsets"_a,
-           "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a, "num_threads"_a)
+           "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a, "directions"_a,
+           "extents"_a, "num_threads"_a)
       .def("label", &BoundFaceScene::Label, "weights"_a, "borders"_a, "num_rounds"_a,
            "max_sweeps"_a, "num_threads"_a, "Labels of the cells of all views; -1 is no plane.")
       .def("support", &BoundFaceScene::Support, "labels"_a, "tolerance"_a, "num_threads"_a,

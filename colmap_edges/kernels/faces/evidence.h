@@ -17,6 +17,7 @@ struct EvidenceWeights {
   double on, before, behind, seen_through, seen_there, unsupported, no_plane;
   double agree, disagree, hidden;    // of what neighbouring views were labelled
   double correlation;                // of the gray around the cell with that in neighbouring views
+  double inside;                     // where a plane's points lie around
   double depth_tolerance;            // share of depth that tells one surface from another
 };
 
@@ -43,6 +44,7 @@ class FaceScene {
  public:
   std::vector<FaceView> views;
   std::vector<Plane> planes;
+  std::vector<Extent> extents;  // of the planes
   FacePoints points;
   std::vector<std::vector<int32_t>> observed;    // of each view: points
   std::vector<std::vector<int32_t>> neighbors;   // of each view: views that look at the same
@@ -297,8 +299,11 @@ inline ViewCosts FaceScene::Costs(int32_t v,
     const Vec3 ray = view.RayOfCell(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);
-      if (Norm(view.pose.center + depth * ray - center) <= reach)
-        made.depths[size_t(cell) * num_labels + k] = depth;
+      const Vec3 point = view.pose.center + depth * ray;
+      if (!(Norm(point - center) <= reach)) continue;
+      made.depths[size_t(cell) * num_labels + k] = depth;
+      if (extents[made.planes[k]].Holds(point))
+        made.costs[size_t(cell) * num_labels + k] -= weights.inside;
     }
   }
   AddPoints(v, &made);

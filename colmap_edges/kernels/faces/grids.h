@@ -68,6 +68,21 @@ struct Plane {
   }
 };
 
+// The part of a plane within which what is known of it lies: a polygon of few sides, as bounds of
+// the places' components in some directions.
+struct Extent {
+  std::vector<Vec3> directions;
+  std::vector<double> low, high;
+
+  bool Holds(const Vec3& point) const {
+    for (size_t i = 0; i < directions.size(); ++i) {
+      const double at = Dot(directions[i], point);
+      if (at < low[i] || at > high[i]) return false;
+    }
+    return true;
+  }
+};
+
 // Points with the views that observe them, and the planes that they lie on, in rows by point.
 struct FacePoints {
   std::vector<Vec3> points;

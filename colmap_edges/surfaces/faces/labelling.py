@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import Int32Array, IntArray, offsets_of, order_of, owners_of
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of, order_of, owners_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
@@ -19,6 +19,8 @@ NUM_NEIGHBORS = 12  # views that see the most of the same points, which a view a
 ON_TOLERANCE = 2.0  # standard deviations of a point's distance from a plane on which it lies
 ON_SLOPE = 3 * MAX_SLOPE  # sine between a short piece of edge and such a plane
 REACH = 2.0  # times the distance of the farthest points from their middle: where planes may be
+NUM_SIDES = 16  # of the polygon around a plane's points
+INNER = 0.995  # share of the points that is within each side
 MAX_SWEEPS = 2  # of alpha expansion over all planes; more change next to nothing
 
 
@@ -40,6 +42,7 @@ class EvidenceWeights(NamedTuple):
     disagree: float = 1.0  # views that took a plane farther away
     hidden: float = 0.5  # share of views that took a nearer plane
     correlation: float = 1.0  # gray that differs from that in other views
+    inside: float = 0.4  # a place that the plane's points lie around
     depth_tolerance: float = 0.02  # share of depth by which surfaces are told apart
 
 
@@ -78,6 +81,7 @@ def make_scene(
         offsets_of(np.array([len(row) for row in neighbors])),
         np.concatenate(neighbors).astype(np.int32),
         np.array([middle, [REACH * far, 0, 0]]),
+        *extents_of(evidence, planes, plane_offsets, plane_rows),
         num_threads,
     )
 
@@ -119,6 +123,33 @@ def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int3
     near &= np.abs(evidence.tangents @ planes.normals.T) <= ON_SLOPE
     rows, columns = np.nonzero(near)
     return offsets_of(np.bincount(rows, minlength=len(near))), columns.astype(np.int32)
+
+
+def extents_of(
+    evidence: Evidence, planes: Planes, offsets: IntArray, rows: Int32Array
+) -> tuple[FloatArray, FloatArray]:
+    """Where on planes the points lie that are on them.
+
+    A border that all of a plane's points lie on one side of is an end of it: walls do not go on
+    above the ceiling, though nothing is seen to contradict it.
+
+    Returns:
+        (K * D, 3) directions on the planes, and (K * D, 2) least and largest components of the
+        points in them.
+    """
+    owners = owners_of(offsets)
+    angles = np.arange(NUM_SIDES // 2) * np.pi / (NUM_SIDES // 2)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    directions, extents = [], []
+    for plane, normal in enumerate(planes.normals):
+        directions.append(circle @ np.linalg.svd(normal[None])[2][1:])
+        own = owners[rows == plane]
+        at = evidence.points[own] @ directions[-1].T
+        margin = np.median(evidence.sigmas[own]) if len(own) else 0.0
+        low, high = np.quantile(at, (1 - INNER, INNER), axis=0) if len(own) else np.zeros((2, 1))
+        sides = np.column_stack([low - margin, high + margin])
+        extents.append(np.broadcast_to(sides, (len(circle), 2)))
+    return np.concatenate(directions), np.ascontiguousarray(np.concatenate(extents))
 
 
 def neighbors_of(num_views: int, evidence: Evidence) -> list[IntArray]:
