@@ -19,8 +19,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
-MIN_AGREEING = 3  # views that show a plane at a place
-AGREEING_SHARE = 0.75  # of the views that hold the place
+AGREEING_SHARE = 1 / 3  # of the views that hold the place
 MAX_THROUGH = 0.1  # views that show a plane behind it, for each that agrees
 MAX_HIDDEN = 0.15  # views that show a plane before it, for each that agrees
 NEAR_CELLS = 1.5  # within which the mesher has no two points of its own
@@ -89,7 +88,7 @@ def are_believed(samples: Samples) -> BoolArray:
     That few see a nearer plane matters most: walls run on behind the next wall.
     """
     agreeing = samples.agreeing
-    enough = (agreeing >= MIN_AGREEING) & (agreeing >= AGREEING_SHARE * samples.holding)
+    enough = agreeing >= AGREEING_SHARE * samples.holding
     free = samples.through <= MAX_THROUGH * agreeing
     believed: BoolArray = enough & free & (samples.hidden <= MAX_HIDDEN * agreeing)
     return believed

@@ -1,14 +1,15 @@
-"""Faint lines on planes: borders of walls and ceilings that no single image shows clearly enough.
+"""Faint lines on planes: borders of walls and ceilings that no single image shows clearly.
 
-Where a cell is taken for a plane, the changes of gray in it are taken for marks on that plane. Those
-of several views fall on one line of the plane only if they are on it: a mark, or the border to
-another plane, which lies on both.
+Where a cell is taken for a plane, the changes of gray in it are taken for marks on that plane.
+Those of several views fall on one line of the plane only if they are on it: a mark, or the border
+to another plane, which lies on both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -16,19 +17,24 @@ from scipy import ndimage
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.faces.evidence import Evidence, sight_of
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
+# Pixels are those of the small pictures. Set by trial on rooms (docs/experiments.md).
 BLUR_PX = 1.0
-MIN_SLOPE = 0.5  # gray levels a pixel of the small picture, blurred
-NUM_ANGLES = 120
-MIN_VIEWS = 3  # that see every part of a line
+MIN_SLOPE = 0.5  # gray levels a pixel of the blurred picture; noise of means of pixels is less
+NUM_ANGLES = 120  # of half a turn
+WIDTH_PX = 2.0  # of lines
+MAX_PLACES = 4000  # beside each other, so many line widths
+MAX_TURN = 0.08  # sine between a mark and its line
 MIN_PIXELS = 60  # of all views on a line
+MIN_VIEWS = 3  # that see a stretch of a line
+MIN_STEPS = 8  # such stretches of a line
+STEP_PX = 3.0  # length of a stretch
 MAX_LINES = 24  # of a plane
-STEP_PX = 3.0  # along lines
-SIGMA_PX = 0.7
-MAX_COSINE_OFF = 0.05
+MAX_TRIED = 40  # for each of them
+SIGMA_PX = 0.7  # standard deviation of a point of a line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +54,22 @@ class Marks:
     sizes: FloatArray
     planes: IntArray
     views: IntArray
+
+
+class Line(NamedTuple):
+    """A line on a plane.
+
+    Attributes:
+        members: (M,) marks on it.
+        steps: (M,) stretch of the line that each is on.
+        middle: (3,) of the marks.
+        tangent: (3,) unit direction.
+    """
+
+    members: IntArray
+    steps: IntArray
+    middle: FloatArray
+    tangent: FloatArray
 
 
 def ridges(gray: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -128,115 +150,122 @@ def find_faint_lines(
     return as_evidence(marks, lines, model)
 
 
-def lines_of_plane(
-    marks: Marks, own: IntArray, normal: FloatArray
-) -> list[tuple[IntArray, IntArray]]:
-    """Marks of a plane on one line each, with the step along the line of each of them."""
+def lines_of_plane(marks: Marks, own: IntArray, normal: FloatArray) -> list[Line]:
+    """The lines on which many of a plane's (P,) marks fall, by their votes for angle and place."""
     if len(own) < MIN_PIXELS:
         return []
     basis = np.linalg.svd(normal[None])[2][1:]
-    at, along = marks.points[own] @ basis.T, marks.directions[own] @ basis.T
-    at = at - np.median(at, axis=0)
-    size = float(np.median(marks.sizes[own]))
-    angles = np.arctan2(along[:, 1], along[:, 0]) % np.pi
-    across = -np.sin(angles) * at[:, 0] + np.cos(angles) * at[:, 1]
-    width = 2 * size
-    columns = np.floor((across - across.min()) / width).astype(np.int64)
-    rows = np.minimum((angles / np.pi * NUM_ANGLES).astype(np.int64), NUM_ANGLES - 1)
-    if columns.max() > 20000:
-        return []
-    votes = np.zeros((NUM_ANGLES, columns.max() + 1))
-    np.add.at(votes, (rows, columns), 1)
-    votes = ndimage.uniform_filter(votes, 3, mode="constant") * 9
-    order = np.argsort(-votes, axis=None)[: 40 * MAX_LINES]
-    lines: list[tuple[IntArray, IntArray]] = []
-    free = np.ones(len(own), bool)
-    for cell in order:
-        row, column = divmod(int(cell), votes.shape[1])
-        if votes[row, column] < MIN_PIXELS or len(lines) >= MAX_LINES:
-            break
-        angle = (row + 0.5) / NUM_ANGLES * np.pi
-        place = across.min() + (column + 0.5) * width
-        found = fitted_line(at, along, free, angle, place, width, marks.views[own], size)
-        if found is None:
+    flat = FlatMarks(
+        at=marks.points[own] @ basis.T,
+        along=marks.directions[own] @ basis.T,
+        views=marks.views[own],
+        size=float(np.median(marks.sizes[own])),
+        free=np.ones(len(own), bool),
+    )
+    lines: list[Line] = []
+    for angle, place in flat.peaks():
+        members, steps = flat.fitted(angle, place)
+        if not len(members):
             continue
-        members, steps = found
-        free[members] = False
-        lines.append((own[members], steps))
+        flat.free[members] = False
+        middle = marks.points[own[members]].mean(axis=0)
+        off = marks.points[own[members]] - middle
+        tangent = np.linalg.eigh(off.T @ off)[1][:, -1]
+        lines.append(Line(own[members], steps, middle, tangent))
+        if len(lines) == MAX_LINES:
+            break
     return lines
 
 
-def fitted_line(
-    at: FloatArray,
-    along: FloatArray,
-    free: BoolArray,
-    angle: float,
-    place: float,
-    width: float,
-    views: IntArray,
-    size: float,
-) -> tuple[IntArray, IntArray] | None:
-    """Members of a line near an angle and a place, and their steps along it where views agree."""
-    for _ in range(2):
-        direction = np.array([np.cos(angle), np.sin(angle)])
-        normal = np.array([-direction[1], direction[0]])
-        near = free & (np.abs(at @ normal - place) < width) & (np.abs(along @ normal) < 0.08)
-        members = np.flatnonzero(near)
-        if len(members) < MIN_PIXELS:
-            return None
-        middle = at[members].mean(axis=0)
-        values = np.linalg.eigh((at[members] - middle).T @ (at[members] - middle))[1]
-        direction = values[:, 1]
-        angle = float(np.arctan2(direction[1], direction[0]))
-        place = float(middle @ [-direction[1], direction[0]])
-    steps = np.floor((at[members] @ direction) / (STEP_PX * size)).astype(np.int64)
-    steps -= steps.min()
-    pairs = np.unique(np.column_stack([steps, views[members]]), axis=0)
-    num_views = np.bincount(pairs[:, 0])
-    seen = num_views[steps] >= MIN_VIEWS
-    if np.sum(num_views >= MIN_VIEWS) < 8:
-        return None
-    return members[seen], steps[seen]
+@dataclass(frozen=True, kw_only=True)
+class FlatMarks:
+    """Marks in coordinates of their plane.
+
+    Attributes:
+        at: (P, 2) places.
+        along: (P, 2) unit directions.
+        views: (P,) view of each.
+        size: of a pixel of the small pictures on the plane.
+        free: (P,) whether no line has taken them; changes as lines are found.
+    """
+
+    at: FloatArray
+    along: FloatArray
+    views: IntArray
+    size: float
+    free: BoolArray
+
+    def peaks(self) -> list[tuple[float, float]]:
+        """Angles and places of lines with many votes, the most first."""
+        angles = np.arctan2(self.along[:, 1], self.along[:, 0]) % np.pi
+        across = np.cos(angles) * self.at[:, 1] - np.sin(angles) * self.at[:, 0]
+        low = float(np.median(across)) - MAX_PLACES / 2 * WIDTH_PX * self.size
+        columns = np.floor((across - low) / (WIDTH_PX * self.size)).astype(np.int64)
+        rows = np.minimum((angles / np.pi * NUM_ANGLES).astype(np.int64), NUM_ANGLES - 1)
+        kept = (columns >= 0) & (columns < MAX_PLACES)
+        votes = np.zeros((NUM_ANGLES, int(columns[kept].max(initial=0)) + 1))
+        np.add.at(votes, (rows[kept], columns[kept]), 1)
+        votes = 9 * ndimage.uniform_filter(votes, 3, mode="constant")
+        found = np.flatnonzero(votes >= MIN_PIXELS)
+        order = found[np.argsort(-votes.flat[found], kind="stable")][: MAX_TRIED * MAX_LINES]
+        rows, columns = np.divmod(order, votes.shape[1])
+        places = low + (columns + 0.5) * WIDTH_PX * self.size
+        return list(zip(((rows + 0.5) / NUM_ANGLES * np.pi).tolist(), places.tolist(), strict=True))
+
+    def fitted(self, angle: float, place: float) -> tuple[IntArray, IntArray]:
+        """Free members of a line, and their steps along it; none where too few views agree."""
+        none = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        for _ in range(2):
+            direction = np.array([np.cos(angle), np.sin(angle)])
+            normal = np.array([-direction[1], direction[0]])
+            near = self.free & (np.abs(self.at @ normal - place) < WIDTH_PX * self.size)
+            members = np.flatnonzero(near & (np.abs(self.along @ normal) < MAX_TURN))
+            if len(members) < MIN_PIXELS:
+                return none
+            middle = self.at[members].mean(axis=0)
+            off = self.at[members] - middle
+            direction = np.linalg.eigh(off.T @ off)[1][:, 1]
+            angle = float(np.arctan2(direction[1], direction[0]))
+            place = float(middle @ [-direction[1], direction[0]])
+        steps = np.floor((self.at[members] @ direction) / (STEP_PX * self.size)).astype(np.int64)
+        _, steps = np.unique(steps, return_inverse=True)
+        pairs = np.unique(np.column_stack([steps, self.views[members]]), axis=0)
+        enough = np.bincount(pairs[:, 0]) >= MIN_VIEWS
+        if enough.sum() < MIN_STEPS:
+            return none
+        return members[enough[steps]], steps[enough[steps]]
 
 
-def as_evidence(marks: Marks, lines: list[tuple[IntArray, IntArray]], model: Model) -> Evidence:
-    """Points of straight edges at the steps of lines."""
-    points, tangents, sigmas, weights, tracks = [], [], [], [], []
-    focals = np.array([view.focal_px / view.scale for view in model.views])
-    for members, steps in lines:
-        middle = marks.points[members].mean(axis=0)
-        off = marks.points[members] - middle
-        tangent = np.linalg.eigh(off.T @ off)[1][:, -1]
-        along = off @ tangent
-        for step in np.unique(steps):
-            own = members[steps == step]
-            points.append(middle + np.mean(along[steps == step]) * tangent)
-            tangents.append(tangent)
-            size = float(np.median(marks.sizes[own]))
-            sigmas.append(SIGMA_PX * size)
-            weights.append(STEP_PX * size)
-            tracks.append(np.unique(marks.views[own]))
-    at = np.array(points).reshape(-1, 3)
-    views = np.concatenate([np.zeros(0, np.int64), *tracks]).astype(np.int32)
-    offsets = offsets_of(np.array([len(t) for t in tracks], np.int64))
-    away = np.array(
-        [(p - model.camera_centers[t]).mean(axis=0) for p, t in zip(at, tracks, strict=True)]
-    )
-    away = away.reshape(-1, 3)
-    distances = np.linalg.norm(away, axis=1)
-    near = np.array(
-        [
-            np.median(np.linalg.norm(p - model.camera_centers[t], axis=1) / focals[t])
-            for p, t in zip(at, tracks, strict=True)
-        ]
-    )
+def as_evidence(marks: Marks, lines: list[Line], model: Model) -> Evidence:
+    """Points of straight edges at the steps of lines, one a step."""
+    chosen = np.concatenate([np.zeros(0, np.int64), *(line.members for line in lines)])
+    counts = [len(line.members) for line in lines]
+    of_line = np.repeat(np.arange(len(lines)), counts)
+    all_steps = np.concatenate([np.zeros(0, np.int64), *(line.steps for line in lines)])
+    tangents = np.array([line.tangent for line in lines]).reshape(-1, 3)
+    middles = np.array([line.middle for line in lines]).reshape(-1, 3)
+    _, point = np.unique(np.column_stack([of_line, all_steps]), axis=0, return_inverse=True)
+    point = point.reshape(-1)
+    number = int(point.max(initial=-1)) + 1
+    members = np.bincount(point, minlength=number)
+    line_of = np.zeros(number, np.int64)
+    line_of[point] = of_line
+    off = marks.points[chosen] - middles[of_line]
+    along = np.einsum("ij,ij->i", off, tangents[of_line])
+    along = np.bincount(point, along, number) / np.maximum(members, 1)
+    sizes = np.bincount(point, marks.sizes[chosen], number) / np.maximum(members, 1)
+    points = middles[line_of] + along[:, None] * tangents[line_of]
+    tracks = np.unique(np.column_stack([point, marks.views[chosen]]), axis=0)
+    offsets = offsets_of(np.bincount(tracks[:, 0], minlength=number))
+    views = tracks[:, 1].astype(np.int32)
+    rays, pixels, _ = sight_of(points, offsets, views, model)
     return Evidence(
-        points=at,
-        tangents=np.array(tangents).reshape(-1, 3),
-        rays=away / (distances[:, None] + 1e-300),
-        sigmas=np.array(sigmas),
-        ray_sigmas=np.array(sigmas),
-        weights=np.array(weights) / near if len(at) else np.zeros(0),
+        points=points,
+        tangents=tangents[line_of],
+        rays=rays,
+        sigmas=SIGMA_PX * sizes,
+        ray_sigmas=SIGMA_PX * sizes,
+        weights=STEP_PX * sizes / pixels,
         offsets=offsets,
         views=views,
     )

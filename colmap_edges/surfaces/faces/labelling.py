@@ -9,7 +9,14 @@ import numpy as np
 from scipy import sparse
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of, order_of, owners_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    order_of,
+    owners_of,
+)
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
@@ -42,7 +49,7 @@ class EvidenceWeights(NamedTuple):
     disagree: float = 1.0  # views that took a plane farther away
     hidden: float = 0.5  # share of views that took a nearer plane
     correlation: float = 1.0  # gray that differs from that in other views
-    inside: float = 0.4  # a place that the plane's points lie around
+    inside: float = 0.15  # a place that the plane's points lie around
     depth_tolerance: float = 0.02  # share of depth by which surfaces are told apart
 
 
