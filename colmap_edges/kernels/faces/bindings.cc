@@ -90,8 +90,7 @@ class BoundFaceScene {
                   gray.size() > 0,
               "pictures must be of whole cells");
       FaceView view;
-      view.pose =
-          MakePinholeView(rotations.data() + 9 * v, translations.data() + 3 * v, focals(v));
+      view.pose = MakePinholeView(rotations.data() + 9 * v, translations.data() + 3 * v, focals(v));
       view.principal = {principals(v, 0), principals(v, 1)};
       view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
       view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
@@ -131,12 +130,14 @@ class BoundFaceScene {
     }
     nb::gil_scoped_release release;
     scene_.Allocate();
-    ParallelFor(int64_t(num_views), num_threads, [&](int64_t v, int) { scene_.Prepare(int32_t(v)); });
+    ParallelFor(int64_t(num_views), num_threads,
+                [&](int64_t v, int) { scene_.Prepare(int32_t(v)); });
   }
 
   OutArray<int32_t> Label(Doubles w, Doubles b, int num_rounds, int max_sweeps, int num_threads) {
     Require(w.size() == 13 && b.size() == 4, "weights are missing");
-    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10), w(11), w(12)};
+    scene_.weights = {w(0), w(1), w(2), w(3),  w(4),  w(5), w(6),
+                      w(7), w(8), w(9), w(10), w(11), w(12)};
     const BorderCosts borders{b(0), b(1), b(2), b(3)};
     std::vector<int32_t> all;
     {
@@ -168,7 +169,8 @@ class BoundFaceScene {
       for (const auto& of_view : found) {
         for (const CellSupport& s : of_view) {
           points.insert(points.end(), {s.point.x, s.point.y, s.point.z});
-          rows.insert(rows.end(), {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
+          rows.insert(rows.end(),
+                      {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
           views.insert(views.end(), s.views.begin(), s.views.end());
           offsets.push_back(int64_t(views.size()));
         }
@@ -176,8 +178,8 @@ class BoundFaceScene {
     }
     const size_t count = points.size() / 3, total = views.size(), size = offsets.size();
     return nb::make_tuple(ToArray(std::move(points), {count, 3}),
-                          ToArray(std::move(rows), {count, 7}),
-                          ToArray(std::move(offsets), {size}), ToArray(std::move(views), {total}));
+                          ToArray(std::move(rows), {count, 7}), ToArray(std::move(offsets), {size}),
+                          ToArray(std::move(views), {total}));
   }
 
  private:

@@ -27,7 +27,8 @@ inline std::vector<NodePair> CellPairs(int32_t columns, int32_t rows) {
 // Largest change of gray per pixel on the way between the centres of two cells.
 class Slopes {
  public:
-  explicit Slopes(const FaceView& view) : view_(view), slopes_(size_t(view.width()) * view.height()) {
+  explicit Slopes(const FaceView& view)
+      : view_(view), slopes_(size_t(view.width()) * view.height()) {
     const int64_t width = view.width(), height = view.height();
     for (int64_t y = 1; y + 1 < height; ++y) {
       for (int64_t x = 1; x + 1 < width; ++x) {

@@ -15,17 +15,19 @@ namespace colmap_edges {
 // Weights of what speaks for and against a plane; each saturates, see `Saturated`.
 struct EvidenceWeights {
   double on, before, behind, seen_through, seen_there, unsupported, no_plane;
-  double agree, disagree, hidden;    // of what neighbouring views were labelled
-  double correlation;                // of the gray around the cell with that in neighbouring views
-  double inside;                     // where a plane's points lie around
-  double depth_tolerance;            // share of depth that tells one surface from another
+  double agree, disagree, hidden;  // of what neighbouring views were labelled
+  double correlation;              // of the gray around the cell with that in neighbouring views
+  double inside;                   // where a plane's points lie around
+  double depth_tolerance;          // share of depth that tells one surface from another
 };
 
 inline double Saturated(double count, double scale) {
   return count > 0 ? 1 - std::exp(-count / scale) : 0;
 }
 
+// Cells of a view that a plane has to explain as well as any to be looked for in it.
 constexpr int32_t kMinCells = 6;
+// What observed points say against a plane, beyond which nothing else is asked.
 constexpr double kHopeless = 0.8;
 
 struct ObservedPoint {
@@ -36,7 +38,7 @@ struct ObservedPoint {
 
 // Depths and costs of the labels of a view's cells: its planes, then none.
 struct ViewCosts {
-  std::vector<int32_t> planes;  // of the labels
+  std::vector<int32_t> planes;        // of the labels
   std::vector<double> costs, depths;  // (cells, planes + 1)
 };
 
@@ -46,10 +48,10 @@ class FaceScene {
   std::vector<Plane> planes;
   std::vector<Extent> extents;  // of the planes
   FacePoints points;
-  std::vector<std::vector<int32_t>> observed;    // of each view: points
-  std::vector<std::vector<int32_t>> neighbors;   // of each view: views that look at the same
-  Vec3 center;                                   // of the scene
-  double reach = 0;                              // from it, within which surfaces may be
+  std::vector<std::vector<int32_t>> observed;   // of each view: points
+  std::vector<std::vector<int32_t>> neighbors;  // of each view: views that look at the same
+  Vec3 center;                                  // of the scene
+  double reach = 0;                             // from it, within which surfaces may be
   EvidenceWeights weights;
 
   // Points as their views see them; the nearest depth in every cell.
@@ -72,7 +74,8 @@ class FaceScene {
     nearest_.assign(views.size(), {});
   }
 
-  // The planes on which at least `min_cells` cells of a view have as many observed points as on any.
+  // The planes on which at least `min_cells` cells of a view have as many observed points as on
+  // any.
   std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;
 
   // `labels`: of all views, planes or -1, to agree with; empty at first.
@@ -95,7 +98,7 @@ class FaceScene {
 inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
                                                 std::vector<int32_t>* counts) const {
   counts->assign(planes.size(), 0);
-  std::vector<int32_t> here(planes.size(), 0), won(planes.size(), 0), touched, order;
+  std::vector<int32_t> here(planes.size(), 0), won(planes.size(), 0), touched;
   std::vector<std::pair<int32_t, int32_t>> by_cell;
   for (const ObservedPoint& sight : sights_[v]) by_cell.emplace_back(sight.cell, sight.point);
   std::sort(by_cell.begin(), by_cell.end());
@@ -173,6 +176,8 @@ inline Mat3 PlaneHomography(const FaceView& view, const Plane& plane, const Face
   return h;
 }
 
+// Variance of gray, in levels squared, that is no texture.
+constexpr double kGrayNoise = 4;
 constexpr int kPatchRadius = 4, kPatchStep = 2;  // pixels of the small pictures
 
 // The gray around a cell, and how much it varies there.
@@ -231,7 +236,7 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const Vec3 ray = view.RayOfCell(cell);
     const Patch patch(view, cell);
-    const bool has_texture = weights.correlation > 0 && patch.variance() > 4;
+    const bool has_texture = weights.correlation > 0 && patch.variance() > kGrayNoise;
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
       const double depth = made->depths[i];
@@ -251,7 +256,7 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
         through += nearest > at * (1 + 2 * tolerance);
         there += std::abs(nearest - at) < tolerance / 2 * at;
         if (has_texture && tried < 3) {
-          const double d = patch.Difference(homographies[k * num_neighbors + j], other, 4);
+          const double d = patch.Difference(homographies[k * num_neighbors + j], other, kGrayNoise);
           if (!std::isnan(d)) differences[tried++] = d;
         }
         if (labels.empty()) continue;
@@ -261,8 +266,7 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
           ++agree;
           continue;
         }
-        const double theirs =
-            planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
+        const double theirs = planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
         if (theirs > at * (1 + tolerance)) {
           ++disagree;
         } else if (theirs < at * (1 - tolerance)) {
@@ -271,8 +275,8 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
           agree += 0.5;
         }
       }
-      made->costs[i] += weights.seen_through * Saturated(through, 2) -
-                        weights.seen_there * Saturated(there, 2);
+      made->costs[i] +=
+          weights.seen_through * Saturated(through, 2) - weights.seen_there * Saturated(there, 2);
       if (tried > 0) {
         const double most = *std::max_element(differences.begin(), differences.begin() + tried);
         const double least = *std::min_element(differences.begin(), differences.begin() + tried);

@@ -75,8 +75,8 @@ class Expansion {
   }
 
  private:
-  static constexpr double kUnit = 1 << 20;   // of whole-number capacities
-  static constexpr double kLargest = 1e6;    // cost that stands for infinity
+  static constexpr double kUnit = 1 << 20;  // of whole-number capacities
+  static constexpr double kLargest = 1e6;   // cost that stands for infinity
 
   static int64_t Whole(double cost) { return std::llround(kUnit * std::min(cost, kLargest)); }
 

@@ -13,9 +13,9 @@
 namespace colmap_edges {
 
 struct BorderCosts {
-  double weight = 2;          // of a border in a plain part of a picture
-  double least = 0.06;        // part of it that is left where the gray changes much
-  double slope_scale = 2;     // gray levels a pixel
+  double weight = 2;              // of a border in a plain part of a picture
+  double least = 0.06;            // part of it that is left where the gray changes much
+  double slope_scale = 2;         // gray levels a pixel
   double crossing_factor = 0.35;  // part of it where the two planes cross
 };
 
@@ -33,12 +33,11 @@ inline std::vector<int32_t> LabelView(const FaceScene& scene, int32_t v, const V
   const Slopes slopes(view);
   std::vector<double> weights;
   for (const NodePair& pair : problem.edges)
-    weights.push_back(borders.weight * (std::exp(-slopes.Between(pair) / borders.slope_scale) +
-                                        borders.least));
+    weights.push_back(borders.weight *
+                      (std::exp(-slopes.Between(pair) / borders.slope_scale) + borders.least));
   problem.weights = weights.data();
   std::vector<int32_t> labels = Expansion(problem).Run(max_sweeps);
-  for (int32_t& label : labels)
-    label = label == problem.num_labels - 1 ? -1 : made.planes[label];
+  for (int32_t& label : labels) label = label == problem.num_labels - 1 ? -1 : made.planes[label];
   return labels;
 }
 
@@ -84,9 +83,9 @@ inline std::vector<CellSupport> SupportOf(const FaceScene& scene, const ViewLabe
       const int32_t label = labels[u][other.CellAt(pixel)];
       ++support.holding;
       if (label < 0) continue;
-      const double theirs =
-          label == plane ? at
-                         : scene.planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
+      const double theirs = label == plane ? at
+                                           : scene.planes[label].DepthAlong(
+                                                 other.pose.center, other.RayThrough(pixel));
       if (theirs > at * (1 + tolerance)) {
         ++support.through;
       } else if (theirs < at * (1 - tolerance)) {

@@ -205,7 +205,8 @@ class MaxFlow {
   // hangs on an orphan.
   int32_t ToTerminal(int32_t i) {
     int32_t steps = 0, j = i;
-    while (nodes_[j].time != time_ && nodes_[j].parent >= 0) j = arcs_[nodes_[j].parent].head, ++steps;
+    while (nodes_[j].time != time_ && nodes_[j].parent >= 0)
+      j = arcs_[nodes_[j].parent].head, ++steps;
     if (nodes_[j].time != time_) {
       if (nodes_[j].parent != kTerminal) return std::numeric_limits<int32_t>::max();
       nodes_[j].time = time_, nodes_[j].distance = 1;

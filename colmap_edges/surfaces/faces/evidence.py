@@ -108,7 +108,7 @@ def tangents_of(edges: Edges3D) -> FloatArray:
     off = from_start - np.einsum("ij,ij->i", from_start, tangents)[:, None] * tangents
     bent = np.linalg.norm(off, axis=1) > MAX_BEND * lengths
     tangents[bent | (lengths == 0)] = 0
-    return tangents
+    return np.asarray(tangents, np.float64)
 
 
 def edge_lengths(edges: Edges3D) -> FloatArray:
@@ -116,7 +116,8 @@ def edge_lengths(edges: Edges3D) -> FloatArray:
     segments = edges.segments
     lengths = np.linalg.norm(edges.points[segments[:, 0]] - edges.points[segments[:, 1]], axis=1)
     halves = np.repeat(lengths / 2, 2)
-    return np.bincount(segments.ravel(), halves, edges.num_points)
+    lengths_of_points = np.bincount(segments.ravel(), halves, edges.num_points)
+    return np.asarray(lengths_of_points, np.float64)
 
 
 def joined(one: Evidence, other: Evidence) -> Evidence:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence, sight_of
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
@@ -72,7 +72,7 @@ class Line(NamedTuple):
     tangent: FloatArray
 
 
-def ridges(gray: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+def ridges(gray: ByteArray) -> tuple[IntArray, IntArray, FloatArray]:
     """Rows and columns of the pixels where gray changes most, and (M, 2) unit gradients (x, y)."""
     smooth = ndimage.gaussian_filter(gray.astype(np.float64), BLUR_PX)
     gy, gx = np.gradient(smooth)
@@ -115,7 +115,7 @@ def marks_of(view: View, index: int, grid: Grid, labels: Int32Array, planes: Pla
             depths = offsets / np.einsum("ij,ij->i", normals, rays)
         return view.center + np.where(depths > 0, depths, np.nan)[:, None] * rays
 
-    points, ahead = meet(pixels), meet(pixels + along)
+    points, ahead = meet(np.asarray(pixels, np.float64)), meet(np.asarray(pixels + along, np.float64))
     directions = ahead - points
     sizes = np.linalg.norm(points - view.center, axis=1) / grid.focal_px
     lengths = np.linalg.norm(directions, axis=1)

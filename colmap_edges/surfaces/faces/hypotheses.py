@@ -221,8 +221,9 @@ def greedy(
     least = MIN_SHARE * float(whole.sum())
     members = tried.members(normals, offsets)
     support = members @ whole
-    members = members[support >= least]
-    normals, offsets, support = (a[support >= least] for a in (normals, offsets, support))
+    enough = np.flatnonzero(support >= least)
+    members, support = members[enough], support[enough]
+    normals, offsets = normals[enough], offsets[enough]
     weights, open_ = whole.copy(), np.ones(len(offsets), bool)
     found: list[tuple[FloatArray, float]] = []
     owned: list[BoolArray] = []
