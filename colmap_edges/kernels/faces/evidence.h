@@ -42,6 +42,8 @@ struct ViewCosts {
   std::vector<double> costs, depths;  // (cells, planes + 1)
 };
 
+struct NeighborVotes;
+
 class FaceScene {
  public:
   std::vector<FaceView> views;
@@ -88,6 +90,8 @@ class FaceScene {
     return std::binary_search(begin, end, plane);
   }
   void AddPoints(int32_t v, ViewCosts* made) const;
+  void AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label, int32_t plane,
+                NeighborVotes* votes) const;
   void AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                     ViewCosts* made) const;
 
@@ -223,6 +227,44 @@ struct Patch {
   }
 };
 
+// What neighbouring views say of a place on a plane.
+struct NeighborVotes {
+  double through = 0, there = 0;               // by the points they observe
+  double agree = 0, disagree = 0, hidden = 0;  // by the planes they were labelled
+  std::array<double, 3> differences;           // of gray
+  int tried = 0;
+
+  double Cost(const EvidenceWeights& weights) const {
+    double cost = weights.seen_through * Saturated(through, 2) -
+                  weights.seen_there * Saturated(there, 2) - weights.agree * Saturated(agree, 2) +
+                  weights.disagree * Saturated(disagree, 2);
+    cost += weights.hidden * hidden / (1 + hidden + agree + disagree);
+    if (tried == 0) return cost;
+    const auto end = differences.begin() + tried;
+    return cost + weights.correlation *
+                      (*std::min_element(differences.begin(), end) +
+                       *std::max_element(differences.begin(), end)) /
+                      2;
+  }
+};
+
+inline void FaceScene::AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label,
+                                int32_t plane, NeighborVotes* votes) const {
+  if (label < 0) return;
+  if (label == plane) {
+    ++votes->agree;
+    return;
+  }
+  const double theirs = planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
+  if (theirs > depth * (1 + weights.depth_tolerance)) {
+    ++votes->disagree;
+  } else if (theirs < depth * (1 - weights.depth_tolerance)) {
+    ++votes->hidden;
+  } else {
+    votes->agree += 0.5;
+  }
+}
+
 inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                     ViewCosts* made) const {
   const FaceView& view = views[v];
@@ -239,12 +281,9 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
     const bool has_texture = weights.correlation > 0 && patch.variance() > kGrayNoise;
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
-      const double depth = made->depths[i];
-      if (std::isnan(depth) || made->costs[i] > kHopeless) continue;
-      const Vec3 point = view.pose.center + depth * ray;
-      double through = 0, there = 0, agree = 0, disagree = 0, hidden = 0;
-      std::array<double, 3> differences;
-      int tried = 0;
+      if (std::isnan(made->depths[i]) || made->costs[i] > kHopeless) continue;
+      const Vec3 point = view.pose.center + made->depths[i] * ray;
+      NeighborVotes votes;
       for (size_t j = 0; j < num_neighbors; ++j) {
         const int32_t u = neighbors[v][j];
         const FaceView& other = views[u];
@@ -253,39 +292,15 @@ inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int
         if (!other.Project(point, &pixel, &at)) continue;
         const int32_t c = other.CellAt(pixel);
         const double nearest = nearest_[u][c];
-        through += nearest > at * (1 + 2 * tolerance);
-        there += std::abs(nearest - at) < tolerance / 2 * at;
-        if (has_texture && tried < 3) {
+        votes.through += nearest > at * (1 + 2 * tolerance);
+        votes.there += std::abs(nearest - at) < tolerance / 2 * at;
+        if (has_texture && votes.tried < int(votes.differences.size())) {
           const double d = patch.Difference(homographies[k * num_neighbors + j], other, kGrayNoise);
-          if (!std::isnan(d)) differences[tried++] = d;
+          if (!std::isnan(d)) votes.differences[votes.tried++] = d;
         }
-        if (labels.empty()) continue;
-        const int32_t label = labels[u][c];
-        if (label < 0) continue;
-        if (label == made->planes[k]) {
-          ++agree;
-          continue;
-        }
-        const double theirs = planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
-        if (theirs > at * (1 + tolerance)) {
-          ++disagree;
-        } else if (theirs < at * (1 - tolerance)) {
-          ++hidden;
-        } else {
-          agree += 0.5;
-        }
+        if (!labels.empty()) AddLabel(other, pixel, at, labels[u][c], made->planes[k], &votes);
       }
-      made->costs[i] +=
-          weights.seen_through * Saturated(through, 2) - weights.seen_there * Saturated(there, 2);
-      if (tried > 0) {
-        const double most = *std::max_element(differences.begin(), differences.begin() + tried);
-        const double least = *std::min_element(differences.begin(), differences.begin() + tried);
-        made->costs[i] += weights.correlation * (most + least) / 2;
-      }
-      if (!labels.empty())
-        made->costs[i] += -weights.agree * Saturated(agree, 2) +
-                          weights.disagree * Saturated(disagree, 2) +
-                          weights.hidden * hidden / (1 + hidden + agree + disagree);
+      made->costs[i] += votes.Cost(weights);
     }
   }
 }
