@@ -15,7 +15,14 @@ import numpy as np
 from scipy import ndimage
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+)
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence, sight_of
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
@@ -115,7 +122,10 @@ def marks_of(view: View, index: int, grid: Grid, labels: Int32Array, planes: Pla
             depths = offsets / np.einsum("ij,ij->i", normals, rays)
         return view.center + np.where(depths > 0, depths, np.nan)[:, None] * rays
 
-    points, ahead = meet(np.asarray(pixels, np.float64)), meet(np.asarray(pixels + along, np.float64))
+    points, ahead = (
+        meet(np.asarray(pixels, np.float64)),
+        meet(np.asarray(pixels + along, np.float64)),
+    )
     directions = ahead - points
     sizes = np.linalg.norm(points - view.center, axis=1) / grid.focal_px
     lengths = np.linalg.norm(directions, axis=1)
