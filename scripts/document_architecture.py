@@ -40,6 +40,8 @@ LIBRARIES = {
         "report.pictures",
         "report.rerun_viewer",
         "report.still",
+        "surfaces.faces.grids",
+        "surfaces.faces.outlines",
         "surfaces.silhouettes",
     ),
     "plotly": ("report.page",),

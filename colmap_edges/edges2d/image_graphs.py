@@ -75,6 +75,30 @@ class Visitor(Protocol):
         """Take what `visit` gave back, in the process that started the work."""
 
 
+@dataclass(frozen=True)
+class Visitors:
+    """Several visitors as one."""
+
+    visitors: tuple[Visitor, ...]
+
+    @classmethod
+    def of(cls, *visitors: Visitor | None) -> Visitor | None:
+        """Those that there are; the one itself if it is alone."""
+        found = tuple(visitor for visitor in visitors if visitor is not None)
+        return cls(found) if len(found) > 1 else next(iter(found), None)
+
+    def visit(
+        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+    ) -> list[Any]:
+        """Have all look at an image, which is decoded at most once for each."""
+        return [visitor.visit(index, view, read, found) for visitor in self.visitors]
+
+    def collect(self, index: int, kept: list[Any]) -> None:
+        """Have each take what it gave back."""
+        for visitor, own in zip(self.visitors, kept, strict=True):
+            visitor.collect(index, own)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageWork:
     """What is to be done with every image.

@@ -45,6 +45,10 @@ class PipelineOptions(Options):
     bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    use_faces: bool = option(
+        False,
+        "Mesh planar faces between edges, too, and write faces.json: for rooms and plain bodies",
+    )
     report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
     refine_poses: bool = option(
         False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
@@ -68,5 +72,7 @@ class PipelineOptions(Options):
         super().__post_init__()
         if self.refine_poses and not self.use_edges:
             raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
+        if self.use_faces and not self.use_edges:
+            raise OptionError("use_faces is 1 and use_edges 0; faces are found between edges")
         if self.masks_are_background and not self.use_edges:
             raise OptionError("masks_are_background is 1 and use_edges 0, which reads no images")

@@ -28,6 +28,7 @@ NOT_OF_TRACING = {
     "curves",
     "meshing",
     "use_edges",
+    "use_faces",
     "report",
     "refine_poses",
     "output_type",
