@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from colmap_edges.edges3d.curves.fitting import fit_curves
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.evaluation.readers.results import WrittenEdges, read_edges
+    from colmap_edges.export.graph import to_networkx
     from colmap_edges.export.meshes import write_mesh
     from colmap_edges.options import PipelineOptions, preset
     from colmap_edges.pipeline.reconstruct import EdgeReconstruction, reconstruct
@@ -40,6 +41,7 @@ __all__ = [
     "preset",
     "read_edges",
     "reconstruct",
+    "to_networkx",
     "write_mesh",
 ]
 _MODULES = {
@@ -55,6 +57,7 @@ _MODULES = {
     "preset": "options",
     "read_edges": "evaluation.readers.results",
     "reconstruct": "pipeline.reconstruct",
+    "to_networkx": "export.graph",
     "write_mesh": "export.meshes",
 }
 

@@ -25,6 +25,7 @@ PUBLIC = (
     ("edges3d.curves.fitting", ("fit_curves",), "colmap_edges"),
     ("core.curves3d", ("Curves3D",), "colmap_edges"),
     ("evaluation.readers.results", ("read_edges", "WrittenEdges"), "colmap_edges"),
+    ("export.graph", ("to_networkx",), "colmap_edges"),
     ("surfaces.mesher", ("mesh",), "colmap_edges"),
     ("surfaces.mesh", ("Mesh",), "colmap_edges"),
     ("export.meshes", ("write_mesh",), "colmap_edges"),

@@ -44,6 +44,7 @@ LIBRARIES = {
         "surfaces.faces.outlines",
         "surfaces.silhouettes",
     ),
+    "networkx": ("export.graph",),
     "plotly": ("report.page",),
     "plyfile": ("evaluation.readers.ply",),
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),

@@ -169,12 +169,12 @@ def evaluate_edges(
     """
     model = load_model(sparse_path)
     found = peers.read_curves(edges_path)
+    run = run_edges(edges_path, model)
     record: Record = {
         "edges": str(edges_path),
         "lengths": asdict(edges.segment_lengths(found)),
+        "twins": _twins(found, run, model),
     }
-    run = run_edges(edges_path, model)
-    record["twins"] = _twins(found, run, model)
     points = _edge_points(edges_path, model, input_path)
     if edges_path.suffix in (".ply", ".npz"):  # a peer's lines are sampled where they project to
         record["reprojection"] = asdict(edges.reprojection_errors(points))
@@ -186,9 +186,8 @@ def evaluate_edges(
                 found, true, model, input_path, surface_path, thresholds_px
             )
         else:
-            record["curves"] = asdict(
-                curves.compare_curves(found, true, limits, unit_size=unit_size, crop=crop)
-            )
+            scores = curves.compare_curves(found, true, limits, unit_size=unit_size, crop=crop)
+            record["curves"] = asdict(scores)
             limit = min(limits) * (np.ptp(true.points, axis=0).max() if unit_size else 1.0)
             record |= _against_kinds(edges_path, reference_path, float(limit))
         record |= _as_graph(found, run, true, limits, unit_size=unit_size)
