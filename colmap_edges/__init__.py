@@ -14,8 +14,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from colmap_edges.core.curves3d import Curves3D
     from colmap_edges.core.edges3d import Edges3D
+    from colmap_edges.edges3d.curves.fitting import fit_curves
     from colmap_edges.errors import ColmapEdgesError
+    from colmap_edges.evaluation.readers.results import WrittenEdges, read_edges
+    from colmap_edges.export.graph import to_networkx
     from colmap_edges.export.meshes import write_mesh
     from colmap_edges.options import PipelineOptions, preset
     from colmap_edges.pipeline.reconstruct import EdgeReconstruction, reconstruct
@@ -25,25 +29,35 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "ColmapEdgesError",
+    "Curves3D",
     "EdgeReconstruction",
     "Edges3D",
     "Mesh",
     "PipelineOptions",
+    "WrittenEdges",
     "__version__",
+    "fit_curves",
     "mesh",
     "preset",
+    "read_edges",
     "reconstruct",
+    "to_networkx",
     "write_mesh",
 ]
 _MODULES = {
     "ColmapEdgesError": "errors",
+    "Curves3D": "core.curves3d",
     "EdgeReconstruction": "pipeline.reconstruct",
     "Edges3D": "core.edges3d",
     "Mesh": "surfaces.mesh",
     "PipelineOptions": "options",
+    "WrittenEdges": "evaluation.readers.results",
+    "fit_curves": "edges3d.curves.fitting",
     "mesh": "surfaces.mesher",
     "preset": "options",
+    "read_edges": "evaluation.readers.results",
     "reconstruct": "pipeline.reconstruct",
+    "to_networkx": "export.graph",
     "write_mesh": "export.meshes",
 }
 

@@ -28,6 +28,7 @@ def option(
     choices: tuple[str, ...] | None = None,
     basic: bool = False,
     given_px: bool = False,
+    source: str | None = None,
 ) -> Any:
     """Declare one option: its default, whose type is the option's, and one line of help.
 
@@ -42,67 +43,30 @@ def option(
         basic: whether the short help of the command line shows the option.
         given_px: whether it is a length in pixels of the given images that stages need in those of
             the upsampled images; `colmap_edges.options.resolved` converts it.
+        source: where the value comes from, of a `constant`.
+
+    Raises:
+        TypeError: for a number without a range, or a range of what is none.
     """
-    check_declaration(default, help, within)
-    return field(
-        default=default,
-        metadata={
-            "help": help,
-            "within": within,
-            "choices": choices,
-            "basic": basic,
-            "given_px": given_px,
-            "source": None,
-        },
-    )
+    is_number = isinstance(default, int | float) and not isinstance(default, bool)
+    if is_number != (within is not None):
+        raise TypeError(f"{help!r}: numbers, and nothing else, have a smallest and a largest value")
+    declared = {"within": within, "choices": choices, "basic": basic, "given_px": given_px}
+    return field(default=default, metadata={"help": help, "source": source, **declared})
 
 
-def constant(
-    default: Any,
-    meaning: str,
-    source: str,
-    *,
-    within: tuple[float, float] | None = None,
-    choices: tuple[str, ...] | None = None,
-    given_px: bool = False,
-) -> Any:
+def constant(default: Any, meaning: str, source: str, **declared: Any) -> Any:
     """Declare one constant of the method: a field as `option` makes, but nothing for users.
 
     It has no flag and no key. Tests and scripts/halve_and_double.py set it from Python, within its
-    range. docs/constants.md lists it.
-
-    Args:
-        default: its value.
-        meaning: one line, with the unit.
-        source: where the value comes from.
-        within: as of `option`.
-        choices: as of `option`.
-        given_px: as of `option`.
+    range. docs/constants.md lists it with its meaning and its source, where its value comes from.
     """
-    check_declaration(default, meaning, within)
-    return field(
-        default=default,
-        metadata={
-            "help": meaning,
-            "within": within,
-            "choices": choices,
-            "basic": False,
-            "given_px": given_px,
-            "source": source,
-        },
-    )
+    return option(default, meaning, source=source, **declared)
 
 
 def is_constant(entry: Field[Any]) -> bool:
     """Whether a field was declared by `constant`."""
     return bool(entry.metadata.get("source"))
-
-
-def check_declaration(default: Any, help: str, within: tuple[float, float] | None) -> None:
-    """Raise `TypeError` for a number without a range, or a range of what is none."""
-    is_number = isinstance(default, int | float) and not isinstance(default, bool)
-    if is_number != (within is not None):
-        raise TypeError(f"{help!r}: numbers, and nothing else, have a smallest and a largest value")
 
 
 class Options:

@@ -23,6 +23,25 @@ class OptionError(ColmapEdgesError, ValueError):
     """An option's value is outside its range."""
 
 
+def check_type(name: str, value: object, kinds: tuple[type, ...], others: str = "") -> None:
+    """Check what a function was given.
+
+    Args:
+        name: of the argument.
+        value: the argument.
+        kinds: what it may be.
+        others: in words, what else it may be.
+
+    Raises:
+        ColmapEdgesError: when it is none of `kinds`.
+    """
+    if not isinstance(value, kinds):
+        wanted = [f"{kind.__module__.split('.')[0]}.{kind.__name__}" for kind in kinds]
+        wanted = [text.removeprefix("builtins.") for text in wanted] + ([others] if others else [])
+        found = type(value).__name__
+        raise ColmapEdgesError(f"{name} is of type {found}; give {' or '.join(wanted)}")
+
+
 def printable(text: str) -> str:
     """`text` with control characters, line breaks too, and what else is no sign, as escapes.
 

@@ -15,12 +15,12 @@ from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.protocols.scene import evaluate_mesh
 from colmap_edges.evaluation.readers.results import load_edges
-from colmap_edges.evaluation.tables import markdown
+from colmap_edges.evaluation.tables import SHARE_COLUMNS, markdown
 from colmap_edges.images.files import read_image
 from colmap_edges.report.overlay import draw_edges
 
 MESHES = ("without_edges", "with_edges")
-COLUMNS = ("mae", "rmse", "median", "p90", "coverage")
+COLUMNS = ("mae", "rmse", "median", "p90", *SHARE_COLUMNS)
 
 
 def main() -> None:
@@ -44,7 +44,9 @@ def depth_errors(demo: Path, output: Path) -> str:
             output / name / "mesh.ply", demo / "sparse", demo / "surface.ply", view_names=("all",)
         )["depth"]["pooled"]
         rows.append([name.replace("_", " "), *(found[column] for column in COLUMNS)])
-    return markdown(("depth error in all views", *COLUMNS), rows)
+    return markdown(
+        ("depth error in all views", *(name.replace("_", " ") for name in COLUMNS)), rows
+    )
 
 
 def picture(demo: Path, output: Path, model: Model, index: int) -> np.ndarray:

@@ -22,6 +22,10 @@ remedy.
 PUBLIC = (
     ("pipeline.reconstruct", ("reconstruct", "EdgeReconstruction"), "colmap_edges"),
     ("core.edges3d", ("Edges3D",), "colmap_edges"),
+    ("edges3d.curves.fitting", ("fit_curves",), "colmap_edges"),
+    ("core.curves3d", ("Curves3D",), "colmap_edges"),
+    ("evaluation.readers.results", ("read_edges", "WrittenEdges"), "colmap_edges"),
+    ("export.graph", ("to_networkx",), "colmap_edges"),
     ("surfaces.mesher", ("mesh",), "colmap_edges"),
     ("surfaces.mesh", ("Mesh",), "colmap_edges"),
     ("export.meshes", ("write_mesh",), "colmap_edges"),
@@ -30,9 +34,14 @@ PUBLIC = (
     ("errors", ("ColmapEdgesError",), "colmap_edges"),
     (
         "export.edges",
-        ("write_ply", "write_obj", "write_glb", "write_dxf", "write_json"),
+        ("write_ply", "write_obj", "write_json"),
         "colmap_edges.export.edges",
     ),
+    ("export.glb", ("write_glb",), "colmap_edges.export.glb"),
+    ("export.dxf", ("write_dxf",), "colmap_edges.export.dxf"),
+    ("export.step", ("write_step",), "colmap_edges.export.step"),
+    ("export.svg", ("write_svg",), "colmap_edges.export.svg"),
+    ("export.limap", ("write_structures",), "colmap_edges.export.limap"),
     (
         "core.observations",
         ("Observations", "ChainObservations"),

@@ -4,6 +4,7 @@
 With --check writes nothing, and fails where a page is not as the code.
 """
 
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import Field, fields
@@ -26,9 +27,9 @@ No option is in world units: defaults hold for any scale of the model. Pixels ar
 images; where the images are upsampled for detection, a run converts them once. `report.json` holds
 the options as given under `options`, and all settings as used, in pixels of the upsampled images,
 under `settings`. Chains have one point for each pixel of the upsampled images. Where a run reads,
-also masks (`--mask_path`), writes, keeps what later runs reuse (`--cache_path`) and works
-(`--scheduler`) are no options of it; see [recipes](recipes.md). Values that are no options are
-[constants](constants.md) of the method.
+also masks (`--mask_path`) and edge images (`--edge_path`), writes, keeps what later runs reuse
+(`--cache_path`) and works (`--scheduler`) are no options of it; see [recipes](recipes.md). Values
+that are no options are [constants](constants.md) of the method.
 
 """
 CONSTANTS_HEAD = """# Constants
@@ -59,9 +60,52 @@ Together with the tolerances among the options they state one model of what is o
   `side_gray_weight` weighs the photometric term against the noise across.
 
 The rest says how densely curves are sampled, when pieces are one edge, and how rays weigh in the
-mesh.
+mesh. Numbers that only one module needs stand at its top and are [listed below](#single-modules).
 
 """
+MODULES_HEAD = """
+## Single modules
+
+Numbers of one step alone, sorted by what they are. They have no range and are not set from Python.
+"""
+# Folders of the method, and of the numbers in them the kinds, by the ends of their names.
+METHOD = ("images", "edges2d", "edges3d", "surfaces", "poses", "colmap/thinning.py")
+KINDS = {
+    "Pixels": ("_PX",),
+    "Angles": ("_DEG", "COSINE", "SLOPE"),
+    "Distances between points of a curve, and points counted along it": (
+        *(
+            "SPACINGS",
+            "SHORT_GAP",
+            "REACH",
+            "DIRECTION_STEP",
+            "POINTS",
+            "ARM",
+            "ROUNDED",
+            "PLATEAU",
+            "WINDOW",
+        ),
+        *("FINEST",),
+    ),
+    "Gray levels": ("LEVELS", "DEVIATION", "DIFFERENCE"),
+    "Shares, ratios and odds": (
+        *(
+            "RATIO",
+            "SHARE",
+            "RATE",
+            "MARGIN",
+            "CONTRADICTED",
+            "STRETCH",
+            "SIGMAS",
+            "SCORE",
+            "LOG",
+            "SCALE_STEP",
+            "MIN_GAP",
+        ),
+        *("WEIGHT", "PRIOR", "GAIN", "ACROSS", "STRONGEST", "NEXT", "SCALE"),
+    ),
+    "How many are looked at: time against certainty": ("",),
+}
 TABLE = ["| constant | value | range | meaning | where it comes from |", "|---|---|---|---|---|"]
 
 
@@ -110,7 +154,32 @@ def constants_page() -> str:
         values = range_text(within, "..") if within else r" \| ".join(choices)
         told = (entry.default, values, entry.metadata["help"], entry.metadata["source"])
         lines.append(f"| `{name}` | {' | '.join(map(str, told))} |")
-    return CONSTANTS_HEAD + "\n".join(lines) + "\n"
+    return CONSTANTS_HEAD + "\n".join(lines) + "\n" + MODULES_HEAD + module_tables() + "\n"
+
+
+def module_numbers() -> Iterator[tuple[str, str, str, str]]:
+    """Name, value, meaning and module of each number at the top of a module of the method."""
+    package = DOCS.parent / "colmap_edges"
+    for path in sorted(
+        path for name in METHOD for path in (package / name, *package.glob(f"{name}/**/*.py"))
+    ):
+        lines = path.read_text(encoding="utf-8").splitlines() if path.suffix == ".py" else []
+        for before, line in zip(["", *lines], lines, strict=False):
+            found = re.fullmatch(r"([A-Z][A-Z0-9_]+) = (-?[\d_.e+-]+)(?:  # (.*))?", line)
+            if found:
+                meaning = found[3] or before.partition("# ")[2]
+                yield found[1], found[2], meaning, path.relative_to(package).as_posix()
+
+
+def module_tables() -> str:
+    """The numbers of single modules, a table a kind."""
+    kinds: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    for name, value, meaning, module in module_numbers():
+        kind = next(kind for kind, ends in KINDS.items() if name.endswith(ends))
+        link = f"[{module}](../colmap_edges/{module})"
+        kinds[kind].append(f"| `{name}` | {value} | {meaning} | {link} |")
+    head = "| constant | value | meaning | module |\n|---|---|---|---|"
+    return "\n".join("\n".join((f"\n**{k}**\n", head, *rows)) for k, rows in kinds.items() if rows)
 
 
 def main() -> None:

@@ -58,7 +58,7 @@ class Constant:
             return replace(options, tracing=TracingOptions(method="paper"))
         if self.group == "bundle_adjustment":
             return replace(options, refine_poses=True)
-        if "regular" in self.entry.name:
+        if "regular" in self.entry.name or "smoothing" in self.entry.name:
             graph = replace(options.edge_graph, filter_regular_length=True)
             return replace(options, edge_graph=graph)
         if self.entry.name.startswith("vote"):

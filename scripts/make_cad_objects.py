@@ -2,7 +2,8 @@
 """Make textureless CAD objects with their views, true surface and true sharp curves.
 
 Needs manifold3d beside the extra "evaluation". Each object is a folder of images/, sparse/ (poses
-without points), surface.ply and curves.npz, for `colmap-edges` and scripts/evaluate_edges.py.
+without points), surface.ply and curves.npz, for `colmap-edges` and scripts/evaluate_edges.py. The
+curves tell of each edge of the mesh the curve it is of, and of each curve its kind and radii.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 import trimesh
 from cad_objects.shading import CREASE, NUM_VIEWS, SIZE, make_model, render
 from cad_objects.solids import OBJECTS, in_unit_box
+from cad_objects.true_curves import curves_by_kind
 
 
 @click.command(help=__doc__)
@@ -34,11 +36,19 @@ def main(output_path: Path, names: tuple[str, ...], num_views: int, size: int) -
         (folder / "sparse").mkdir(parents=True, exist_ok=True)
         mesh.export(folder / "surface.ply")
         points, edges = sharp_curves(mesh)
-        np.savez_compressed(folder / "curves.npz", points=points, edges=edges)
+        curves, kinds, radii = curves_by_kind(points, edges)
+        np.savez_compressed(
+            folder / "curves.npz",
+            points=points,
+            edges=edges,
+            curves=curves,
+            kinds=kinds,
+            radii=radii,
+        )
         model = make_model(num_views, size)
         model.write(folder / "sparse")
         render(mesh, model, folder / "images")
-        click.echo(f"{name}: {len(mesh.faces)} triangles, {len(edges)} sharp edges")
+        click.echo(f"{name}: {len(mesh.faces)} triangles, {len(kinds)} sharp curves")
 
 
 def mesh_of(name: str) -> trimesh.Trimesh:

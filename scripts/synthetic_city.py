@@ -36,6 +36,7 @@ from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.edge_graph import build_edge_graph
 from colmap_edges.edges2d.graphs import Graphs
+from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.export.edges import write_json, write_ply
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
@@ -333,7 +334,8 @@ def write_results(model: Model, edges: Edges3D, folder: Path) -> None:
     """Write the model with edge points, and the edges as PLY and JSON."""
     ids = write_model(model, edges, folder / "sparse")
     write_ply(edges, folder / "edges.ply")
-    write_json(edges, model, ids, observation_residuals(model, edges), folder / "edges.json")
+    residuals = observation_residuals(model, edges)
+    write_json(edges, fit_curves(edges), model, ids, residuals, folder / "edges.json")
 
 
 def parse_options(flags: list[str]) -> PipelineOptions:

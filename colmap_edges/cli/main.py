@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import click
 
 from colmap_edges.cli.errors import one_line_errors
+from colmap_edges.cli.export_command import export
 from colmap_edges.cli.flags import normalize
 from colmap_edges.cli.help import Command, full_help_flag
 from colmap_edges.cli.run_commands import (
@@ -116,6 +117,7 @@ cli.add_command(
 )
 cli.add_command(info)
 cli.add_command(evaluate)
+cli.add_command(export)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:

@@ -13,7 +13,6 @@ import click
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.flags import Word, make_flags, options_from_flags, read_config
 from colmap_edges.cli.help import Command
-from colmap_edges.cli.summary import summary
 from colmap_edges.cli.terminal import HEEDED, heed, progress_bars, say
 from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
@@ -76,6 +75,11 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             "looked for where they are black",
         ),
         path_flag(
+            "edge_path",
+            "Folder of edge images of another detector, IMAGE.png, white on black: their edges are "
+            "taken in place of EdgeDrawing's",
+        ),
+        path_flag(
             "cache_path",
             "Folder of results that later runs find again: made when missing, can be deleted",
         ),
@@ -102,7 +106,11 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             help="Show the run in rerun's viewer as it goes, or record it for the viewer [0]",
         ),
         click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
-        click.Option(["--verbose"], is_flag=True, help="Log each step; show where errors arise"),
+        click.Option(
+            ["--verbose"],
+            is_flag=True,
+            help="Log each step; say what each stage did; show where errors arise",
+        ),
         *make_flags(names),
     ]
 
@@ -120,13 +128,14 @@ def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
 def run_command(name: str, values: dict[str, Any]) -> None:
     """Run one command with the values of its flags and print the summary."""
     options = options_from_flags(values)
+    from colmap_edges.cli.summary import summary
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run  # heavy imports, after parsing
     from colmap_edges.report.rerun_viewer import open_viewer
 
     heed(HEEDED)
     started = time.perf_counter()
-    optional = {name: values[name] for name in ("mask_path", "cache_path")}
+    optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
     needs_images = name != "mesh" or options.use_edges
     paths = Paths(**paths_from_flags(values, needs_images), **optional)
     target, overwrite = values["rerun"], values["overwrite"]
@@ -143,9 +152,10 @@ def run_command(name: str, values: dict[str, Any]) -> None:
             scheduler=values["scheduler"],
             viewer=viewer,
         )
-    say(*summary(report, paths.output_path, time.perf_counter() - started))
     if target not in ("0", "1"):
         say(f"The recording in {target} opens in rerun's viewer: rerun {target}")
+    seconds = time.perf_counter() - started
+    say(*summary(report, paths.output_path, seconds, values["verbose"]))
 
 
 def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, Any]:

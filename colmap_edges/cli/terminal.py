@@ -14,10 +14,10 @@ from typing import Any
 import click
 
 from colmap_edges.errors import printable
+from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
 HEEDED: list[int] = []  # signals that end a run
-ENDING = [getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 STOPPED: list[int] = []  # signals that asked the run to stop
 
 
@@ -65,10 +65,14 @@ class LogFormatter(logging.Formatter):
 
 
 def start_logging(verbose: bool) -> None:
-    """Log warnings, or everything, to standard error."""
+    """Log warnings to standard error, and with `verbose` all that this program logs.
+
+    What the libraries log of their own work would bury it.
+    """
     handler = logging.StreamHandler()
     handler.setFormatter(LogFormatter("%(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.DEBUG if verbose else logging.WARNING, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.getLogger("colmap_edges").setLevel(logging.DEBUG if verbose else logging.WARNING)
 
 
 @contextmanager
@@ -95,7 +99,7 @@ def progress_bars() -> Iterator[Progress]:
 
 def heeded_signals() -> list[int]:
     """The signals that end a run: not those that its parent had ignored, as nohup does."""
-    return [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
+    return [number for number in ending_signals() if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def heed(signals: list[int]) -> None:

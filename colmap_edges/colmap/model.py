@@ -36,7 +36,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View, track_residuals
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, check_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +69,11 @@ class Model:
 
     @property
     def scale(self) -> float:
-        """How many times its images are enlarged before their edges are detected; the most."""
+        """How many times its images are upsampled before their edges are detected; the most."""
         return max(view.scale for view in self.views)
 
     def at_scale(self, scale: float) -> Model:
-        """The same model with every view enlarged `scale` times."""
+        """The same model with every view upsampled `scale` times."""
         return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
 
     def selected(self, points: BoolArray, observations: BoolArray) -> Model:
@@ -143,6 +143,7 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together. Points
             at infinity are left out.
     """
+    check_type("reconstruction", reconstruction, (pycolmap.Reconstruction,), "the model's folder")
     try:
         images = sorted(reconstruction.images.values(), key=lambda image: image.name)
     except UnicodeDecodeError as error:
@@ -216,7 +217,7 @@ def without_far_points(model: Model) -> Model:
 
 
 def view_from_image(image: Any, scale: float = 1.0) -> View:
-    """Make a `View` of a posed pycolmap image, enlarged `scale` times."""
+    """Make a `View` of a posed pycolmap image, upsampled `scale` times."""
     matrix = image.cam_from_world().matrix()
     return View(
         image_id=image.image_id,

@@ -1,4 +1,4 @@
-"""What cameras, poses and points of a model can be, checked before anything is computed from them.
+"""Rejects implausible cameras, poses and points before anything is computed from them.
 
 Values that are numbers but make no sense turn up far away, as overflows and empty results.
 """

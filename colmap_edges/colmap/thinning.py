@@ -1,4 +1,4 @@
-"""SfM points that tracing looks at: of crowds of them no more than tell what there is to know."""
+"""Limits the number of SfM points that tracing uses in each view."""
 
 from __future__ import annotations
 

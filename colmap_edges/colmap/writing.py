@@ -24,8 +24,9 @@ from colmap_edges.colmap.model import (
     observation_residuals,
     view_from_image,
 )
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, entries_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import track_residuals
 from colmap_edges.errors import ColmapEdgesError
 
 
@@ -73,7 +74,7 @@ def write_model(
         residuals: (T,) those of `observation_residuals`, where they are known already.
 
     Returns:
-        (N,) ids of the edge points in the written model.
+        (N,) ids of the edge points in the written model; those that are one node have one.
     """
     path = Path(path)
     path.mkdir(exist_ok=True)
@@ -87,7 +88,7 @@ def write_model(
             write_text(with_points(model.reconstruction, points), path)
     except ColmapEdgesError as error:  # pycolmap is silent on a full disk
         raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
-    return points.ids
+    return ids_of_edge_points(edges, points)
 
 
 def check_text_names(model: Model) -> None:
@@ -125,7 +126,7 @@ def extend_reconstruction(
         The reconstruction and the (N,) ids of the edge points in it.
     """
     points = new_points(model, edges, residuals)
-    return with_points(model.reconstruction, points), points.ids
+    return with_points(model.reconstruction, points), ids_of_edge_points(edges, points)
 
 
 def with_points(reconstruction: Any, points: NewPoints) -> Any:
@@ -145,15 +146,19 @@ def new_points(
     """Edge points as COLMAP's points3D with ids after the model's and reprojection errors."""
     if residuals is None:
         residuals = observation_residuals(model, edges)
-    observed = edges.observations
-    sums = np.bincount(observed.points, residuals, edges.num_points)
+    points, own = edges.distinct()[0], np.flatnonzero(edges.node_ids < 0)
+    observed, count = points.observations, len(points.points)
+    at, tracks = edges.nodes.points, edges.nodes.observations
+    known = residuals[entries_of(edges.observations.offsets, own)]
+    others = track_residuals(model.views, at[tracks.points], tracks.views, tracks.pixels)
+    sums = np.bincount(observed.points, np.concatenate([known, others]), count)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
-    known = (model.point3D_ids, model.far_point3D_ids)
-    first_id = 1 + int(max(ids.max(initial=0) for ids in known))
+    taken = (model.point3D_ids, model.far_point3D_ids)
+    first_id = 1 + int(max(ids.max(initial=0) for ids in taken))
     return NewPoints(
-        ids=first_id + np.arange(edges.num_points, dtype=np.int64),
-        xyz=edges.points,
-        rgb=edges.colors,
+        ids=first_id + np.arange(count, dtype=np.int64),
+        xyz=points.points,
+        rgb=points.colors,
         errors=sums / np.maximum(observed.counts, 1),
         track_offsets=observed.offsets,
         track_image_ids=image_ids[observed.views],
@@ -161,8 +166,18 @@ def new_points(
     )
 
 
+def ids_of_edge_points(edges: Edges3D, points: NewPoints) -> IntArray:
+    """(N,) the ids that edge points have among new points."""
+    ids: IntArray = points.ids[edges.distinct()[1]]
+    return ids
+
+
 def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
-    """The model as arrays with the edge points after its own; `reconstruction` stays as it was."""
+    """The model as arrays with the points of all edges after its own, as the mesher takes them.
+
+    Edge points that are one node have one id and stand there once for each edge; `reconstruction`
+    stays as it was.
+    """
     observed = edges.observations
     offsets = model.track_offsets[-1] + observed.offsets[1:]
     return replace(

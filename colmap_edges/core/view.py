@@ -30,7 +30,7 @@ class View:
 
     Pixels of a view come in two kinds: those of the image as it is (`points2D`, distorted,
     COLMAP's origin) and *ideal* ones: what a pinhole camera of focal length `focal_px` with the
-    principal point at (0, 0) would see, of the image enlarged `scale` times. Geometry works in
+    principal point at (0, 0) would see, of the image upsampled `scale` times. Geometry works in
     ideal pixels.
     """
 
@@ -41,11 +41,11 @@ class View:
     camera: Any  # pycolmap.Camera
     rotation: FloatArray  # (3, 3) of cam_from_world
     translation: FloatArray  # (3,) of cam_from_world
-    scale: float = 1.0  # how many times the image is enlarged before its edges are detected
+    scale: float = 1.0  # how many times the image is upsampled before its edges are detected
 
     @cached_property
     def focal_px(self) -> float:
-        """Mean focal length in pixels of the enlarged image."""
+        """Mean focal length in pixels of the upsampled image."""
         return self.scale * float(self.camera.mean_focal_length())
 
     @cached_property

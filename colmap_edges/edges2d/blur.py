@@ -1,4 +1,4 @@
-"""How much an image's edges are blurred."""
+"""Measures the blur of an image's edges."""
 
 from __future__ import annotations
 

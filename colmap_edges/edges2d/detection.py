@@ -27,6 +27,7 @@ from colmap_edges.options import DetectionOptions
 
 _Picture = TypeVar("_Picture", Picture, Float32Array)
 MAX_BLUR_PX = 2.0  # of an image that edges nearby are told from each other by
+REFINEMENT_PX, TOLERANCE_PX = 1.0, 1e-6  # by which a refinement moves a point at most
 SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
 LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
 
@@ -57,22 +58,31 @@ class Chains:
         )
 
 
-def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0) -> Chains:
+def detect_chains(
+    image: Picture,
+    options: DetectionOptions,
+    scale: float = 1.0,
+    pixel_chains: tuple[FloatArray, IntArray] | None = None,
+) -> Chains:
     """Detect the edge chains of a grayscale image.
 
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
-        scale: how many times the image is enlarged.
+        scale: how many times the image is upsampled.
+        pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the upsampled
+            image (OpenCV's origin) and (C + 1,) offsets.
 
     Returns:
-        Chains at sub-pixel positions of the enlarged image, in the detector's order.
+        Chains at sub-pixel positions of the upsampled image, in the detector's order.
     """
     light = resized(light_of(image, options.gamma), scale)
     image = resized(image, scale)
-    pixels, offsets = detect_pixel_chains(image, options.min_chain_points)
+    pixels, offsets = pixel_chains or detect_pixel_chains(image, options.min_chain_points)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
+    if pixel_chains:
+        points, normals = followed_further(light, pixels, points, normals)
     blur_px = min(blur_of_edges(image, points + 0.5, normals), MAX_BLUR_PX)
     blur_px = float(np.hypot(options.sigma_px, blur_px))
     points = _kernels.undo_displacement(light, points, normals, blur_px)
@@ -86,8 +96,21 @@ def detect_chains(image: Picture, options: DetectionOptions, scale: float = 1.0)
     )
 
 
+def followed_further(
+    light: Float32Array, pixels: FloatArray, points: FloatArray, normals: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points and normals, refined again where the edge lies farther from its pixel than a pixel.
+
+    EdgeDrawing's pixels lie on the image's own gradient; other detectors, learned ones above all,
+    are off by more.
+    """
+    far = np.linalg.norm(points - pixels, axis=1) > REFINEMENT_PX - TOLERANCE_PX
+    points[far], normals[far] = _kernels.refine_subpixel(light, points[far])
+    return points, normals
+
+
 def resized(picture: _Picture, scale: float) -> _Picture:
-    """The picture (H, W) enlarged `scale` times: pixel (x, y), COLMAP's origin, to scale (x, y)."""
+    """The picture (H, W) upsampled `scale` times: pixel (x, y) goes to `scale` times (x, y)."""
     if scale == 1:
         return picture
     larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)

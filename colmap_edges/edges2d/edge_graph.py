@@ -36,7 +36,7 @@ class EdgeGraph:
 
     Attributes:
         points: (N, 2) float64 dense chain points, image pixels, COLMAP's origin; those of one
-            polyline are contiguous, and about a pixel of the enlarged image apart.
+            polyline are contiguous, and about a pixel of the upsampled image apart.
         ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
         normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
         sides: (N, 2) uint8 gray on the dark and on the bright side.
@@ -68,9 +68,10 @@ class EdgeGraph:
         return len(self.closed)
 
     @cached_property
-    def polyline_ids(self) -> IntArray:
+    def polyline_ids(self) -> Int32Array:
         """(N,) polyline of each point."""
-        return owners_of(self.polyline_offsets)
+        lengths = np.diff(self.polyline_offsets)
+        return np.repeat(np.arange(self.num_polylines, dtype=np.int32), lengths)
 
 
 def build_edge_graph(
@@ -79,7 +80,7 @@ def build_edge_graph(
     """Make the 2D edge graph of a view from its chains.
 
     Args:
-        chains: sub-pixel chains of the view's image, enlarged `view.scale` times.
+        chains: sub-pixel chains of the view's image, upsampled `view.scale` times.
         view: gives the undistortion; points it cannot undistort are left out with their chain.
         options: joining, corners, smoothing and filter.
 

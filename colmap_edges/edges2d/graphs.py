@@ -149,10 +149,11 @@ class Graphs:
             self.kept.move_to_end(view)
             return self.kept[view]
 
-    def release(self, view: int) -> None:
-        """Have the graph of a view wait in the backend."""
+    def release(self) -> None:
+        """Forget all graphs, in memory and on disk: nothing loads them any more."""
         with self.lock:
-            self._release(view)
+            self.kept.clear()
+            self.num_bytes, self.backend = 0, DiskBackend()
 
     def _keep(self, view: int, graph: EdgeGraph) -> None:
         # Those longest not used make room; one stays whatever its size.
@@ -175,7 +176,7 @@ class Graphs:
 
 def graph_bytes(graph: EdgeGraph) -> int:
     """Bytes of a graph's arrays, with the polyline of each point, which is made when asked for."""
-    return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph)) + 8 * len(graph.points)
+    return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph)) + 4 * len(graph.points)
 
 
 class Kept(Generic[T]):

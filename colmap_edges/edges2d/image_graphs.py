@@ -13,6 +13,7 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains, detect_chains
 from colmap_edges.edges2d.edge_graph import EdgeGraph, build_edge_graph
+from colmap_edges.edges2d.edge_maps import pixel_chains_of
 from colmap_edges.edges2d.masking import outside_mask
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images.background import (
@@ -21,6 +22,7 @@ from colmap_edges.images.background import (
     masked_background,
     plain_background,
 )
+from colmap_edges.images.edge_maps import EdgeMapFile, decode_edge_map, read_edge_map
 from colmap_edges.images.files import colors_at, decode_image, gray_of, path_of_image, read_bytes
 from colmap_edges.images.masks import MaskFile, decode_mask, read_mask
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
@@ -73,6 +75,30 @@ class Visitor(Protocol):
         """Take what `visit` gave back, in the process that started the work."""
 
 
+@dataclass(frozen=True)
+class Visitors:
+    """Several visitors as one."""
+
+    visitors: tuple[Visitor, ...]
+
+    @classmethod
+    def of(cls, *visitors: Visitor | None) -> Visitor | None:
+        """Those that there are; the one itself if it is alone."""
+        found = tuple(visitor for visitor in visitors if visitor is not None)
+        return cls(found) if len(found) > 1 else next(iter(found), None)
+
+    def visit(
+        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+    ) -> list[Any]:
+        """Have all look at an image, which is decoded at most once for each."""
+        return [visitor.visit(index, view, read, found) for visitor in self.visitors]
+
+    def collect(self, index: int, kept: list[Any]) -> None:
+        """Have each take what it gave back."""
+        for visitor, own in zip(self.visitors, kept, strict=True):
+            visitor.collect(index, own)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageWork:
     """What is to be done with every image.
@@ -82,6 +108,7 @@ class ImageWork:
         detection: options of the detector.
         edge_graph: options of the edge graph.
         mask_path: folder of masks, or one for all images; none without it.
+        edge_path: folder of edge images of another detector; none without it.
         masks_are_background: whether the background is what masks hide, not a plain backdrop.
         cache: graphs of earlier runs, if they are kept.
         visitor: looks at every image that can be read.
@@ -91,6 +118,7 @@ class ImageWork:
     detection: DetectionOptions
     edge_graph: EdgeGraphOptions
     mask_path: Path | None = None
+    edge_path: Path | None = None
     masks_are_background: bool = False
     cache: Cache | None = None
     visitor: Visitor | None = None
@@ -134,14 +162,14 @@ def work_on_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, I
     """Find the edge graph of a view, in the cache or in its image; empty when that is damaged.
 
     Raises:
-        ColmapEdgesError: when the image or its mask is not of its camera's size, or the mask cannot
-            be read.
+        ColmapEdgesError: when the image, its mask or its edge image is not of its camera's size, or
+            one of the latter cannot be read.
     """
     try:
         return graph_of_image(work, index, view)
     except ImageError as error:
         graph, dropped = build_edge_graph(NO_CHAINS, view, work.edge_graph)
-        key = graph_key(np.zeros(0, np.uint8), None, view, work) if work.cache else ""
+        key = graph_key(np.zeros(0, np.uint8), None, None, view, work) if work.cache else ""
         found = DetectedEdges(graph=graph, dropped=dropped, num_chains=0, num_chain_pixels=0)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
@@ -164,14 +192,15 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     """Find the edge graph of a view whose image can be read."""
     path = path_of_image(work.image_path, view.name)
     data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
-    key = graph_key(data, mask, view, work) if work.cache else ""
+    edge_map = read_edge_map(work.edge_path, view.name)
+    key = graph_key(data, mask, edge_map, view, work) if work.cache else ""
     entry = work.cache.load(KIND, key) if work.cache else None
     usable = None
     if mask and (entry is None or work.masks_are_background):
         usable = decode_mask(mask, view)
     if entry is None:
         image = decode_image(data, path, view)
-        found = detect_edges(image, usable, view, work)
+        found = detect_edges(image, usable, edge_map, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
     else:
@@ -198,10 +227,22 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 
 
 def detect_edges(
-    image: Picture, mask: BoolArray | None, view: View, work: ImageWork
+    image: Picture,
+    mask: BoolArray | None,
+    edge_map: EdgeMapFile | None,
+    view: View,
+    work: ImageWork,
 ) -> DetectedEdges:
-    """Detect the edges of one image, where its mask has them looked for."""
-    chains = detect_chains(gray_of(image), work.detection, view.scale)
+    """Detect the edges of one image, where its mask has them looked for; or take an edge image's.
+
+    Raises:
+        ColmapEdgesError: when the edge image cannot be decoded, or is not of its camera's size.
+    """
+    linked = None
+    if edge_map:
+        strengths, size = decode_edge_map(edge_map, view), (view.width, view.height)
+        linked = pixel_chains_of(strengths, size, view.scale, work.detection.min_chain_points)
+    chains = detect_chains(gray_of(image), work.detection, view.scale, linked)
     if mask is not None:
         chains = outside_mask(chains, mask, view.scale, work.detection.min_chain_points)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
@@ -225,11 +266,17 @@ def counts_of(found: DetectedEdges) -> ImageCounts:
     )
 
 
-def graph_key(data: ByteArray, mask: MaskFile | None, view: View, work: ImageWork) -> str:
-    """The key of the edge graph of an image file and its mask: all that the graph depends on."""
+def graph_key(
+    data: ByteArray,
+    mask: MaskFile | None,
+    edge_map: EdgeMapFile | None,
+    view: View,
+    work: ImageWork,
+) -> str:
+    """The key of the edge graph of an image file: all that the graph depends on."""
     camera = [view.camera.model.name, view.width, view.height, *map(float, view.camera.params)]
-    mask_data = mask.data if mask else None
-    return key_of(data, mask_data, camera, view.scale, work.detection, work.edge_graph)
+    files = [file.data if file else None for file in (mask, edge_map)]
+    return key_of(data, *files, camera, view.scale, work.detection, work.edge_graph)
 
 
 def arrays_of(found: DetectedEdges) -> Arrays:

@@ -1,4 +1,4 @@
-"""What masks leave of detected chains."""
+"""Cuts chains where a mask is black."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: i
     """What a mask leaves of chains, which it may cut into pieces.
 
     Args:
-        chains: chains of the image enlarged `scale` times.
+        chains: chains of the image upsampled `scale` times.
         mask: (H, W) the pixels of the image that may show edges.
-        scale: how many times the image is enlarged.
+        scale: how many times the image is upsampled.
         min_length_px: shortest piece kept, in points.
     """
     height, width = mask.shape

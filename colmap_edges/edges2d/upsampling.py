@@ -1,4 +1,4 @@
-"""How much images are enlarged before their edges are detected: until those are blurred enough.
+"""How much images are upsampled before their edges are detected: until those are blurred enough.
 
 Detection blurs by a pixel, which moves the two edges of a thin bar apart and makes one of edges
 that are nearer to each other. Where images are sharp, as small copies of photographs are, pixels
@@ -26,14 +26,14 @@ from colmap_edges.options import DetectionOptions
 logger = logging.getLogger(__name__)
 
 MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
-MAX_SIZE_PX = 3200  # of an enlarged image, as large as COLMAP looks at images by itself
-SCALE_STEP = 0.25
+MAX_SIZE_PX = 3200  # of an upsampled image, as large as COLMAP looks at images by itself
+SCALE_STEP = 0.25  # scales are multiples of it
 NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
 
 
 def upsampled(model: Model, image_path: Path, options: DetectionOptions) -> Model:
-    """The model with views enlarged as far as their images' sharpness asks for.
+    """The model with views upsampled as far as their images' sharpness asks for.
 
     Args:
         model: its views say where the images are; it is not changed.
@@ -52,7 +52,7 @@ def upsampled(model: Model, image_path: Path, options: DetectionOptions) -> Mode
     wanted = options.min_blur_px / blur_px if blur_px else 1.0
     steps = int(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP)
     scale = max(1.0, steps * SCALE_STEP)
-    logger.info("edges are blurred by %.2f px; images are enlarged %g times", blur_px, scale)
+    logger.info("edges are blurred by %.2f px; images are upsampled %g times", blur_px, scale)
     return model.at_scale(scale)
 
 

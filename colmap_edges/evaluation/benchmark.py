@@ -247,8 +247,7 @@ def measure(
     if reference.depths:
         caster = RayCaster(mesh.vertices, mesh.faces)
         results = [depth.depth_errors(caster, known) for known in reference.depths]
-        pooled, coverage = depth.pool(results)
-        record["mesh"] = asdict(pooled) | {"coverage": coverage}
+        record["mesh"] = depth.pool(results)
         if maps_path is not None:
             pictures.write_error_maps(maps_path, results)
     if reference.dtu is not None:

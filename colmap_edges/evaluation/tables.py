@@ -7,6 +7,9 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 ERROR_COLUMNS = ("mae", "rmse", "sigma", "median", "p90")
+SHARE_COLUMNS = ("coverage", "right_0_5_percent", "right_1_percent", "right_2_percent")
+_ERROR_NAMES = ("MAE", "RMSE", "σ", "median", "P90")
+_SHARE_NAMES = ("coverage", "right at 0.5 %", "right at 1 %", "right at 2 %")
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -35,24 +38,30 @@ def cell(value: Any) -> str:
 def mesh_tables(record: dict[str, Any]) -> str:
     """Tables of what `scene.evaluate_mesh` returns."""
     parts = [f"{record['faces']:,} faces; errors in world units"]
-    names = ("MAE", "RMSE", "σ", "median", "P90", "coverage")
+    names = (*_ERROR_NAMES, *_SHARE_NAMES)
     if "depth" in record:
-        views = {"all views": record["depth"]["pooled"], **record["depth"]["views"]}
+        parts_of = record["depth"]
+        views = {"all views": parts_of["pooled"]}
+        if len(parts_of["views"]) > 1:
+            views["mean of views"] = parts_of["mean_of_views"]
+        views |= parts_of["views"]
         rows = [_error_row(name, statistics) for name, statistics in views.items()]
         parts.append(markdown(("depth error", *names), rows))
     if "points_depth" in record:
         rows = [_error_row(name, s) for name, s in record["points_depth"].items()]
         parts.append(markdown(("depth error at SfM observations", *names), rows))
     if "accuracy" in record:
-        rows = [_error_row(name, record[name]) for name in ("accuracy", "completeness")]
-        parts.append(markdown(("distance", *names), rows))
+        rows = [
+            [name, *(record[name][column] for column in ERROR_COLUMNS)]
+            for name in ("accuracy", "completeness")
+        ]
+        parts.append(markdown(("distance", *_ERROR_NAMES), rows))
         parts.append(score_table(record["scores"]))
     return "\n\n".join(parts)
 
 
 def _error_row(name: str, statistics: dict[str, Any]) -> list[Any]:
-    values = [statistics[column] for column in ERROR_COLUMNS]
-    return [name, *values, statistics.get("coverage", float("nan"))]
+    return [name, *map(statistics.get, (*ERROR_COLUMNS, *SHARE_COLUMNS))]
 
 
 def score_table(scores: list[dict[str, float]]) -> str:
@@ -69,6 +78,15 @@ def edge_tables(record: dict[str, Any]) -> str:
         parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
         if "recall_by_views" in record["curves"]:
             parts.append(_visible_curve_table(record["curves"]))
+    if "kinds" in record:
+        parts.append(_kind_table(record["kinds"]))
+    if "times_found" in record:
+        parts.append(_times_found_table(record["times_found"]))
+    if "corners" in record:
+        parts.append(_corner_table(record["corners"]))
+    if "twins" in record:
+        header = [f"parallel twin within {row['limit_px']:g} px" for row in record["twins"]]
+        parts.append(markdown(header, [[row["share"] for row in record["twins"]]]))
     if "depth" in record:
         parts.append(_depth_table(record["depth"]))
     if "reprojection" in record:
@@ -76,10 +94,36 @@ def edge_tables(record: dict[str, Any]) -> str:
     return "\n\n".join([*parts, _length_table(record["lengths"])])
 
 
+def _kind_table(errors: dict[str, Any]) -> str:
+    header = (
+        "true curves found",
+        "curves",
+        "times each is found",
+        "length of the right kind",
+        "radii within 1 %",
+        "median error of the radius",
+    )
+    names = ("num_true", "num_found", "times_found", "right_kind", "right_radius")
+    return markdown(header, [[*(errors[name] for name in names), errors["median_radius_error"]]])
+
+
 def _distance_table(errors: dict[str, Any]) -> str:
     names = ("accuracy", "completeness", "spacing", "unit")
     header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
     return markdown(header, [[errors[name] for name in names]])
+
+
+def _times_found_table(rows: list[dict[str, float]]) -> str:
+    names = ("threshold", "result_length", "found_length", "times")
+    header = ("threshold", "edges on true curves", "true curves found", "times each is found")
+    return markdown(header, [[row[name] for name in names] for row in rows])
+
+
+def _corner_table(corners: dict[str, Any]) -> str:
+    names = ("threshold", "precision", "recall", "f_score")
+    header = ("corners: threshold", "precision", "recall", "F", "found", "true")
+    counts = (corners["result_corners"], corners["reference_corners"])
+    return markdown(header, [[*(row[n] for n in names), *counts] for row in corners["scores"]])
 
 
 def _visible_curve_table(errors: dict[str, Any]) -> str:
@@ -156,6 +200,8 @@ Points: distance to the reference cloud, or (reference depth only) depth error i
 that observe them, smallest in 5x5 pixels. Rows with edges or lines count the points on these
 alone, rows without them the SfM points. Mesh: depth error from the reference's cameras.
 σ is the standard deviation of the absolute errors. Lengths in each scene's unit.
+Right at 1 %: share of all reference pixels at which the mesh lies within 1 % of the pixel's
+depth; holes are wrong.
 Average variation: mean change of an error against {baseline}, over all scenes that have both."""
 _ALL_POINTS_NOTE = "The SfM points are among the points of every row."
 
@@ -171,7 +217,7 @@ def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
 def _main_table(results: dict[str, Any], baseline: str) -> str:
     header = (
         "scene", "method", "points", "points MAE", "RMSE", "σ", "median", "mesh MAE", "RMSE", "σ",
-        "median", "P90", "coverage", "faces",
+        "median", "P90", *_SHARE_NAMES, "faces",
     )  # fmt: skip
     nan = float("nan")
     rows = []
@@ -183,12 +229,12 @@ def _main_table(results: dict[str, Any], baseline: str) -> str:
         rows.append(
             [f"{scene} ({unit})", method, points["count"]]
             + [points.get(name, nan) for name in _POINT_COLUMNS]
-            + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, "coverage")]
+            + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, *SHARE_COLUMNS)]
             + [record["faces"]]
         )
     kinds = [("points", name) for name in _POINT_COLUMNS]
     kinds += [("mesh", name) for name in ERROR_COLUMNS]
-    variations = [[*row, "", ""] for row in _variation_rows(results, baseline, kinds)]
+    variations = [[*row, *[""] * 5] for row in _variation_rows(results, baseline, kinds)]
     return markdown(header, rows + variations)
 
 
@@ -249,7 +295,7 @@ def run_tables(record: dict[str, Any]) -> str:
             for name, kinds in record["held_out_points"].items()
             for kind, errors in kinds.items()
         ]
-        header = ("depth error at left-out points", "MAE", "RMSE", "σ", "median", "P90", "coverage")
+        header = ("depth error at left-out points", *_ERROR_NAMES, *_SHARE_NAMES)
         parts.append(markdown(header, rows))
     if "edges" in record:
         parts.append(edge_tables(record["edges"]))

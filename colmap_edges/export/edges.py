@@ -1,9 +1,8 @@
-"""3D edges as files: PLY, OBJ, GLB and DXF for other programs, JSON with what each edge is."""
+"""3D edges as files: polylines as PLY and OBJ, JSON with what each edge is."""
 
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import ByteArray, Float32Array, FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.curve_records import curve_records
 
 PLY_VERTEX = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3)])
 PLY_HEADER = """ply
@@ -30,14 +31,6 @@ property int vertex1
 property int vertex2
 end_header
 """
-GLB_HEAD = struct.Struct("<4sII")  # magic, version, length of all
-GLB_CHUNK = struct.Struct("<I4s")  # length, kind
-# Groups of a code and its value, a line each.
-DXF_START = "0\nSECTION\n2\nENTITIES\n"
-DXF_POLYLINE = "0\nPOLYLINE\n8\nEDGES\n66\n1\n70\n{}\n"  # 70: 8 is 3D, 1 closed
-DXF_VERTEX = "0\nVERTEX\n8\nEDGES\n70\n32\n10\n%.12g\n20\n%.12g\n30\n%.12g\n"
-DXF_END_OF_POLYLINE = "0\nSEQEND\n"
-DXF_END = "0\nENDSEC\n0\nEOF\n"
 
 
 def edge_lengths(edges: Edges3D) -> FloatArray:
@@ -78,97 +71,36 @@ def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
         yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
 
 
-def write_glb(edges: Edges3D, path: Path) -> None:
-    """Write a binary glTF with lines, each edge in the mean colour of its points.
-
-    World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
-    as the format knows no empty scene.
-    """
-    if edges.num_edges == 0:
-        return
-    ids, segments = edges.edge_ids, edges.segments
-    sums = np.column_stack(
-        [np.bincount(ids, channel, edges.num_edges) for channel in edges.colors.T]
-    )
-    rgba = np.full((edges.num_edges, 4), 255, np.uint8)
-    rgba[:, :3] = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None])
-    corners = edges.points.astype("<f4")[segments.ravel()]
-    shades = np.repeat(rgba[ids[segments[:, 0]]], 2, axis=0)
-    head = json.dumps(glb_document(corners, shades), separators=(",", ":")).encode()
-    head += b" " * (-len(head) % 4)
-    body = corners.tobytes() + shades.tobytes()
-    length = GLB_HEAD.size + 2 * GLB_CHUNK.size + len(head) + len(body)
-    chunks = [GLB_CHUNK.pack(len(head), b"JSON"), head, GLB_CHUNK.pack(len(body), b"BIN\0"), body]
-    path.write_bytes(GLB_HEAD.pack(b"glTF", 2, length) + b"".join(chunks))
-
-
-def glb_document(corners: Float32Array, shades: ByteArray) -> dict[str, Any]:
-    """What a glTF says of (2S, 3) ends of lines and their (2S, 4) RGBA, which follow it."""
-    sizes = (corners.nbytes, shades.nbytes)
-    positions = {
-        "bufferView": 0,
-        "componentType": 5126,  # float32
-        "type": "VEC3",
-        "count": len(corners),
-        "min": corners.min(axis=0).tolist(),
-        "max": corners.max(axis=0).tolist(),
-    }
-    colors = {
-        "bufferView": 1,
-        "componentType": 5121,  # unsigned byte
-        "normalized": True,
-        "type": "VEC4",
-        "count": len(shades),
-    }
-    lines = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "mode": 1, "material": 0}
-    plain = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
-    return {
-        "asset": {"version": "2.0", "generator": "colmap-edges"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "edges", "mesh": 0}],
-        "meshes": [{"name": "edges", "primitives": [lines]}],
-        "materials": [{"pbrMetallicRoughness": plain}],
-        "accessors": [positions, colors],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": sizes[0]},
-            {"buffer": 0, "byteOffset": sizes[0], "byteLength": sizes[1]},
-        ],
-        "buffers": [{"byteLength": sum(sizes)}],
-    }
-
-
-def write_dxf(edges: Edges3D, path: Path) -> None:
-    """Write a DXF (R12, which every CAD program reads) with one 3D polyline an edge."""
-    bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
-    with path.open("w", encoding="ascii") as file:
-        file.write(DXF_START)
-        for first, last, closed in bounds:
-            file.write(DXF_POLYLINE.format(8 + closed))
-            file.write(formatted(DXF_VERTEX, edges.points[first:last]))
-            file.write(DXF_END_OF_POLYLINE)
-        file.write(DXF_END)
-
-
 def write_json(
     edges: Edges3D,
+    curves: Curves3D,
     model: Model,
     point3D_ids: IntArray,
     residuals: FloatArray,
     path: Path,
 ) -> None:
-    """Write what each edge is, one line an edge.
+    """Write what each edge and each node is, and the curves of the edges, one line each.
 
     Args:
         edges: the edges; an edge's id is its place in them.
+        curves: the curves that they consist of.
         model: the model whose views the tracks name.
         point3D_ids: (N,) ids of the edge points in the written model.
         residuals: (T,) distances of observations from projections, pixels.
         path: file to write.
     """
-    records = edge_records(edges, model, point3D_ids, residuals)
-    lines = ",\n".join(json.dumps(record, separators=(",", ":")) for record in records)
-    path.write_text(f'{{"edges": [\n{lines}\n]}}\n', encoding="utf-8")
+    parts = {
+        "edges": edge_records(edges, model, point3D_ids, residuals),
+        "nodes": node_records(edges, model, point3D_ids),
+        "curves": curve_records(curves, edges.edge_offsets),
+    }
+    lists = (
+        f'"{name}": [\n'
+        + ",\n".join(json.dumps(record, separators=(",", ":")) for record in records)
+        + "\n]"
+        for name, records in parts.items()
+    )
+    path.write_text("{" + ",\n".join(lists) + "}\n", encoding="utf-8")
 
 
 def edge_records(
@@ -177,7 +109,7 @@ def edge_records(
     point3D_ids: IntArray,
     residuals: FloatArray,
 ) -> list[dict[str, Any]]:
-    """One mapping an edge: id, point3D ids, closed, length, views, residual, end nodes."""
+    """One mapping an edge: id, point3D ids, closed, length, views, residual, end nodes, sigmas."""
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     lengths = edge_lengths(edges)
     records = []
@@ -195,6 +127,40 @@ def edge_records(
                 "image_ids": image_ids[views].tolist(),
                 "residual_px": finite(residuals[rows].mean()) if len(views) else None,
                 "end_nodes": edges.end_nodes[edge].tolist(),
+                "sigmas": [short(sigma) for sigma in edges.sigmas[first:last].tolist()],
+            }
+        )
+    return records
+
+
+def node_records(edges: Edges3D, model: Model, point3D_ids: IntArray) -> list[dict[str, Any]]:
+    """One mapping a node: id, point3D id, place, deviation, views, ends that meet, edge through.
+
+    An end is an edge's id with 0 for its first and 1 for its last point; the edge that passes
+    through is its id with the place of the node among its points.
+    """
+    nodes, node_ids = edges.nodes, edges.node_ids
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    ids = np.full(len(nodes.points), -1, np.int64)
+    ids[node_ids[node_ids >= 0]] = point3D_ids[node_ids >= 0]
+    met = edges.end_nodes.ravel()
+    order = np.argsort(met, kind="stable")
+    bounds = np.searchsorted(met[order], np.arange(len(ids) + 1))
+    records = []
+    for node, through in enumerate(nodes.through_points.tolist()):
+        ends = order[bounds[node] : bounds[node + 1]]
+        rows = slice(*nodes.observations.offsets[node : node + 2])
+        edge = int(np.searchsorted(edges.edge_offsets, through, "right")) - 1
+        passing = [edge, through - int(edges.edge_offsets[edge])]
+        records.append(
+            {
+                "id": node,
+                "point3D_id": int(ids[node]),
+                "xyz": nodes.points[node].tolist(),
+                "sigma": float(nodes.sigmas[node]),
+                "image_ids": np.unique(image_ids[nodes.observations.views[rows]]).tolist(),
+                "ends": [[int(end) // 2, int(end) % 2] for end in ends],
+                "through": passing if through >= 0 else None,
             }
         )
     return records
@@ -203,3 +169,8 @@ def edge_records(
 def finite(value: float) -> float | None:
     """`value` rounded to 1e-6, or None where JSON has no number for it."""
     return round(float(value), 6) if np.isfinite(value) else None
+
+
+def short(value: float) -> float | None:
+    """`value` to three digits, or None where JSON has no number for it."""
+    return float(f"{value:.3g}") if np.isfinite(value) else None

@@ -1,7 +1,7 @@
-"""Where images show the background: a plain backdrop, told by itself, or what masks hide.
+"""Finds the background in images: a plain backdrop, or what masks hide.
 
-Lines of sight to the background meet nothing. No point says so, since a background has none; meshes
-of points alone close the holes of bodies without texture and span webs between silhouettes.
+Rays to the background are free space, which no point tells: without them, meshes close the holes of
+textureless bodies and span webs between silhouettes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAX_MASK_PX = 2000  # side of the mask of a body that is kept
 
 
 class BackgroundRays(NamedTuple):
-    """Lines of sight that meet nothing.
+    """Rays through free space, to the background.
 
     Attributes:
         cameras: (K,) int32 index of the view each starts at.
@@ -43,7 +43,7 @@ class BackgroundRays(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundMask:
-    """What of an image is seen to be background.
+    """The background of one image.
 
     Attributes:
         packed_body: (h, w') uint8, eight pixels each, of the mask of what is not background.

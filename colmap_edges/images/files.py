@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -17,6 +18,8 @@ from colmap_edges.runtime.input_files import open_file
 
 # COLMAP takes pixels as they are stored, whatever the EXIF orientation says.
 COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+# Of masks and edge images the gray counts, however deep it is.
+GRAY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 def path_of_image(image_path: Path, name: str) -> Path:
@@ -31,6 +34,18 @@ def path_of_image(image_path: Path, name: str) -> Path:
             f"image name {name!r} leads out of {image_path}; rename the image in the model"
         )
     return image_path / relative
+
+
+def first_there(folder: Path, names: Iterable[str]) -> Path | None:
+    """Path of the first of these names that is there below a folder, a file or not.
+
+    What is no file is not left out in silence: reading it says so.
+
+    Raises:
+        ColmapEdgesError: when a name leads out of the folder.
+    """
+    found = (path_of_image(folder, name) for name in names)
+    return next((path for path in found if os.path.lexists(path)), None)
 
 
 def check_images_exist(views: Iterable[View], image_path: Path) -> None:

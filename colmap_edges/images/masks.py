@@ -1,8 +1,7 @@
-"""Masks of images, named as COLMAP's are: where they are black, no edges are looked for."""
+"""Image masks, named as COLMAP names them; no edges are detected where a mask is black."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,10 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, ByteArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images.files import path_of_image, read_bytes, square
+from colmap_edges.images.files import GRAY, first_there, read_bytes, square
 
 # An edge along the border of a mask belongs to what is seen beside it, and masks are drawn roughly.
 MARGIN_PX = 3
-# A mask's gray counts, however deep it is.
-GRAY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 @dataclass(frozen=True)
@@ -48,9 +45,7 @@ def path_of_mask(mask_path: Path, name: str) -> Path | None:
     if not mask_path.is_dir():
         return mask_path
     names = [name + ".png", name] if name.lower().endswith(".png") else [name + ".png"]
-    found = (path_of_image(mask_path, each) for each in names)
-    # What is no file is not left out in silence: reading it says so.
-    return next((path for path in found if os.path.lexists(path)), None)
+    return first_there(mask_path, names)
 
 
 def check_masks(views: Iterable[View], mask_path: Path) -> None:

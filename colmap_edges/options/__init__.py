@@ -17,9 +17,10 @@ from colmap_edges.options.paper import (
     VisibilityOptions,
 )
 from colmap_edges.options.presets import METHODS, PRESETS, QUALITIES, chosen_preset, preset
-from colmap_edges.options.resolving import resolved
+from colmap_edges.options.resolving import of_later_rounds, of_pose_edges, recorded, resolved
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
+    CurvesOptions,
     LinkingOptions,
     RefinementOptions,
     TracingOptions,
@@ -34,6 +35,7 @@ __all__ = [
     "BundleAdjustmentOptions",
     "ChainDepthOptions",
     "CorrespondenceOptions",
+    "CurvesOptions",
     "DetectionOptions",
     "EdgeGraphOptions",
     "FollowingOptions",
@@ -47,6 +49,9 @@ __all__ = [
     "ViewSelectionOptions",
     "VisibilityOptions",
     "chosen_preset",
+    "of_later_rounds",
+    "of_pose_edges",
     "preset",
+    "recorded",
     "resolved",
 ]

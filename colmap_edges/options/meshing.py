@@ -25,6 +25,12 @@ class BundleAdjustmentOptions(Options):
         "any gain on held-out points counts",
         within=(0, 1),
     )
+    sample_step_ratio: float = constant(
+        0.8,
+        "Step between samples of chains whose edges poses are refined on, in sample_step_points",
+        "set by trial: more edges",
+        within=(0.01, 1),
+    )
     max_rounds: int = constant(
         6,
         "Most times that the noise is measured and steps are taken",

@@ -107,9 +107,10 @@ class FollowingOptions(Options):
     min_steps: int = constant(
         2, "Directions that must be followable from a start (1 or 2)", TRIED, within=(1, 2)
     )
-    max_view_triples: int = constant(
+    max_selections: int = constant(
         3,
-        "Triples of views tried, best conditioned first, until a selection is valid",
+        "Selections tried until one is valid, those that most views agree with first, and triples "
+        "of views tried for each, best conditioned first",
         TRIED,
         within=(1, 100),
     )
@@ -139,6 +140,13 @@ class VisibilityOptions(Options):
         TRIED,
         within=(0, 90),
     )
+    max_rms_ratio: float = constant(
+        0.25,
+        "Largest root mean square distance, across them, of a 3D edge from the chains of a view "
+        "that observes it, in parts of max_error_px",
+        "chains scatter by 0.2 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
+        within=(0.01, 1),
+    )
     min_views: int = option(
         4, "Smallest number of views of a 3D edge, whatever the median", within=(2, 100)
     )
@@ -149,8 +157,9 @@ class SamplingOptions(Options):
     """Fine sampling of 3D edges to edge points."""
 
     spacing_px: float = constant(
-        2.0,
-        "Distance between edge points, in pixels of the sharpest view as upsampled",
-        "half of Tracing.curve_step_points",
+        20.0,
+        "Distance from which edge points are put between those followed, in pixels of the sharpest "
+        "view as upsampled",
+        "two steps of following; more points make the mesh of the paper's votes worse",
         within=(0.5, 100),
     )

@@ -27,7 +27,8 @@ QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-# What --method paper sets: the values that Bignoli et al. print, and no step that they lack.
+# What --method paper sets: the values that Bignoli et al. print, the votes of the mesher that its
+# authors published, and no step that they lack.
 PAPER: dict[str, dict[str, Any]] = {
     "detection": {"min_blur_px": 0.0},
     "edge_graph": {
@@ -40,10 +41,11 @@ PAPER: dict[str, dict[str, Any]] = {
     "meshing": {
         "method": "manifold",
         "vote_crossed": 1.0,
-        "vote_near": 0.2,
+        "vote_near": 0.0,
         "vote_far": 0.0,
         "vote_behind": 0.0,
-        "vote_threshold": 1.0,
+        "vote_threshold": 2.1,
+        "min_segment_factor": 0.0,
     },
 }
 PRESETS = {**QUALITIES, "paper": PAPER}

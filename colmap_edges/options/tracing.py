@@ -45,7 +45,7 @@ class ViewSelectionOptions(Options):
         120.0,
         "Largest triangulation angle between a view and those in which observations of its edges "
         "are looked for, in degrees",
-        "nothing changes from 135 on (docs/experiments.md, Views from further aside)",
+        "by trial (docs/experiments.md, Views from further aside); edges come twice with less",
         within=(1, 180),
     )
 
@@ -92,6 +92,12 @@ class ChainDepthOptions(Options):
         "Log likelihood ratio that the agreement of views must exceed to count",
         "odds of 20 to 1",
         within=(-10, 50),
+    )
+    later_log_likelihood_ratio_drop: float = constant(
+        2.0,
+        "By how much less agreement of views is asked for in later rounds, log likelihood",
+        "odds of 3 to 1 in place of 20 to 1, where few chains are left",
+        within=(0, 50),
     )
     break_penalty: float = constant(
         4.0,
@@ -235,6 +241,13 @@ class TracingOptions(Options):
         "set by trial: view-dependent contours scatter more",
         within=(1, 100),
     )
+    min_residual_px: float = constant(
+        0.22,
+        "Scatter that any 3D edge may have, however little all have, in pixels of the given images",
+        "a little less than sqrt(2 / pi) Refinement.noise_px, the mean distance of observations",
+        within=(0.01, 50),
+        given_px=True,
+    )
     max_false_edges: float = option(
         1.0, "Number of 3D edges that chance may make in the whole scene", within=(1e-6, 1e6)
     )
@@ -267,4 +280,15 @@ class LinkingOptions(Options):
         "Distance within which ends of 3D edges meet, in distances between edge points",
         TRIED,
         within=(0, 50),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvesOptions(Options):
+    """What edges are: lines, arcs, circles, ellipses, splines."""
+
+    regularize: bool = option(
+        False,
+        "Make lines and planes of arcs parallel, perpendicular and coplanar, and circles "
+        "concentric, where they are so within their standard deviations",
     )

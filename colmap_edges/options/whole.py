@@ -17,6 +17,7 @@ from colmap_edges.options.paper import (
 )
 from colmap_edges.options.tracing import (
     ChainDepthOptions,
+    CurvesOptions,
     LinkingOptions,
     RefinementOptions,
     TracingOptions,
@@ -26,7 +27,7 @@ from colmap_edges.options.tracing import (
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineOptions(Options):
-    """Everything a run can be told: one group a stage, and what concerns the whole run."""
+    """All options of a run: one group for each stage, and those of the whole run."""
 
     detection: DetectionOptions = field(default_factory=DetectionOptions)
     edge_graph: EdgeGraphOptions = field(default_factory=EdgeGraphOptions)
@@ -35,6 +36,7 @@ class PipelineOptions(Options):
     tracing: TracingOptions = field(default_factory=TracingOptions)
     linking: LinkingOptions = field(default_factory=LinkingOptions)
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    curves: CurvesOptions = field(default_factory=CurvesOptions)
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
     following: FollowingOptions = field(default_factory=FollowingOptions)
@@ -43,6 +45,10 @@ class PipelineOptions(Options):
     bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    use_faces: bool = option(
+        False,
+        "Mesh planar faces between edges, too, and write faces.json: for rooms and plain bodies",
+    )
     report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
     refine_poses: bool = option(
         False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
@@ -66,5 +72,7 @@ class PipelineOptions(Options):
         super().__post_init__()
         if self.refine_poses and not self.use_edges:
             raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
+        if self.use_faces and not self.use_edges:
+            raise OptionError("use_faces is 1 and use_edges 0; faces are found between edges")
         if self.masks_are_background and not self.use_edges:
             raise OptionError("masks_are_background is 1 and use_edges 0, which reads no images")

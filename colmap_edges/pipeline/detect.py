@@ -57,6 +57,7 @@ def detect_stage(
     visitor: Visitor | None = None,
     workers: Workers | None = None,
     mask_path: Path | None = None,
+    edge_path: Path | None = None,
 ) -> Detection:
     """Detect the 2D edge graph of every view, in the views' order.
 
@@ -68,12 +69,15 @@ def detect_stage(
     """
     if workers is None:
         with open_workers(options) as workers:
-            return detect_stage(model, image_path, options, stages, visitor, workers, mask_path)
+            return detect_stage(
+                model, image_path, options, stages, visitor, workers, mask_path, edge_path
+            )
     work = ImageWork(
         image_path=image_path,
         detection=options.detection,
         edge_graph=options.edge_graph,
         mask_path=mask_path,
+        edge_path=edge_path,
         masks_are_background=options.masks_are_background,
         cache=workers.cache,
         visitor=visitor,
@@ -87,6 +91,8 @@ def detect_stage(
         stage.counts["image_scale"] = model.scale
         if mask_path:
             stage.counts["images_masked"] = sum(record.masked for record in records)
+        if edge_path:
+            stage.counts["edge_images"] = len(records) - len(damaged)
         if workers.cache:
             stage.counts["images_reused"] = sum(record.reused for record in records)
     return Detection(

@@ -19,6 +19,7 @@ class Paths:
         input_path: folder of the COLMAP model.
         output_path: folder to make.
         mask_path: folder of masks named as COLMAP's are, or one mask of all images.
+        edge_path: folder of edge images of another detector, in place of EdgeDrawing's edges.
         cache_path: folder of results that later runs find again; none are kept without it.
     """
 
@@ -26,12 +27,19 @@ class Paths:
     input_path: Path
     output_path: Path
     mask_path: Path | None = None
+    edge_path: Path | None = None
     cache_path: Path | None = None
 
     @property
     def inputs(self) -> list[Path]:
         """The paths that no output may be in."""
-        given = (self.image_path, self.input_path, self.mask_path, self.cache_path)
+        given = (
+            self.image_path,
+            self.input_path,
+            self.mask_path,
+            self.edge_path,
+            self.cache_path,
+        )
         return [path for path in given if path is not None]
 
 

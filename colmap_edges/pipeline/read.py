@@ -7,6 +7,7 @@ from typing import Any
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.errors import ColmapEdgesError, OptionError
+from colmap_edges.images.edge_maps import check_edge_maps
 from colmap_edges.images.files import check_images_exist
 from colmap_edges.images.masks import check_masks
 from colmap_edges.options import PipelineOptions
@@ -40,14 +41,20 @@ def check_model(model: Model, where: str) -> None:
 
 
 def check_pictures(
-    model: Model, image_path: Path, mask_path: Path | None, options: PipelineOptions
+    model: Model,
+    image_path: Path,
+    mask_path: Path | None,
+    edge_path: Path | None,
+    options: PipelineOptions,
 ) -> None:
-    """Check that the images are there, and masks where they are asked for.
+    """Check that the images are there, and masks and edge images where they are asked for.
 
     Raises:
         ColmapEdgesError: when they are not.
     """
     check_images_exist(model.views, image_path)
+    if edge_path:
+        check_edge_maps(model.views, image_path, edge_path)
     if mask_path:
         check_masks(model.views, mask_path)
     elif options.masks_are_background:

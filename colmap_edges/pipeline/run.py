@@ -8,6 +8,7 @@ from typing import Any
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
+from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges2d.upsampling import upsampled
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions, resolved
@@ -24,6 +25,7 @@ from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder
 from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
+from colmap_edges.surfaces.faces.grids import GridTaker
 
 
 def run(
@@ -95,7 +97,7 @@ def write_record(folder: Path, report: dict[str, Any]) -> None:
 
 def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:
     """The model, checked against its images, at the scale at which these are worked on."""
-    check_pictures(model, image_folder(paths), paths.mask_path, options)
+    check_pictures(model, image_folder(paths), paths.mask_path, paths.edge_path, options)
     if command != "detect" and options.output_type == "TXT":
         check_text_names(model)
     return upsampled(model, image_folder(paths), options.detection)
@@ -112,19 +114,22 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images into `folder`, with settings as resolved."""
-    images, masks = image_folder(paths), paths.mask_path
+    images, others = image_folder(paths), (paths.mask_path, paths.edge_path)
     if command == "detect":
         check_file_names(model.views)
-        detect_stage(model, images, options, stages, GraphWriter(folder), workers, masks)
+        detect_stage(model, images, options, stages, GraphWriter(folder), workers, *others)
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
     taker = PictureTaker(len(model.views)) if wanted else None
-    detection = detect_stage(model, images, options, stages, taker, workers, masks)
+    grids = GridTaker() if command == "mesh" and options.use_faces else None
+    visitor = Visitors.of(taker, grids)
+    detection = detect_stage(model, images, options, stages, visitor, workers, *others)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
     given = model
     model, traced = edge_stages(model, detection, options, stages, workers)
+    detection.graphs.release()
     if model is not given:
         viewer.show_model(model)
     edges = traced.edges
@@ -132,8 +137,7 @@ def run_edges(
     extended = write_stage(model, edges, folder, options, stages)
     mesh = None
     if command == "mesh":
-        mesh = mesh_stage(
-            model, traced, extended, folder, options, stages, detection.background_masks
-        )
+        background, small = detection.background_masks, grids.grids if grids else None
+        mesh = mesh_stage(model, traced, extended, folder, options, stages, background, small)
         viewer.show_mesh(mesh)
     return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)

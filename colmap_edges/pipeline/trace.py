@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,8 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.core.arrays import flattened, unflattened
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
-from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.graphs import Graphs
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import PipelineOptions, of_pose_edges
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.cache import key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
@@ -26,8 +25,10 @@ NOT_OF_TRACING = {
     "detection",
     "edge_graph",
     "bundle_adjustment",
+    "curves",
     "meshing",
     "use_edges",
+    "use_faces",
     "report",
     "refine_poses",
     "output_type",
@@ -52,31 +53,12 @@ def edge_stages(
     """
     if not options.refine_poses:
         return model, trace_stage(model, detection, options, stages, workers=workers)
-    first = options_for_poses(options)
+    first = of_pose_edges(options)
     traced = trace_stage(model, detection, first, stages, workers=workers)
     refined = refine_stage(model, traced.edges, options, stages)
     if refined is not model or first != options:
         traced = trace_stage(refined, detection, options, stages, "trace again", workers)
     return refined, traced
-
-
-def options_for_poses(options: PipelineOptions) -> PipelineOptions:
-    """How the edges are traced that poses are refined on.
-
-    By the first round alone, whose edges are the surest, in views that look from near by, and by
-    their places across the chains, for nothing else is known of edges when poses are refined. More
-    densely sampled chains give more of them. The paper's tracing has none of these options.
-    """
-    if options.tracing.method == "paper":
-        return options
-    selection, depths = options.view_selection, options.chain_depth
-    return replace(
-        options,
-        chain_depth=derived(depths, sample_step_points=4 * depths.sample_step_points // 5),
-        view_selection=replace(selection, max_observing_angle_deg=selection.max_angle_deg),
-        refinement=replace(options.refinement, side_gray_weight=0.0),
-        tracing=replace(options.tracing, num_rounds=1),
-    )
 
 
 def refine_stage(
@@ -122,7 +104,7 @@ def trace_stage(
             details = json.loads(str(entry.pop("details")))
             traced = unflattened(TracedEdges, entry)
         edges = traced.edges
-        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_points}
+        stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_distinct}
         if cache:
             stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
         stage.counts["details"] = details

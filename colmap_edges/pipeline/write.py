@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,16 @@ import colmap_edges
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import write_dxf, write_glb, write_json, write_obj, write_ply
-from colmap_edges.options import PipelineOptions
+from colmap_edges.edges3d.curves.fitting import fit_curves
+from colmap_edges.export.dxf import write_dxf
+from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
+from colmap_edges.export.glb import write_glb
+from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.diagnosis import diagnose, funnel
 from colmap_edges.report.page import write_report
+from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages
 
 
@@ -29,7 +34,7 @@ def write_stage(
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
-    """Write the model with edge points, and the edges as PLY, OBJ and JSON.
+    """Write the model with edge points, and the edges as polylines and as curves.
 
     Returns:
         The model with the edge points after its own.
@@ -41,12 +46,16 @@ def write_stage(
         write_ply(edges, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
         write_glb(edges, folder / "edges.glb")
-        write_dxf(edges, folder / "edges.dxf")
-        write_json(edges, model, ids, residuals, folder / "edges.json")
+        threads, regularize = thread_count(options), options.curves.regularize
+        curves = fit_curves(edges, regularize=regularize, num_threads=threads)
+        write_dxf(curves, folder / "edges.dxf")
+        write_json(edges, curves, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
-            "edge_points": edges.num_points,
-            "observations": len(residuals),
+            "curves": curves.num_curves,
+            "edge_points": edges.num_distinct,
+            "length": float(f"{edge_lengths(edges).sum():.6g}"),
+            "observations": len(edges.distinct()[0].observations.views),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
     return with_edge_points(model, edges, ids)
@@ -68,10 +77,11 @@ def make_report(
     """Gather what report.json holds: among it the options as given and the settings as used."""
     return {
         "command": command,
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": versions(),
         "paths": asdict(paths),
         "options": asdict(options),
-        "settings": asdict(settings),
+        "settings": recorded(settings),
         "stages": stages.records(),
         "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
         "funnel": [asdict(step) for step in funnel(stages.records(), options)],

@@ -1,4 +1,4 @@
-"""What poses are refined on: measurements of SfM points and, across edges, of edge points.
+"""The measurements that poses are refined on: of SfM points, and across edges of edge points.
 
 (paper: future work)
 
@@ -44,7 +44,7 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What does not change while poses and points do.
+    """The constants of the adjustment: initial poses, focal lengths and measurements.
 
     Attributes:
         rotations: (V, 3, 3) of cam_from_world at the start.

@@ -1,4 +1,4 @@
-"""Poses refined on SfM points and edges, and kept where held-out points gain from it."""
+"""Refines poses on SfM points and edges; keeps them only if held-out points fit better."""
 
 from __future__ import annotations
 

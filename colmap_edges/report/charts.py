@@ -1,7 +1,8 @@
-"""Histograms of the edges and the seconds of the stages, as figures of plotly.js."""
+"""Histograms of the edges, losses and seconds, as drawings (SVG) that scale, print and are read."""
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import FloatArray, IntArray
-from colmap_edges.report.contents import Trace
+
+WIDTH, HEIGHT = 360, 220  # of a drawing, in its own units; the page scales it
+LEFT, RIGHT, TOP, BOTTOM = 52, 14, 12, 42  # margins around the bars
+EDGE_COLOR = "#2f6db5"
+NUM_TICKS = 4  # along an axis, about
 
 
-def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[Trace]:
+def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[str]:
     """Histograms of views per edge, residuals of observations, and lengths.
 
     Args:
@@ -27,16 +32,11 @@ def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray)
     limit = max(float(np.percentile(finite, 99.5)), 1e-3) if len(finite) else 1.0
     low, high = max(lengths.min(), 1e-12), max(lengths.max(), 1e-12)
     logs = np.logspace(np.log10(low) - 0.01, np.log10(high) + 0.01, 41)
+    pixels = "distance from where images show the edge, px"
     return [
         histogram("Views per edge", "views", "edges", num_views, views),
-        histogram(
-            "Residuals",
-            "distance of observation from projection, px",
-            "observations",
-            finite,
-            np.linspace(0, limit, 51),
-        ),
-        histogram("Lengths of edges", "length, world units", "edges", lengths, logs, log=True),
+        histogram("Residuals", pixels, "observations", finite, np.linspace(0, limit, 51)),
+        histogram("Lengths of edges", "length, scene units", "edges", lengths, logs, log=True),
     ]
 
 
@@ -48,45 +48,108 @@ def histogram(
     bins: FloatArray,
     *,
     log: bool = False,
-) -> Trace:
-    """Counts of `values` in `bins` as bars."""
+) -> str:
+    """Counts of `values` in `bins` as bars: a figure with its title."""
     counts, _ = np.histogram(values, bins)
-    middles = np.sqrt(bins[1:] * bins[:-1]) if log else (bins[1:] + bins[:-1]) / 2
-    bars = {
-        "type": "bar",
-        "x": middles.tolist(),
-        "y": counts.tolist(),
-        "width": np.diff(bins).tolist(),
-        "marker": {"color": "#3b7dd8"},
-        "hovertemplate": "%{x:.4g}: %{y}<extra></extra>",
-    }
-    axis = {"title": {"text": x_title}, "type": "log" if log else "linear"}
-    return {"data": [bars], "layout": chart_layout(title, axis, {"title": {"text": y_title}})}
+    scale = np.log10 if log else np.asarray
+    low, high, top = float(scale(bins[0])), float(scale(bins[-1])), max(int(counts.max()), 1)
+    right = LEFT + (scale(bins) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
+    base = HEIGHT - BOTTOM
+    heights = counts / top * (base - TOP)
+    parts = [
+        f'<rect x="{x:.1f}" y="{base - height:.1f}" width="{max(end - x - 0.5, 0.5):.1f}" '
+        f'height="{height:.1f}"><title>{first:.4g} to {last:.4g}: {count:,} {y_title}</title>'
+        "</rect>"
+        for x, end, height, first, last, count in zip(
+            right[:-1], right[1:], heights, bins[:-1], bins[1:], counts, strict=True
+        )
+        if count
+    ]
+    for value in decades(low, high) if log else nice_ticks(low, high):
+        at = LEFT + (float(scale(value)) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
+        parts.append(label(at, base + 16, shortened(value), "middle"))
+    for value in nice_ticks(0, top):
+        at = base - value / top * (base - TOP)
+        parts.append(f'<path d="M{LEFT - 4} {at:.1f}H{WIDTH - RIGHT}"/>')
+        parts.append(label(LEFT - 8, at + 4, shortened(value), "end"))
+    parts.append(label((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_title, "middle"))
+    middle = f"median {np.median(values):.4g}" if len(values) else "none"
+    return chart(title, f"{title}: {len(values):,} {y_title}, {x_title}, {middle}", y_title, parts)
 
 
-def stage_chart(stages: Sequence[Mapping[str, Any]]) -> Trace:
+def label(x: float, y: float, text: str, anchor: str) -> str:
+    """A short text of a drawing."""
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{html.escape(text)}</text>'
+
+
+def shortened(value: float) -> str:
+    """A number at an axis: 0.25, 20,000, 3 M."""
+    return f"{value:,.10g}" if abs(value) < 1e6 else f"{value / 1e6:,.10g} M"
+
+
+def chart(title: str, said: str, unit: str, parts: Sequence[str]) -> str:
+    """A figure: its title with the unit of its bars, and the drawing, also said in words."""
+    return (
+        f'<figure class="chart"><figcaption>{html.escape(title)} '
+        f'<span class="unit">({html.escape(unit)})</span></figcaption>'
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(said)}" '
+        f'fill="{EDGE_COLOR}">{"".join(parts)}</svg></figure>'
+    )
+
+
+def nice_ticks(low: float, high: float) -> list[float]:
+    """Round numbers from `low` to `high`: multiples of 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10((high - low) / NUM_TICKS))
+    step = next(m * power for m in (1, 2, 5, 10) if (high - low) / (m * power) <= NUM_TICKS + 1)
+    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+    return [float(f"{i * step:.10g}") for i in range(first, last + 1)]
+
+
+def decades(low: float, high: float) -> list[float]:
+    """Round numbers between 10^low and 10^high."""
+    factors = (1,) if high - low > 2 else (1, 2, 5)
+    step = max(int((high - low) // NUM_TICKS), 1)
+    powers = range(int(np.floor(low)), int(np.ceil(high)) + 1, step)
+    found = [f * 10.0**p for p in powers for f in factors]
+    return [value for value in found if low <= np.log10(value) <= high]
+
+
+def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, said: str) -> str:
+    """Rows of a name, a bar and a text, as long as the value is of the largest.
+
+    Args:
+        rows: name, value and text of each.
+        title: the heading over the rows, with the unit.
+        said: what the table is, for those who hear it.
+    """
+    most = max((value for _, value, _ in rows), default=0.0) or 1.0
+    lines = [
+        f'<tr><th scope="row">{html.escape(name)}</th>'
+        f'<td class="bar"><span style="width:{100 * value / most:.1f}%"></span></td>'
+        f'<td class="number">{html.escape(text)}</td></tr>'
+        for name, value, text in rows
+    ]
+    caption = f'<caption>{html.escape(title)}<span class="heard">: {html.escape(said)}</span>'
+    return f'<table class="bars">{caption}</caption>{"".join(lines)}</table>'
+
+
+def stage_chart(stages: Sequence[Mapping[str, Any]]) -> str:
     """Seconds of every stage as bars."""
-    bars = {
-        "type": "bar",
-        "orientation": "h",
-        "y": [stage["name"] for stage in stages],
-        "x": [stage["wall_s"] for stage in stages],
-        "text": [f"{stage['wall_s']:.2f} s" for stage in stages],
-        "textposition": "auto",
-        "marker": {"color": "#5aa469"},
-        "hoverinfo": "skip",
-    }
-    y_axis = {"autorange": "reversed"}
-    return {"data": [bars], "layout": chart_layout("Time", {"title": {"text": "seconds"}}, y_axis)}
+    rows = [(s["name"], float(s["wall_s"]), f"{s['wall_s']:.2f} s") for s in stages]
+    return bar_rows(rows, "Time (seconds)", "seconds of each stage")
 
 
-def chart_layout(title: str, x_axis: Trace, y_axis: Trace) -> Trace:
-    """Title, axes and margins of a chart."""
-    return {
-        "title": {"text": title, "font": {"size": 15}},
-        "xaxis": {**x_axis, "automargin": True},
-        "yaxis": {**y_axis, "automargin": True},
-        "margin": {"l": 50, "r": 15, "t": 40, "b": 45},
-        "height": 280,
-        "bargap": 0,
-    }
+def funnel_charts(funnel: Sequence[Mapping[str, Any]]) -> str:
+    """What is left after each step of tracing, one chart for each thing that is counted."""
+    groups: dict[str, list[tuple[str, float, str]]] = {}
+    for step in funnel:
+        part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of those before)"
+        row = (step["name"], float(step["count"]), f"{step['count']:,}{part}")
+        groups.setdefault(step["unit"], []).append(row)
+    ends = [f"{text} {name}" for ((name, _, text), *more) in groups.values() if not more]
+    tables = [
+        bar_rows(rows, f"Counted in {unit}", "what is left after each step")
+        for unit, rows in groups.items()
+        if len(rows) > 1
+    ]
+    return f"<p>{html.escape(', '.join(ends))}.</p>{''.join(tables)}"

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.report.packing import coordinates
 from colmap_edges.surfaces.mesh import Mesh
 
-# What a figure is to plotly.js: traces and layout as JSON.
+# What a figure is to plotly.js: traces and layout as JSON, whose arrays are packed for the page.
 Trace = dict[str, Any]
 
 
@@ -26,7 +25,7 @@ class ImagePicture:
     Attributes:
         view: index of the view.
         photo: the image made small, JPEG.
-        detected: its 2D edge graph, transparent PNG of the same size.
+        detected: its 2D edge graph, transparent WebP of the same size.
         dropped: detected edges that are not in the graph; None when all are.
         shape: height and width, pixels.
     """
@@ -60,21 +59,9 @@ class Contents:
     mesh: Mesh | None = None
 
 
-def typed(values: Any, dtype: str = "f4") -> dict[str, str]:
-    """A flat array as plotly.js reads it: its type and its bytes in base 64."""
-    data: NDArray[Any] = np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<"))
-    return {"dtype": dtype, "bdata": base64.b64encode(data.tobytes()).decode("ascii")}
-
-
 def xyz(points: FloatArray) -> Trace:
     """The coordinates (N, 3) of a trace."""
-    return {axis: typed(points[:, i]) for i, axis in enumerate("xyz")}
-
-
-def hex_colors(colors: ByteArray) -> list[str]:
-    """Colours (N, 3) RGB as #rrggbb."""
-    text = np.ascontiguousarray(colors, np.uint8).tobytes().hex()
-    return [f"#{text[i : i + 6]}" for i in range(0, len(text), 6)]
+    return {axis: coordinates(points[:, i]) for i, axis in enumerate("xyz")}
 
 
 def evenly_spread(count: int, most: int) -> IntArray:

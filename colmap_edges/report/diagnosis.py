@@ -1,4 +1,4 @@
-"""What the counts of a run say: where edges were lost, and the option that matters there."""
+"""Diagnoses from the counts of a run where edges were lost, and names the option to change."""
 
 from __future__ import annotations
 
@@ -45,11 +45,13 @@ class Step:
     Attributes:
         name: what is counted.
         count: how many are left.
+        unit: what they are: pixels, samples, points or edges.
         share: the part of what went in, where both are counted in the same unit.
     """
 
     name: str
     count: int
+    unit: str
     share: float | None = None
 
 
@@ -137,7 +139,13 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
             remedy="replace the damaged files and run again",
         )
         images -= len(damaged)
-    if images and empty == images and not detect.get("images_masked"):
+    if images and empty == images and detect.get("edge_images"):
+        yield Finding(
+            text=f"no edge came of the edge images of {images} images",
+            remedy="look at the edge images: white on black, lines of at least "
+            "--Detection.min_chain_points; or leave out --edge_path",
+        )
+    elif images and empty == images and not detect.get("images_masked"):
         yield Finding(
             text=f"no edge was detected in any of {images} images",
             remedy="look at the images (blank, blurred, dark?); detect shorter chains with "
@@ -335,28 +343,30 @@ def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> lis
     detect, trace = counts.get("detect", {}), counts.get("trace")
     if trace is None:
         return []
-    steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0))]
-    for key, before, name in FUNNELS[options.tracing.method]:
+    steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0), unit=PIXELS)]
+    for key, before, unit, name in FUNNELS[options.tracing.method]:
         if key in trace:
             part = trace[key] / trace[before] if before and trace.get(before) else None
-            steps.append(Step(name=name, count=trace[key], share=part))
-    steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0)))
-    steps.append(Step(name="3D edges", count=trace.get("edges", 0)))
+            steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
+    steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0), unit=POINTS))
+    steps.append(Step(name="3D edges", count=trace.get("edges", 0), unit="edges"))
     return steps
 
 
+PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
 FUNNELS = {
     "chains": (
-        ("samples", "", "samples on them"),
-        ("samples_with_depth", "samples", "samples with a depth that views agree on"),
-        ("samples_confirmed", "samples_with_depth", "samples confirmed from another view"),
-        ("samples_in_runs", "samples_confirmed", "confirmed samples in runs that are sure"),
-        ("points_traced", "", "points traced along new stretches"),
-        ("points_observed_enough", "points_traced", "points observed in enough views"),
+        ("samples", "", SAMPLES, "samples"),
+        ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
+        ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed from another view"),
+        ("samples_in_runs", "samples_confirmed", SAMPLES, "in runs that are sure"),
+        ("points_traced", "", POINTS, "traced along new stretches"),
+        ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
         (
             "points_of_curves",
             "points_observed_enough",
-            "points that are sure, on curves that chance does not make",
+            POINTS,
+            "sure, on curves that chance does not make",
         ),
     ),
     "paper": (),

@@ -1,23 +1,82 @@
 "use strict";
-// Draws the figures and answers clicks; all it shows is in the element #data and the page.
+// Draws the 3D view and answers clicks and keys; all it shows is in the page. What needs no script
+// (picture, charts, tables, images) stands in the page already.
 
-const TYPES = {f4: Float32Array, i4: Int32Array, u2: Uint16Array};
+const TYPES = {f4: Float32Array, i4: Int32Array, u2: Uint16Array, u1: Uint8Array};
+const LIFTED = 65535;
 const MAX_CHOSEN_PICTURES = 8;
 const MAX_CLICK_PX = 4;
-const CONFIG = {responsive: true, displaylogo: false};
+const FULL = 4096;
+const CONFIG = {responsive: true, displaylogo: false, displayModeBar: false};
+const TURN = Math.PI / 24;
+const KEYS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]};
+const NEARER = {"+": 0.85, "=": 0.85, "-": 1 / 0.85};
 
-function decode(spec) {
-  const text = atob(spec.bdata);
-  const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-  return new TYPES[spec.dtype](bytes.buffer);
+const byId = (id) => document.getElementById(id);
+
+async function unpacked(id) {
+  const bytes = Uint8Array.from(atob(byId(id).textContent), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
 }
 
-function decodeAll(specs) {
-  return Object.fromEntries(Object.entries(specs).map(([name, spec]) => [name, decode(spec)]));
+// An array as packing.py writes it: bytes plane by plane, whole numbers as differences.
+function decode(spec, bytes) {
+  const Type = TYPES[spec.dtype];
+  const size = Type.BYTES_PER_ELEMENT;
+  const joined = new Uint8Array(spec.length * size);
+  for (let plane = 0; plane < size; ++plane) {
+    const from = spec.at + plane * spec.length;
+    for (let i = 0; i < spec.length; ++i) joined[i * size + plane] = bytes[from + i];
+  }
+  const values = new Type(joined.buffer);
+  if (Type !== Float32Array) for (let i = 1; i < values.length; ++i) values[i] += values[i - 1];
+  return values;
+}
+
+function coordinates({steps, low, step}) {
+  return Float32Array.from(steps, (value) => value === LIFTED ? NaN : low + value * step);
+}
+
+function colours(rgb) {
+  const count = rgb.length / 3;
+  const hex = (i) => ((rgb[i] << 16) | (rgb[count + i] << 8) | rgb[2 * count + i]);
+  return Array.from({length: count}, (_, i) => `#${hex(i).toString(16).padStart(6, "0")}`);
+}
+
+function revived(node, bytes) {
+  if (node === null || typeof node !== "object") return node;
+  if (Array.isArray(node)) return node.map((each) => revived(each, bytes));
+  if (node.dtype) return decode(node, bytes);
+  const made = Object.fromEntries(Object.entries(node).map(([k, v]) => [k, revived(v, bytes)]));
+  if (made.steps) return coordinates(made);
+  return made.rgb ? colours(made.rgb) : made;
+}
+
+async function readData() {
+  const buffer = await unpacked("data");
+  const length = new DataView(buffer).getUint32(0, true);
+  const text = new TextDecoder().decode(new Uint8Array(buffer, 4, length));
+  return revived(JSON.parse(text), new Uint8Array(buffer, 4 + length));
+}
+
+async function loadPlotly() {
+  const script = document.createElement("script");
+  script.textContent = new TextDecoder().decode(await unpacked("plotly"));
+  document.head.append(script);
 }
 
 function traceOf(name) {
   return data.scene.data.findIndex((trace) => trace.meta === name);
+}
+
+// The edge of every point of the line that runs through all edges.
+function edgesOfLine() {
+  const owners = new Int32Array(edges.starts[edges.starts.length - 1]);
+  for (let edge = 0; edge + 1 < edges.starts.length; ++edge) {
+    owners.fill(edge, edges.starts[edge], edges.starts[edge + 1]);
+  }
+  return owners;
 }
 
 // The value of each edge by which it is coloured.
@@ -35,35 +94,40 @@ function colourRange(by, values) {
 }
 
 function colourEdges() {
-  const select = document.getElementById("colour");
-  const values = edgeValues(select.value);
-  const [cmin, cmax] = colourRange(select.value, values);
-  const colours = Array.from(lineEdges, (edge) => values[edge]);
-  const title = select.selectedOptions[0].textContent;
+  const by = byId("colour").value;
+  const values = edgeValues(by);
+  const [cmin, cmax] = colourRange(by, values);
+  byId("scale").hidden = by === "edge";
+  byId("least").textContent = Number(cmin.toPrecision(3));
+  byId("most").textContent = `${Number(cmax.toPrecision(3))}`;
   return Plotly.restyle(scene, {
-    "line.color": [colours], "line.cmin": cmin, "line.cmax": cmax,
-    "line.colorscale": select.value === "edge" ? "Rainbow" : "Viridis",
-    "line.showscale": select.value !== "edge",
-    "line.colorbar": [{title: {text: title}, thickness: 14, len: 0.6, x: 0.98, xanchor: "right"}],
+    "line.color": [Array.from(lineEdges, (edge) => values[edge])],
+    "line.cmin": cmin, "line.cmax": cmax,
+    "line.colorscale": by === "edge" ? "Rainbow" : "Viridis",
   }, [traceOf("edges")]);
 }
 
 function chooseEdge(edge) {
+  const line = data.scene.data[traceOf("edges")];
   const [first, last] = [edges.starts[edge], edges.starts[edge + 1]];
   const part = (axis) => Array.from(line[axis].subarray(first, last - 1));
   Plotly.restyle(scene, {x: [part("x")], y: [part("y")], z: [part("z")]}, [traceOf("chosen")]);
   const facts = [
     ["id", edge], ["edge points", edges.points[edge]], ["views", edges.views[edge]],
-    ["length, world units", edges.length[edge].toPrecision(4)],
+    ["length, scene units", edges.length[edge].toPrecision(4)],
     ["mean residual, px", edges.residual[edge].toFixed(3)],
   ];
   const table = document.createElement("table");
   for (const [name, value] of facts) {
     const row = table.insertRow();
-    row.insertCell().textContent = name;
+    const head = document.createElement("th");
+    head.scope = "row";
+    head.textContent = name;
+    row.append(head);
     row.insertCell().textContent = value;
   }
-  document.getElementById("chosen").replaceChildren(table);
+  byId("chosen").replaceChildren(table);
+  byId("number").value = edge;
   showReprojections(edge);
 }
 
@@ -72,12 +136,12 @@ function showReprojections(edge) {
   for (let i = edges.track_offsets[edge]; i < edges.track_offsets[edge + 1]; ++i) {
     const picture = edges.track_pictures[i];
     if (!pixels.has(picture)) pixels.set(picture, []);
-    pixels.get(picture).push([edges.track_pixels[2 * i], edges.track_pixels[2 * i + 1]]);
+    pixels.get(picture).push([edges.track_x[i] / FULL, edges.track_y[i] / FULL]);
   }
   const best = [...pixels].sort((a, b) => b[1].length - a[1].length || a[0] - b[0]);
   const figures = best.slice(0, MAX_CHOSEN_PICTURES).map(([picture, points]) =>
     pictureWith(points, document.querySelector(`#pictures [data-picture="${picture}"]`)));
-  document.getElementById("chosen-pictures").replaceChildren(...figures);
+  byId("chosen-pictures").replaceChildren(...figures);
 }
 
 function pictureWith(points, original) {
@@ -90,7 +154,7 @@ function pictureWith(points, original) {
   pen.fillStyle = "#ff00a8";
   const size = Math.max(canvas.width / 160, 3);
   for (const [x, y] of points) {
-    pen.fillRect(x / 65535 * canvas.width - size / 2, y / 65535 * canvas.height - size / 2, size, size);
+    pen.fillRect(x * canvas.width - size / 2, y * canvas.height - size / 2, size, size);
   }
   figure.querySelector(".stack").append(canvas);
   return figure;
@@ -115,36 +179,130 @@ function listenForClicks() {
   }, true);
 }
 
-function bindLayer(name) {
-  const box = document.getElementById(`show-${name}`);
-  box.addEventListener("change", () =>
-    document.getElementById("pictures").classList.toggle(`hide-${name}`, !box.checked));
+const plus = (a, b, times = 1) => ({x: a.x + times * b.x, y: a.y + times * b.y, z: a.z + times * b.z});
+const dot = (a, b) => a.x * b.x + a.y * b.y + a.z * b.z;
+const cross = (a, b) =>
+  ({x: a.y * b.z - a.z * b.y, y: a.z * b.x - a.x * b.z, z: a.x * b.y - a.y * b.x});
+const ZERO = {x: 0, y: 0, z: 0};
+const scaled = (a, times) => plus(ZERO, a, times);
+const unit = (a) => scaled(a, 1 / Math.max(Math.sqrt(dot(a, a)), 1e-12));
+
+function rotated(a, axis, angle) {  // Rodrigues' formula
+  const turned = plus(scaled(a, Math.cos(angle)), cross(axis, a), Math.sin(angle));
+  return plus(turned, axis, dot(axis, a) * (1 - Math.cos(angle)));
 }
 
-const data = JSON.parse(document.getElementById("data").textContent);
-const scene = document.getElementById("scene");
-const edges = data.edges && decodeAll(data.edges);
-const edgeTrace = data.scene.data[traceOf("edges")];
-const lineEdges = edgeTrace ? decode(edgeTrace.customdata) : [];
-const line = edgeTrace ? decodeAll({x: edgeTrace.x, y: edgeTrace.y, z: edgeTrace.z}) : {};
+function turnByKeys(event) {
+  const {center, eye, up} = scene._fullLayout.scene.camera;
+  let [arm, upwards] = [plus(eye, center, -1), unit(up)];
+  if (KEYS[event.key]) {
+    const [sideways, over] = KEYS[event.key];
+    arm = rotated(arm, upwards, sideways * TURN);
+    const right = unit(cross(upwards, arm));
+    const tipped = rotated(arm, right, -over * TURN);
+    if (Math.abs(dot(unit(tipped), upwards)) < 0.98) arm = tipped;
+  } else if (NEARER[event.key]) {
+    arm = scaled(arm, NEARER[event.key]);
+  } else {
+    return;
+  }
+  event.preventDefault();
+  Plotly.relayout(scene, {"scene.camera": {center, up, eye: plus(center, arm)}});
+}
+
+// The first camera farther back where the view is narrower than it was chosen for.
+function fitted(camera, aspect) {
+  const back = Math.max(1, aspect * scene.clientHeight / scene.clientWidth);
+  const arm = plus(camera.eye, camera.center, -1);
+  return {...camera, eye: plus(camera.center, arm, back)};
+}
+
+// In print stands the view as it was last turned.
+function keepPictureForPrint() {
+  let waiting = null;
+  const first = byId("still").src;
+  scene.on("plotly_relayout", () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(async () => {
+      byId("still").src = await Plotly.toImage(scene, {format: "jpeg", width: 1280, height: 800});
+    }, 500);
+  });
+  byId("reset").addEventListener("click", async () => {
+    await Plotly.relayout(scene, {"scene.camera": firstCamera});
+    clearTimeout(waiting);
+    byId("still").src = first;
+  });
+}
+
+function addLayer(name) {
+  const [index, label, box] = [traceOf(name), ...["label", "input"].map((n) => document.createElement(n))];
+  if (index < 0) return;
+  const shown = data.scene.data[index].visible !== false;
+  [box.type, box.checked, box.id] = ["checkbox", shown, `layer-${name}`];
+  box.addEventListener("change", () => Plotly.restyle(scene, {visible: box.checked}, [index]));
+  label.append(box, ` ${data.scene.data[index].name}`);
+  byId("layers").append(label);
+}
+
+function bindLayer(name) {
+  const box = byId(`show-${name}`);
+  box.addEventListener("change", () =>
+    byId("pictures").classList.toggle(`hide-${name}`, !box.checked));
+  box.parentElement.hidden = !document.querySelector(`#pictures .${name}`);
+}
+
+let data, edges, lineEdges = [], firstCamera;
+const scene = byId("view");
+
+function bindEdges() {
+  byId("colour").addEventListener("change", colourEdges);
+  byId("number").max = edges.length.length - 1;
+  byId("number").addEventListener("change", (event) => {
+    const asked = event.target.valueAsNumber;
+    if (Number.isInteger(asked) && asked >= 0 && asked < edges.length.length) chooseEdge(asked);
+  });
+  listenForClicks();
+}
+
+async function show3D() {
+  data = await readData();
+  edges = data.edges;
+  firstCamera = fitted(data.scene.layout.scene.camera, data.scene.layout.meta.aspect);
+  data.scene.layout.scene.camera = structuredClone(firstCamera);
+  document.querySelectorAll(".of-edges").forEach((element) => { element.hidden = !edges; });
+  byId("viewer").classList.toggle("alone", !edges);
+  if (edges) {
+    lineEdges = edgesOfLine();
+    data.scene.data[traceOf("edges")].customdata = lineEdges;
+  }
+  ["edges", "mesh", "points", "cameras"].forEach(addLayer);
+  byId("controls").hidden = false;
+  await loadPlotly();
+  await Plotly.newPlot(scene, data.scene.data, data.scene.layout, CONFIG);
+  document.body.classList.add("drawn");
+  scene.tabIndex = 0;
+  scene.addEventListener("keydown", turnByKeys);
+  byId("save").addEventListener("click", () =>
+    Plotly.downloadImage(scene, {format: "png", width: 1920, height: 1200, filename: document.title}));
+  keepPictureForPrint();
+  if (!edges) return;
+  bindEdges();
+  await colourEdges();
+  const asked = Number(/^#edge=(\d+)$/.exec(location.hash)?.[1] ?? NaN);
+  if (asked < edges.length.length) chooseEdge(asked);
+}
 
 async function start() {
-  for (const id of ["edge-controls", "side"]) document.getElementById(id).hidden = !edges;
-  document.getElementById("images").hidden = !document.querySelector("#pictures figure");
-  await Plotly.newPlot(scene, data.scene.data, data.scene.layout, CONFIG);
-  if (edges && lineEdges.length) {
-    await colourEdges();
-    document.getElementById("colour").addEventListener("change", colourEdges);
-    listenForClicks();
-  }
-  const places = data.charts.map(() => document.createElement("div"));
-  document.getElementById("charts").append(...places);  // all, so that each has its width
-  for (const [index, chart] of data.charts.entries()) {
-    await Plotly.newPlot(places[index], chart.data, chart.layout, {...CONFIG, displayModeBar: false});
-  }
-  const asked = Number(/^#edge=(\d+)$/.exec(location.hash)?.[1] ?? NaN);
-  if (edges && asked < edges.length.length) chooseEdge(asked);
+  byId("images").hidden = !document.querySelector("#pictures figure");
+  byId("charts").hidden = !document.querySelector("#charts figure");
   ["detected", "dropped", "reprojected"].forEach(bindLayer);
+  try {
+    await show3D();
+  } catch (error) {
+    byId("controls").hidden = true;
+    byId("trouble").hidden = false;
+    byId("trouble").textContent = `This browser cannot show the scene in 3D (${error}).`;
+  }
   document.body.dataset.ready = "1";
 }
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import Any
 
+import numpy as np
+
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.export.edges import edge_lengths
-from colmap_edges.report.charts import edge_charts, stage_chart
-from colmap_edges.report.contents import Contents, ImagePicture, Trace, typed
-from colmap_edges.report.pictures import data_uri, reprojected_layer
+from colmap_edges.report.charts import edge_charts, funnel_charts, stage_chart
+from colmap_edges.report.contents import Contents, ImagePicture, Trace
+from colmap_edges.report.outcome import VIEWERS, headline, outcome, scene_name
+from colmap_edges.report.packing import compressed, data_uri, embedded, pack
+from colmap_edges.report.pictures import reprojected_layer
 from colmap_edges.report.scene3d import scene_figure
+from colmap_edges.report.still import still_picture
 from colmap_edges.report.tracks import edge_data, views_per_edge
 
 
@@ -33,19 +37,33 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
     from plotly.offline import get_plotlyjs
 
     pictures = contents.pictures
+    name = scene_name(record["paths"])
+    made = f"{record['date'][:10]}, {record['date'][11:16]}"
+    what = {"3D edges": contents.edges, "mesh": contents.mesh}
+    kinds = " and ".join(kind for kind, there in what.items() if there is not None) or "model"
     template = Template(resource("page.html"))
     page = template.substitute(
-        title=html.escape(f"colmap-edges {record['command']}"),
+        title=html.escape(f"{name}: {kinds}, {record['date'][:10]}"),
+        scene=html.escape(name),
+        headline=html.escape(headline(record)),
+        made=html.escape(
+            f"{made} by colmap-edges {record['versions']['colmap-edges']}, {record['command']}"
+        ),
+        facts=table_html(list(outcome(record).items())),
         findings=findings_html(record["findings"]),
+        still=data_uri("webp", still_picture(contents)),
         funnel=funnel_html(record["funnel"]),
-        stages=table_html(stage_rows(record["stages"])),
+        charts="".join(charts(contents)),
+        seconds=stage_chart(record["stages"]),
+        stages=stages_html(record["stages"]),
+        files=table_html(file_rows(path.parent)),
         versions=html.escape(", ".join(f"{k} {v}" for k, v in record["versions"].items())),
         paths=table_html([(key, str(value)) for key, value in record["paths"].items()]),
         options=table_html(option_rows(record["options"])),
         pictures=pictures_html(contents),
         picture_note=html.escape(picture_note(contents.model, pictures)),
-        data=script_json(page_data(contents, record)),
-        plotly=get_plotlyjs(),
+        data=embedded(pack(page_data(contents))),
+        plotly=embedded(compressed(get_plotlyjs().encode())),
         script=resource("page.js"),
     )
     # Names of folders may be bytes that are no text.
@@ -58,26 +76,24 @@ def resource(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def page_data(contents: Contents, record: Mapping[str, Any]) -> Trace:
-    """Everything the page's script reads."""
+def page_data(contents: Contents) -> Trace:
+    """Everything the page's script reads; arrays are packed with it."""
     figure, starts = scene_figure(contents)
-    charts = [stage_chart(record["stages"])]
-    data: Trace = {"scene": figure, "edges": None}
     model, edges = contents.model, contents.edges
-    if edges is not None:
-        residuals = observation_residuals(model, edges)
-        num_views = views_per_edge(edges, len(model.views))
-        charts = edge_charts(num_views, residuals, edge_lengths(edges)) + charts
-        pictured = [picture.view for picture in contents.pictures]
-        data["edges"] = edge_data(model, edges, residuals, pictured)
-        data["edges"]["starts"] = typed(starts, "i4")
-    return {**data, "charts": charts}
+    if edges is None or edges.num_edges == 0:
+        return {"scene": figure, "edges": None}
+    pictured = [picture.view for picture in contents.pictures]
+    data = edge_data(model, edges, observation_residuals(model, edges), pictured)
+    return {"scene": figure, "edges": {**data, "starts": starts.astype(np.int32)}}
 
 
-def script_json(data: Any) -> str:
-    """JSON that can stand in a script element: no character in it can end that."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+def charts(contents: Contents) -> list[str]:
+    """The histograms of the 3D edges, if there are any."""
+    model, edges = contents.model, contents.edges
+    if edges is None:
+        return []
+    num_views = views_per_edge(edges, len(model.views))
+    return edge_charts(num_views, observation_residuals(model, edges), edge_lengths(edges))
 
 
 def table_html(rows: Sequence[tuple[str, ...]]) -> str:
@@ -85,7 +101,7 @@ def table_html(rows: Sequence[tuple[str, ...]]) -> str:
     lines = []
     for head, *cells in rows:
         data = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
-        lines.append(f"<tr><th>{html.escape(head)}</th>{data}</tr>")
+        lines.append(f'<tr><th scope="row">{html.escape(head)}</th>{data}</tr>')
     return f"<table>{''.join(lines)}</table>"
 
 
@@ -109,26 +125,28 @@ def funnel_html(funnel: Sequence[Mapping[str, Any]]) -> str:
     """The section on what is left after each step, with the share of the step before."""
     if not funnel:
         return ""
-    rows = [
-        (
-            step["name"],
-            f"{step['count']:,}",
-            "" if step["share"] is None else f"{100 * step['share']:.0f} %",
-        )
-        for step in funnel
-    ]
     title = "Where edges were lost: what is left after each step"
-    return f"<section><h2>{title}</h2>{table_html(rows)}</section>"
+    return f'<section id="funnel"><h2>{title}</h2>{funnel_charts(funnel)}</section>'
 
 
-def stage_rows(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Seconds, memory and counts of every stage."""
-    rows: list[tuple[str, ...]] = []
+def file_rows(folder: Path) -> list[tuple[str, ...]]:
+    """The files beside the page and what opens them; report.json is written after it."""
+    made = [name for name in VIEWERS if (folder / name).exists() or name == "report.json"]
+    return [(name, VIEWERS[name]) for name in made if name != "report.html"]
+
+
+def stages_html(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Memory and counts of every stage; no count is broken between number and name."""
+    rows = []
     for stage in stages:
         counts = {k: v for k, v in stage["counts"].items() if isinstance(v, int | float)}
-        text = ", ".join(f"{value:,} {key.replace('_', ' ')}" for key, value in counts.items())
-        rows.append((stage["name"], f"{stage['wall_s']:.2f} s", f"{stage['peak_mb']:.0f} MB", text))
-    return rows
+        texts = (html.escape(f"{v:,} {k.replace('_', ' ')}") for k, v in counts.items())
+        cells = " ".join(f'<span class="count">{text}</span>' for text in texts)
+        name, memory = html.escape(stage["name"]), f"{stage['peak_mb']:.0f} MB"
+        rows.append(
+            f'<tr><th scope="row">{name}</th><td class="number">{memory}</td><td>{cells}</td></tr>'
+        )
+    return f"<table>{''.join(rows)}</table>"
 
 
 def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str, ...]]:
@@ -154,7 +172,7 @@ def pictures_html(contents: Contents) -> str:
             "reprojected": reprojected,
         }
         images = "".join(
-            f'<img class="layer {kind}" alt="" src="{data_uri("png", data)}">'
+            f'<img class="layer {kind}" alt="" src="{data_uri("webp", data)}">'
             for kind, data in layers.items()
             if data
         )

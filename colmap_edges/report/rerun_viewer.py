@@ -22,8 +22,9 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.edges import polyline_indices
 from colmap_edges.report.contents import ImagePicture
-from colmap_edges.report.scene3d import bounds, pyramid_depth, up_direction
+from colmap_edges.report.scene3d import pyramid_depth
 from colmap_edges.report.tracks import views_per_edge
+from colmap_edges.report.viewpoint import bounds, up_direction
 from colmap_edges.runtime.output import check_apart, write_whole
 from colmap_edges.surfaces.mesh import Mesh
 

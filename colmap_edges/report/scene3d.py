@@ -12,13 +12,15 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
-from colmap_edges.report.contents import Contents, Trace, evenly_spread, hex_colors, typed, xyz
+from colmap_edges.report.contents import Contents, Trace, evenly_spread, xyz
+from colmap_edges.report.viewpoint import bounds, viewpoint
 from colmap_edges.surfaces.mesh import Mesh
 
 # What is drawn at most, so that the file stays small and a browser turns it smoothly.
 MAX_SFM_POINTS = 40_000
 MAX_EDGE_POINTS = 120_000
 MAX_FACES = 150_000
+ASPECT = 1.6  # width by height for which the first viewpoint is chosen
 HIDDEN_AXIS = {"visible": False, "showspikes": False}
 
 
@@ -34,28 +36,27 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
     """
     model, edges = contents.model, contents.edges
     low, high = bounds(model, edges)
-    points = sfm_trace(model, low, high)
     rows, starts = plotted_rows(edges, MAX_EDGE_POINTS)
-    traces = [points, cameras_trace(model, float(np.linalg.norm(high - low)))]
+    size = float(np.linalg.norm(high - low))
+    traces = [sfm_trace(model, low, high), cameras_trace(model, size)]
+    has_edges = edges is not None and edges.num_edges > 0
+    # Points would be dots on the mesh; one of the cameras is where the first view is.
+    traces[0]["visible"] = contents.mesh is None
+    traces[1]["visible"] = contents.mesh is None and not has_edges
     if contents.mesh is not None:
-        traces.append(mesh_trace(contents.mesh, hidden=edges is not None))
-    if edges is not None:
-        traces += [edges_trace(edges, rows, starts), edges_legend(edges), selection_trace()]
-    return {"data": traces, "layout": layout(model, edges, low, high)}, starts
+        traces.append(mesh_trace(contents.mesh, low, high))
+    if edges is not None and has_edges:
+        traces += [edges_trace(edges, rows, low, high), selection_trace()]
+    return {"data": traces, "layout": layout(contents, low, high)}, starts
 
 
-def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
-    """Corners of the box that is shown: cameras, edges, and SfM points but for the farthest."""
-    parts = [model.camera_centers]
-    for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
-        if len(points):
-            low, high = np.percentile(points, [2, 98], axis=0)
-            margin = 0.15 * (high - low)
-            parts.append(np.stack([low - margin, high + margin]))
-    corners = np.concatenate(parts)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.02 * float((high - low).max()) + 1e-9
-    return low - margin, high + margin
+def near(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Points moved to the border of a box three times as large as what is shown, if beyond it.
+
+    They are out of sight anyhow, and would make the steps of packed coordinates large.
+    """
+    size = high - low
+    return np.clip(points, low - size, high + size)
 
 
 def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
@@ -66,8 +67,9 @@ def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
     return {
         "type": "scatter3d",
         "mode": "markers",
-        "name": f"SfM points ({len(model.point3D_ids):,})",
-        "marker": {"size": 1.5, "color": hex_colors(model.points3D_rgb[inside])},
+        "name": f"{len(model.point3D_ids):,} SfM points",
+        "meta": "points",
+        "marker": {"size": 1.5, "color": {"rgb": rgb(model.points3D_rgb[inside])}},
         "hoverinfo": "skip",
         **xyz(points[inside]),
     }
@@ -81,7 +83,8 @@ def cameras_trace(model: Model, size: float) -> Trace:
     return {
         "type": "scatter3d",
         "mode": "lines",
-        "name": f"cameras ({len(model.views)})",
+        "name": f"{len(model.views):,} cameras",
+        "meta": "cameras",
         "line": {"color": "#d9534f", "width": 1.5},
         "text": [name for name in names for _ in range(len(lines) // len(names))],
         "hovertemplate": "%{text}<extra></extra>",
@@ -113,21 +116,25 @@ def pyramid(view: View, depth: float) -> FloatArray:
     return np.vstack([world, np.full((1, 3), np.nan)])
 
 
-def mesh_trace(mesh: Mesh, hidden: bool) -> Trace:
+def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
     """The mesh, coarser where it has more faces than a browser should turn."""
     vertices, faces, colors = coarser(mesh, MAX_FACES)
     return {
         "type": "mesh3d",
-        "name": f"mesh ({len(mesh.faces):,} faces)",
-        "showlegend": True,
-        "visible": "legendonly" if hidden else True,
-        "vertexcolor": hex_colors(colors),
+        "name": f"mesh of {len(mesh.faces):,} triangles",
+        "meta": "mesh",
+        "vertexcolor": {"rgb": rgb(colors)},
         "flatshading": True,
         "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
         "hoverinfo": "skip",
-        **xyz(vertices),
-        **{key: typed(faces[:, i], "i4") for i, key in enumerate("ijk")},
+        **xyz(near(vertices, low, high)),
+        **{key: faces[:, i].astype(np.int32) for i, key in enumerate("ijk")},
     }
+
+
+def rgb(colors: ByteArray) -> ByteArray:
+    """Colours (N, 3), all reds before all greens before all blues."""
+    return np.asarray(colors, np.uint8).T.ravel()
 
 
 def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArray]:
@@ -168,33 +175,18 @@ def plotted_rows(edges: Edges3D | None, most: int) -> tuple[IntArray, IntArray]:
     return np.concatenate(parts).astype(np.int64), np.array(starts, np.int64)
 
 
-def edges_trace(edges: Edges3D, rows: IntArray, starts: IntArray) -> Trace:
-    """The 3D edges as one trace of lines; the page colours them."""
-    points = edges.points[rows] if len(rows) else np.zeros((0, 3))
+def edges_trace(edges: Edges3D, rows: IntArray, low: FloatArray, high: FloatArray) -> Trace:
+    """The 3D edges as one trace of lines; the page colours them and knows which is which."""
+    points = near(edges.points[rows], low, high)
     points[rows < 0] = np.nan
     return {
         "type": "scatter3d",
         "mode": "lines",
-        "legendgroup": "edges",
-        "showlegend": False,
-        "line": {"width": 3, "colorscale": "Viridis", "color": typed(np.zeros(len(rows)))},
-        "customdata": typed(np.repeat(np.arange(edges.num_edges), np.diff(starts)), "i4"),
-        "hovertemplate": "edge %{customdata}<extra></extra>",
+        "name": f"{edges.num_edges:,} 3D edges",
         "meta": "edges",
+        "line": {"width": 4, "colorscale": "Viridis"},
+        "hovertemplate": "edge %{customdata}<extra></extra>",
         **xyz(points),
-    }
-
-
-def edges_legend(edges: Edges3D) -> Trace:
-    """What stands for the edges in the legend, where lines of many colours would be black."""
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": f"edges ({edges.num_edges:,})",
-        "legendgroup": "edges",
-        "line": {"width": 3, "color": "#35b779"},
-        "hoverinfo": "skip",
-        **xyz(np.full((1, 3), np.nan)),
     }
 
 
@@ -207,45 +199,31 @@ def selection_trace() -> Trace:
         "line": {"width": 8, "color": "#ff00a8"},
         "marker": {"size": 2.5, "color": "#ff00a8"},
         "hoverinfo": "skip",
-        "showlegend": False,
         "meta": "chosen",
         **xyz(np.full((1, 3), np.nan)),
     }
 
 
-def layout(model: Model, edges: Edges3D | None, low: FloatArray, high: FloatArray) -> Trace:
-    """Box, first viewpoint and legend of the 3D figure."""
-    scale = float((high - low).max())
-    subject = edges.points if edges is not None and edges.num_points else model.points3D_xyz
-    subject = subject if len(subject) else model.camera_centers
-    focus = np.median(subject, axis=0)
-    reach = np.percentile(np.linalg.norm(subject - focus, axis=1), 90)
-    outward = model.camera_centers.mean(axis=0) - focus
-    outward /= max(float(np.linalg.norm(outward)), 1e-12)
-    up = up_direction(model)
-    center = (focus - (low + high) / 2) / scale
-    eye = center + outward * max(2.6 * float(reach) / scale, 0.05)
+def layout(contents: Contents, low: FloatArray, high: FloatArray) -> Trace:
+    """Box and first viewpoint of the 3D figure; layers and colours have controls of the page."""
+    scale, middle = float((high - low).max()), (low + high) / 2
+    view = viewpoint(contents, ASPECT)
+    camera = {
+        "center": vector((view.focus - middle) / scale),
+        "eye": vector((view.eye - middle) / scale),
+        "up": vector(view.up),
+    }
     axes = {f"{a}axis": {**HIDDEN_AXIS, "range": [low[i], high[i]]} for i, a in enumerate("xyz")}
+    aspect = {"aspectmode": "manual", "aspectratio": vector((high - low) / scale)}
     return {
-        "scene": {
-            **axes,
-            "aspectmode": "manual",
-            "aspectratio": vector((high - low) / scale),
-            "camera": {"center": vector(center), "eye": vector(eye), "up": vector(up)},
-            "dragmode": "orbit",
-        },
-        "legend": {"orientation": "h", "y": 1.0, "itemsizing": "constant"},
+        "scene": {**axes, **aspect, "camera": camera, "dragmode": "orbit"},
+        "showlegend": False,
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "paper_bgcolor": "#101418",
         "font": {"color": "#e8e8e8"},
         "uirevision": "kept",
+        "meta": {"aspect": 0.0 if view.is_inside else ASPECT},
     }
-
-
-def up_direction(model: Model) -> FloatArray:
-    """(3,) direction in the world that is upwards in the images on average."""
-    up: FloatArray = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
-    return up
 
 
 def vector(values: Any) -> dict[str, float]:

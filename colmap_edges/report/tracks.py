@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import edge_lengths
-from colmap_edges.report.contents import Trace, typed
+from colmap_edges.report.contents import Trace
 
 MAX_REPROJECTIONS = 300_000
-FULL = 65535  # of 16 bits: the width or height of an image
+FULL = 4096  # parts of an image's width or height: a quarter of a pixel of its picture
 
 
 def edge_of_observation(edges: Edges3D) -> IntArray:
@@ -53,16 +53,22 @@ def edge_data(
     pixels, chosen = reprojections(model, edges, pictured)
     place = np.full(len(model.views), -1, np.int64)
     place[list(pictured)] = np.arange(len(pictured))
-    owners = edge_of_observation(edges)[chosen]
+    owners, pictures = edge_of_observation(edges)[chosen], place[edges.observations.views[chosen]]
+    order = np.lexsort((chosen, pictures, owners))  # near one another what differs little
     return {
-        "length": typed(edge_lengths(edges)),
-        "views": typed(views_per_edge(edges, len(model.views)), "i4"),
-        "residual": typed(residual_per_edge(edges, residuals)),
-        "points": typed(np.diff(edges.edge_offsets), "i4"),
-        "track_offsets": typed(offsets_of(np.bincount(owners, minlength=edges.num_edges)), "i4"),
-        "track_pictures": typed(place[edges.observations.views[chosen]], "u2"),
-        "track_pixels": typed(pixels, "u2"),
+        "length": edge_lengths(edges).astype(np.float32),
+        "views": int32(views_per_edge(edges, len(model.views))),
+        "residual": residual_per_edge(edges, residuals).astype(np.float32),
+        "points": int32(np.diff(edges.edge_offsets)),
+        "track_offsets": int32(offsets_of(np.bincount(owners, minlength=edges.num_edges))),
+        "track_pictures": pictures[order].astype(np.uint16),
+        **{f"track_{axis}": pixels[order, i] for i, axis in enumerate("xy")},
     }
+
+
+def int32(values: IntArray) -> Int32Array:
+    """Whole numbers of 32 bits."""
+    return values.astype(np.int32)
 
 
 def reprojections(
@@ -71,7 +77,7 @@ def reprojections(
     """Where pictured views see their edge points.
 
     Returns:
-        (K, 2) pixels as parts of width and height, 65535 being all, and (K,) the observations
+        (K, 2) pixels as parts of width and height, `FULL` being all, and (K,) the observations
         they belong to, thinned evenly to `MAX_REPROJECTIONS`.
     """
     owners = edges.observations.points

@@ -33,7 +33,7 @@ from colmap_edges.runtime.input_files import read_bytes
 logger = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
-LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap", "networkx")
+LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap")
 DIGEST_BYTES = hashlib.sha256().digest_size
 UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # age from which no living run writes to an unfinished file

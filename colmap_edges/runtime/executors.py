@@ -1,4 +1,4 @@
-"""Who does the work on single images and single views: threads here, or a cluster's workers.
+"""Executors of the work on images and views: local threads or a dask cluster.
 
 Work is handed over as calls of plain functions (`concurrent.futures`), a task an image or a view
 with its neighbours, so that stages do not know where they run.

@@ -1,4 +1,4 @@
-"""Files of the user, opened so that no pipe, device or folder in their place makes a run wait."""
+"""Opens the user's files; refuses pipes, devices and folders, which could block a run."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from colmap_edges.errors import NotAFileError
+from colmap_edges.runtime.platform import open_plain
 
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -29,7 +30,7 @@ def open_file(path: Path) -> BinaryIO:
         OSError: when it cannot be opened.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        descriptor = open_plain(path, os.O_RDONLY, follow=True)
     except OSError as error:
         if error.errno == errno.ENXIO:  # what opening a socket comes to
             raise not_a_file(path, "a socket") from error

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-from typing import Any
+from colmap_edges.runtime.platform import c_function
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # malloc.h
 KEPT_BYTES = 1 << 29
@@ -29,8 +28,3 @@ def return_freed_memory() -> None:
     trim = c_function("malloc_trim")
     if trim is not None:
         trim(0)
-
-
-def c_function(name: str) -> Any:
-    """A function of the C library; None where it has none of that name."""
-    return getattr(ctypes.CDLL(None), name, None)

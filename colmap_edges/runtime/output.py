@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import re
@@ -14,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime import platform
 from colmap_edges.runtime.ownership import (
     OUTPUT,
     Kind,
@@ -140,8 +140,9 @@ def work_folder(output: Path, kind: Kind) -> Iterator[Path]:
             settle(other, output, kind)
         yield work
     finally:
+        lock = released_to_remove(lock)
         settle(work, output, kind)
-        os.close(lock)
+        released(lock)
 
 
 def make_work_folder(output: Path) -> tuple[Path, int]:
@@ -151,11 +152,11 @@ def make_work_folder(output: Path) -> tuple[Path, int]:
         work = output.with_name(f".{output.name}.colmap-edges-{token}")
         work.mkdir()
         try:
-            lock = os.open(work / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+            lock = platform.make_own(work / LOCK)
         except FileNotFoundError:
             continue  # another run took it for one that a killed run left
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            platform.lock(lock)
             os.write(lock, lock_text(token))
         except OSError:
             os.close(lock)
@@ -193,27 +194,45 @@ def abandoned(output: Path, own: Path) -> Iterator[Path]:
         work = output.with_name(entry.name)
         if not found or work == own or not entry.is_dir(follow_symlinks=False):
             continue
-        if entry.stat(follow_symlinks=False).st_uid != os.geteuid():
+        if not platform.is_own(entry.stat(follow_symlinks=False)):
             continue
         try:
-            lock = os.open(work / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            lock = platform.open_plain(work / LOCK, os.O_RDWR, follow=False)
         except OSError:
             with suppress(OSError):
                 work.rmdir()  # killed before there was anything in it
             continue
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            platform.try_lock(lock)
             text = os.read(lock, 100)
             if text == lock_text(found[1]):
+                lock = released_to_remove(lock)
                 yield work
             elif not text:
+                lock = released_to_remove(lock)
                 remove_empty(work)
         except BlockingIOError:
             raise ColmapEdgesError(
                 f"another run is writing to {output}; wait for it or choose another folder"
             ) from None
         finally:
-            os.close(lock)
+            released(lock)
+
+
+def released_to_remove(lock: int) -> int:
+    """Close a lock before its file is removed, where open files cannot be; -1 if it is closed.
+
+    A run that begins then may take the folder for abandoned too; of two that remove it one is
+    faster, and the other does not mind.
+    """
+    return lock if platform.removes_open_files() else released(lock)
+
+
+def released(lock: int) -> int:
+    """Close a lock that may be closed already, -1."""
+    if lock >= 0:
+        os.close(lock)
+    return -1
 
 
 def settle(work: Path, output: Path, kind: Kind) -> None:

@@ -1,4 +1,4 @@
-"""Which files of an output folder this program wrote: no others are ever deleted."""
+"""Records which files of an output folder this program wrote; it never deletes others."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.platform import open_plain
 
 REPORT_NAME = "report.json"
 PROGRAM = "colmap-edges"
@@ -98,7 +99,7 @@ def read_record(path: Path) -> Any:
         ValueError: when it is none.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        descriptor = open_plain(path, os.O_RDONLY, follow=False)
         with os.fdopen(descriptor, "rb") as file:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise ValueError("no file")

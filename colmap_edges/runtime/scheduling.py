@@ -1,4 +1,4 @@
-"""In which order views are worked on: near one another in time what is near in space.
+"""Orders the views so that few edge graphs have to be in memory at once.
 
 Which views are in memory at once decides how often graphs that wait on disk are read again. The
 order changes nothing else: a view waits for those whose edges it must not trace once more.

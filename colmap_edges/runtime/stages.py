@@ -1,17 +1,16 @@
-"""What each stage of a run did: counts, seconds, peak memory, progress."""
+"""Records counts, seconds and peak memory of each stage, and shows progress."""
 
 from __future__ import annotations
 
 import math
-import resource
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Lock
 from typing import Any
+
+from colmap_edges.runtime.platform import peak_memory_mb, reset_peak_memory
 
 # Called with the stage's name, the steps done and the steps in all.
 Progress = Callable[[str, int, int], None]
@@ -85,25 +84,6 @@ class Stages:
     def records(self) -> list[dict[str, Any]]:
         """Records of the finished stages."""
         return [stage.record() for stage in self.finished]
-
-
-def reset_peak_memory() -> None:
-    """Let the kernel count this process's peak memory anew, where it can."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return
-
-
-def peak_memory_mb() -> float:
-    """Peak resident memory in megabytes since the last reset (or the start)."""
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        unit = 1e6 if sys.platform == "darwin" else 1e3
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
-    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))
-    return int(kilobytes) / 1e3
 
 
 def plain_counts(stats: Mapping[str, Any]) -> dict[str, Any]:

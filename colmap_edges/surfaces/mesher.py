@@ -1,4 +1,4 @@
-"""Points and the cameras that see them -> triangle mesh: Python face of the CGAL extension."""
+"""Meshes points and the rays to their cameras; the Python side of the CGAL extension."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
-from colmap_edges.surfaces.silhouettes import Background, SeenPoints
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
 
 if TYPE_CHECKING:
@@ -80,8 +80,12 @@ def mesh_with_curves(
     options: MeshingOptions,
     num_threads: int,
     background: Background | None = None,
+    faces: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, of curves and of silhouettes; vertices hold indices in that order."""
+    """Mesh points of a model, of curves, of faces and of silhouettes.
+
+    Vertices hold indices in that order.
+    """
     seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
     seen += [
         SeenPoints(each.points, each.observations.offsets, each.observations.views)
@@ -93,6 +97,7 @@ def mesh_with_curves(
         joined_offsets([each.edge_offsets for each in curves]),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
+    seen.append(faces)
     if background and options.background_weight:
         seen.append(background.silhouettes)
     return mesh_points(

@@ -1,4 +1,4 @@
-"""Points of smooth bodies, which have no edges: where lines of sight touch their visual hull.
+"""Points on smooth bodies without edges, where viewing rays touch the visual hull.
 
 Before a background every view sees the silhouette of a body. The line of sight through a pixel of
 it touches the body within the stretch that no view sees before the background; where that is short,
@@ -72,7 +72,7 @@ NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.i
 
 @dataclass(frozen=True)
 class Background:
-    """What the sight of the background says of what stands before it.
+    """Free space and silhouette points that follow from the visible background.
 
     Attributes:
         rays: lines of sight that meet nothing.

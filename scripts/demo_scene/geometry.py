@@ -36,11 +36,15 @@ class Curves:
     kind: NDArray[np.int32]
 
 
-def unite(bodies: list[Body]) -> Surface:
-    """Return the outer surface of all bodies together, each face with its body."""
+def unite(bodies: list[Body], longest: float | None = None) -> Surface:
+    """Return the outer surface of all bodies together, each face with its body.
+
+    With `longest` the triangles are cut so that their sides are about that long at most.
+    """
     solids = [body.solid.as_original() for body in bodies]
     body_of = {solid.original_id(): index for index, solid in enumerate(solids)}
-    mesh = Manifold.batch_boolean(solids, OpType.Add).to_mesh64()
+    united = Manifold.batch_boolean(solids, OpType.Add)
+    mesh = (united if longest is None else united.refine_to_length(longest)).to_mesh64()
     faces = np.asarray(mesh.tri_verts, np.int32)
     run = np.searchsorted(np.asarray(mesh.run_index), 3 * np.arange(len(faces)), side="right") - 1
     face_body = np.array([body_of[i] for i in mesh.run_original_id], np.int32)[run]

@@ -11,6 +11,7 @@ import time
 from dataclasses import asdict, fields
 
 import pytest
+from forked import call_forked
 
 import colmap_edges
 from colmap_edges.options import PipelineOptions, preset
@@ -26,11 +27,10 @@ def start(*args, **kwargs):
 
 
 def call(*args, code=0):
-    process = start(*args)
-    output, errors = process.communicate(timeout=300)
-    assert process.returncode == code, output + errors
-    assert "Traceback" not in errors
-    return output + errors
+    done = call_forked(map(str, args))
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
 
 
 @pytest.fixture
@@ -172,6 +172,7 @@ def test_usage_errors_exit_2(flags, tmp_path, args, message):
         (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
         (["--output_type", "PLY"], "'PLY' is none of BIN, TXT"),
         (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
+        (["--use_faces", "1", "--use_edges", "0"], "--use_faces is 1 and --use_edges 0"),
         (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
         (["--scheduler", "tcp://localhost:1"], "a --scheduler needs --cache_path"),
     ],
@@ -309,9 +310,9 @@ def test_help_fits_on_two_screens_and_full_help_has_all():
 
 
 def test_help_comes_at_once():
-    call("--help")  # compiles what was not yet
+    start("--help").communicate()  # compiles what was not yet
     started = time.perf_counter()
-    call("--help")
+    assert "reconstruct" in start("--help").communicate()[0]
     assert time.perf_counter() - started < 0.5
 
 
@@ -353,4 +354,6 @@ def test_flags_go_before_the_preset(flags, tmp_path):
     expected = asdict(preset("low"))
     expected["chain_depth"]["sample_step_points"] = 9
     assert report["options"] == expected
+    later = report["settings"].pop("later_rounds")
+    assert later["tracing"] == {"min_agreeing_views": 1}
     assert report["settings"] == expected  # the preset upsamples nothing

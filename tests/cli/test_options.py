@@ -145,7 +145,8 @@ def test_the_paper_is_one_word():
     assert (paper.edge_graph.max_gap_points, paper.matching.min_similarity) == (0, 0)
     meshing = paper.meshing
     assert meshing.method == "manifold"
-    assert (meshing.vote_crossed, meshing.vote_near, meshing.vote_far) == (1, 0.2, 0)
+    assert (meshing.vote_crossed, meshing.vote_near, meshing.vote_far) == (1, 0, 0)
+    assert (meshing.vote_behind, meshing.vote_threshold) == (0, 2.1)
     assert chosen_preset("chains", None) == chosen_preset(None, "medium") == PipelineOptions()
     with pytest.raises(OptionError, match="leave it out with --method paper"):
         chosen_preset("paper", "low")

@@ -70,16 +70,13 @@ def test_edges_do_not_depend_on_what_is_held():
         np.testing.assert_array_equal(value, arrays[name])
 
 
-def test_what_is_released_waits_on_disk():
-    graphs = graphs_of_views()
-    store = Graphs.of(graphs)
-    store.release(3)
-    store.release(3)
-    assert store.num_kept == len(graphs) - 1
-    assert len(list(store.backend.folder.iterdir())) == 1
-    assert store.num_bytes == sum(graph_bytes(graph) for graph in store.kept.values())
-    assert same(store.load(3), graphs[3])
-    assert store.num_kept == len(graphs)
+def test_what_is_released_is_gone_from_memory_and_disk():
+    store = Graphs.of(graphs_of_views(), 1.0)
+    folder = store.backend.folder
+    assert len(list(folder.iterdir())) == len(VIEWS) - 1
+    store.release()
+    assert (store.num_kept, store.num_bytes) == (0, 0)
+    assert not folder.exists()
 
 
 def test_what_is_kept_is_not_made_again():

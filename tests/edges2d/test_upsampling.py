@@ -14,7 +14,7 @@ from colmap_edges.edges2d.detection import detect_chains
 from colmap_edges.edges2d.upsampling import measure_blur, upsampled
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import gray_of, read_image
-from colmap_edges.options import DetectionOptions, PipelineOptions, resolved
+from colmap_edges.options import DetectionOptions, PipelineOptions, recorded, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.reconstruct import reconstruct
@@ -214,4 +214,7 @@ def test_a_report_has_options_as_given_and_settings_as_used(scene_paths, tmp_pat
     run("detect", paths, options)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["options"] == asdict(options)
-    assert report["settings"] == asdict(resolved(options, 1.5)) != report["options"]
+    assert report["settings"] == recorded(resolved(options, 1.5)) != report["options"]
+    later = report["settings"]["later_rounds"]
+    assert later["tracing"] == {"min_agreeing_views": options.tracing.min_agreeing_views - 1}
+    assert later["chain_depth"]["min_log_likelihood_ratio"] == 1

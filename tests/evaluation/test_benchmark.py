@@ -142,7 +142,8 @@ def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeyp
         folder.mkdir(parents=True, exist_ok=True)
         size = 2.0 if method == "SfM" else 1.0
         errors = {name: size for name in ("mae", "rmse", "sigma", "median", "p90")}
-        return {"faces": 7, "points": {"count": 3} | errors, "mesh": errors | {"coverage": 0.9}}
+        mesh = errors | {"coverage": 0.9, "right_1_percent": 0.7}
+        return {"faces": 7, "points": {"count": 3} | errors, "mesh": mesh}
 
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     listed = [fake_scene(tmp_path, name) for name in "abc"]
@@ -157,6 +158,10 @@ def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeyp
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == again
     table = (tmp_path / "out" / "evaluation.md").read_text()
     assert "| **average variation** | edges |  | -50.0 % |" in table
+    rows = [line.split(" | ") for line in table.splitlines()]
+    heads = next(row for row in rows if row[0] == "| scene")
+    shares = dict(zip(heads, next(row for row in rows if row[0].startswith("| a (")), strict=True))
+    assert [shares[f"right at {share} %"] for share in ("0.5", "1", "2")] == ["-", "0.7", "-"]
     assert "- b, SfM: broken scan" in table
 
 

@@ -8,6 +8,7 @@ import trimesh
 from project import run_script
 
 from colmap_edges.colmap.model import load_model
+from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.metrics import curves, depth, edges, visible_curves
 from colmap_edges.evaluation.metrics.observations import select_points
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
@@ -91,11 +92,41 @@ def test_coverage_counts_only_what_the_reference_knows(model_path):
     np.testing.assert_allclose(result.errors[30:, 40:], 2, atol=1e-5)
 
 
+def test_holes_are_wrong_pixels(model_path):
+    """Half of the pixels are answered, half of those 0.8 % and half 1.5 % of their depth off."""
+    view = load_model(model_path).views[2]
+    half = trimesh.Trimesh(
+        [(0, -80, 0), (80, -80, 0), (80, 80, 0), (0, 80, 0)], [(0, 1, 2), (0, 2, 3)]
+    )
+    truth = np.full((60, 80), 100 / 1.008, dtype=np.float32)
+    truth[:30] = 100 / 1.015
+    truth[20:40] = 0  # unknown: in no share
+    reference = depth.ReferenceDepth(view=view, depth=truth, scale=1.0)
+    result = depth.depth_errors(RayCaster(half.vertices, half.faces), reference)
+    shares = {"coverage": 0.5, "right_0_5_percent": 0.0, "right_1_percent": 0.25}
+    shares["right_2_percent"] = 0.5
+    record = result.record()
+    assert {name: record[name] for name in shares} == shares
+    pooled = depth.pool([result, result])
+    assert pooled == record | {"count": 2 * record["count"]}
+    nothing = depth.pool([])
+    assert nothing["count"] == 0
+    assert all(np.isnan(nothing[name]) for name in shares)
+
+
 def test_mesh_without_reference_is_compared_at_observations(model_path, tmp_path):
     plane(-2.0).export(tmp_path / "mesh.ply")
     record = scene.evaluate_mesh(tmp_path / "mesh.ply", model_path)
     assert record["points_depth"]["absolute"]["bias"] == pytest.approx(-2.0, abs=1e-5)
     assert record["points_depth"]["relative"]["mae"] == pytest.approx(0.02, abs=1e-6)
+    plane(-1.5).export(tmp_path / "mesh.ply")
+    record = scene.evaluate_mesh(tmp_path / "mesh.ply", model_path)["points_depth"]
+    for kind in record.values():  # both ask for the error relative to the depth
+        shares = [kind["right_1_percent"], kind["right_2_percent"], kind["coverage"]]
+        assert shares == [0, 1, 1]
+    row = next(row for row in tables.mesh_tables({"faces": 2, "points_depth": record}).splitlines()
+               if row.startswith("| absolute"))  # fmt: skip
+    assert row.endswith("| 1 | 0 | 0 | 1 |")
 
 
 def test_window_takes_the_nearer_side_of_a_depth_step(model_path):

@@ -1,7 +1,6 @@
 import json
 from dataclasses import replace
 
-import ezdxf
 import numpy as np
 import pymeshlab
 import pytest
@@ -10,14 +9,9 @@ import trimesh
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.export.edges import (
-    edge_lengths,
-    write_dxf,
-    write_glb,
-    write_json,
-    write_obj,
-    write_ply,
-)
+from colmap_edges.edges3d.curves.fitting import fit_curves
+from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
+from colmap_edges.export.glb import write_glb
 
 
 @pytest.fixture
@@ -56,8 +50,6 @@ def test_no_edges_at_all(tmp_path):
     write_ply(none, tmp_path / "edges.ply")
     write_obj(none, tmp_path / "edges.obj")
     write_glb(none, tmp_path / "edges.glb")
-    write_dxf(none, tmp_path / "edges.dxf")
-    assert len(ezdxf.readfile(tmp_path / "edges.dxf").modelspace()) == 0
     assert b"element edge 0" in (tmp_path / "edges.ply").read_bytes()
 
 
@@ -81,31 +73,37 @@ def test_obj_names_every_polyline(square_and_line, tmp_path):
     np.testing.assert_array_equal(vertices, square_and_line.points)
 
 
-def read_glb_lines(path):
-    """Positions (S, 2, 3) and colours (S, 2, 4) of a binary glTF with one mesh of lines."""
+def read_glb_strips(path):
+    """Positions (n, 3) and colours (n, 4) of each strip of a binary glTF with one mesh."""
     data = path.read_bytes()
-    assert data[:4] == b"glTF"
+    assert data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") == len(data)
     json_end = 20 + int.from_bytes(data[12:16], "little")
     document = json.loads(data[20:json_end])
-    (primitive,) = document["meshes"][0]["primitives"]
-    assert primitive["mode"] == 1  # pairs of vertices are lines
-    arrays = []
-    for name, kind, columns in (("POSITION", "<f4", 3), ("COLOR_0", "u1", 4)):
-        accessor = document["accessors"][primitive["attributes"][name]]
-        start = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
-        count = columns * accessor["count"]
-        array = np.frombuffer(data, kind, count, json_end + 8 + start)
-        arrays.append(array.reshape(-1, 2, columns))
-    return arrays
+
+    def array(accessor, kind, columns):
+        accessor = document["accessors"][accessor]
+        view = document["bufferViews"][accessor["bufferView"]]
+        start = view["byteOffset"] + accessor.get("byteOffset", 0)
+        found = np.frombuffer(data, kind, columns * accessor["count"], json_end + 8 + start)
+        return found.reshape(-1, columns)
+
+    strips = []
+    for primitive in document["meshes"][0]["primitives"]:
+        assert primitive["mode"] == 3  # each vertex goes on from the one before
+        rows = array(primitive["indices"], "<u4", 1)[:, 0]
+        points = array(primitive["attributes"]["POSITION"], "<f4", 3)
+        assert document["accessors"][0]["min"] == points.min(axis=0).tolist()
+        strips.append((points[rows], array(primitive["attributes"]["COLOR_0"], "u1", 4)[rows]))
+    return strips
 
 
-def test_glb_has_every_segment_and_colours(square_and_line, tmp_path):
+def test_glb_has_a_strip_an_edge_and_colours(square_and_line, tmp_path):
     write_glb(square_and_line, tmp_path / "edges.glb")
-    lines, rgba = read_glb_lines(tmp_path / "edges.glb")
-    np.testing.assert_array_equal(lines, square_and_line.points[square_and_line.segments])
-    assert rgba[:, 0].tolist() == 4 * [[200, 100, 50, 255]] + 2 * [[9, 9, 9, 255]]
-    scene = trimesh.load(tmp_path / "edges.glb")
-    np.testing.assert_allclose(scene.bounds, [[0, 0, 0], [2, 3, 3]])
+    (square, red), (line, dark) = read_glb_strips(tmp_path / "edges.glb")
+    np.testing.assert_array_equal(square, square_and_line.points[[0, 1, 2, 3, 0]])
+    np.testing.assert_array_equal(line, square_and_line.points[4:])
+    assert red.tolist() == 5 * [[200, 100, 50, 255]] and dark.tolist() == 3 * [[9, 9, 9, 255]]
+    trimesh.load(tmp_path / "edges.glb")  # has no strips, but reads the file
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-9, 0.0), (1e7, 0.0), (1.0, 4.5e6)])
@@ -116,28 +114,13 @@ def test_text_keeps_points_at_any_scale(square_and_line, tmp_path, scale, offset
     lines = (tmp_path / "edges.obj").read_text().splitlines()
     vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
     np.testing.assert_allclose(vertices, points, rtol=1e-11, atol=0)
-    write_dxf(edges, tmp_path / "edges.dxf")
-    document = ezdxf.readfile(tmp_path / "edges.dxf")
-    polylines = document.modelspace().query("POLYLINE")
-    found = np.array([tuple(point) for polyline in polylines for point in polyline.points()])
-    np.testing.assert_allclose(found, points, rtol=1e-11, atol=0)
-
-
-def test_dxf_has_a_3d_polyline_an_edge(square_and_line, tmp_path):
-    write_dxf(square_and_line, tmp_path / "edges.dxf")
-    document = ezdxf.readfile(tmp_path / "edges.dxf")
-    square, line = document.modelspace().query("POLYLINE")
-    assert not document.audit().errors
-    assert square.is_3d_polyline and square.is_closed and not line.is_closed
-    for polyline, rows in ((square, slice(0, 4)), (line, slice(4, 7))):
-        found = np.array([tuple(point) for point in polyline.points()])
-        np.testing.assert_allclose(found, square_and_line.points[rows])
 
 
 def test_json_says_what_each_edge_is(scene_model, scene_edges, tmp_path):
     ids = 1000 + np.arange(scene_edges.num_points)
     residuals = observation_residuals(scene_model, scene_edges)
-    write_json(scene_edges, scene_model, ids, residuals, tmp_path / "edges.json")
+    curves = fit_curves(scene_edges)
+    write_json(scene_edges, curves, scene_model, ids, residuals, tmp_path / "edges.json")
     records = json.loads((tmp_path / "edges.json").read_text())["edges"]
     assert [r["id"] for r in records] == list(range(scene_edges.num_edges))
     assert [i for r in records for i in r["point3D_ids"]] == ids.tolist()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import call_forked
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.report.rerun_viewer import check_recording_path
@@ -30,10 +31,8 @@ def command(small, output, *flags):
     return [os.fspath(word) for word in run]
 
 
-def call(small, output, *flags, **how):
-    return subprocess.run(
-        command(small, output, *flags), capture_output=True, text=True, timeout=120, **how
-    )
+def call(small, output, *flags):
+    return call_forked(command(small, output, *flags)[3:])
 
 
 def check_refused(done, *words):

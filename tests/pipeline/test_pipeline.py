@@ -328,13 +328,26 @@ def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
 
 
+def test_faces_are_meshed_and_written_when_asked_for(scene_paths, meshed, tmp_path):
+    options = PipelineOptions(use_faces=True, num_threads=2)
+    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    counts = report["stages"][-2]["counts"]
+    assert counts["planar_faces"] > 0
+    told = json.loads((tmp_path / "out" / "faces.json").read_text())["faces"]
+    assert len(told) == counts["planar_faces"]
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert not (meshed[0] / "faces.json").exists()
+
+
 def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_paths):
     count = scene.reconstruction.num_points3D()
     result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
     assert scene.reconstruction.num_points3D() == count
-    assert result.reconstruction.num_points3D() == count + len(result.point3D_ids)
+    assert result.reconstruction.num_points3D() == count + len(set(result.point3D_ids.tolist()))
     written = load_model(meshed[0] / "sparse")
-    np.testing.assert_allclose(written.points3D_xyz[count:], result.edges.points, rtol=1e-14)
+    distinct, places = result.edges.distinct()
+    np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
+    np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
     assert [stage["name"] for stage in result.stages] == ["detect", "trace"]
     mesh = colmap_edges.mesh(scene.reconstruction, result.edges)

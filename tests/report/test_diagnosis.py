@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 
 from colmap_edges.options import EdgeGraphOptions, MeshingOptions, PipelineOptions, TracingOptions
@@ -53,6 +55,11 @@ def test_nothing_to_say_when_all_went_well(options, details):
             {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
             "no edge was detected in any of 10 images where masks do not hide it",
             "look at the masks",
+        ),
+        (
+            {"detect": {"images_without_edges": 10, "edge_pixels": 0, "edge_images": 10}},
+            "no edge came of the edge images of 10 images",
+            "leave out --edge_path",
         ),
         (
             {"detect": {"images_masked": 9}, "edges": 0},
@@ -220,10 +227,17 @@ def test_flags_that_are_named_exist():
 
 def test_funnel_gives_shares_of_like_counts():
     steps = {step.name: step for step in funnel(stages(), PipelineOptions())}
-    assert steps["samples with a depth that views agree on"].share == pytest.approx(0.7)
-    assert steps["points observed in enough views"].share == pytest.approx(0.75)
+    assert steps["with a depth that views agree on"].share == pytest.approx(0.7)
+    assert steps["observed in enough views"].share == pytest.approx(0.75)
     assert steps["2D edge pixels"].share is None
     assert steps["3D edges"].count == 40
+
+
+def test_shares_are_of_steps_with_the_same_unit():
+    steps = funnel(stages(), PipelineOptions())
+    for before, step in itertools.pairwise(steps):
+        assert step.share is None or step.unit == before.unit
+    assert len({step.unit for step in steps}) == 4
 
 
 def test_no_funnel_without_tracing():

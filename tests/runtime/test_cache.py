@@ -308,7 +308,7 @@ def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_outp
 def test_the_report_says_what_was_reused(small, tmp_path):
     for _ in range(2):
         done = subprocess.run(
-            command(small, tmp_path / "out", tmp_path / "cache"),
+            [*command(small, tmp_path / "out", tmp_path / "cache"), "--verbose"],
             capture_output=True,
             text=True,
             check=True,

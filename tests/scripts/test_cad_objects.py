@@ -13,6 +13,7 @@ pytest.importorskip("manifold3d", reason="the objects are made with manifold3d")
 
 from cad_objects.shading import CREASE, FOCAL, SIZE, brightness, make_model
 from cad_objects.solids import OBJECTS
+from cad_objects.true_curves import ARC, CIRCLE, ELLIPSE, LINE, curves_by_kind
 from make_cad_objects import mesh_of, sharp_curves
 from project import run_script
 from scipy.spatial import cKDTree
@@ -20,6 +21,25 @@ from scipy.spatial import cKDTree
 
 def lengths_of(points, edges):
     return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+
+
+def test_curves_are_told_by_kind_and_radius():
+    points, edges = sharp_curves(mesh_of("plate"))
+    curves, kinds, radii = curves_by_kind(points, edges)
+    assert curves.min() == 0 and curves.max() + 1 == len(kinds) == len(radii)
+    holes = kinds == CIRCLE
+    assert holes.sum() == 2 * 12 and set(kinds.tolist()) == {LINE, CIRCLE}
+    np.testing.assert_allclose(radii[holes], 0.04, rtol=1e-6)
+    assert np.isnan(radii[~holes]).all()
+    points, edges = sharp_curves(mesh_of("tray"))
+    _, kinds, radii = curves_by_kind(points, edges)
+    assert (kinds == LINE).sum() == 16 and (kinds == CIRCLE).sum() == 4
+    rounded = np.round(radii[kinds == ARC, 0], 2)
+    assert sorted(set(rounded.tolist())) == [0.04, 0.1]
+    points, edges = sharp_curves(trimesh.creation.cylinder(radius=1, height=1, sections=96))
+    slanted = points * (1, 2, 1)
+    assert curves_by_kind(slanted, edges)[1].tolist() == [ELLIPSE, ELLIPSE]
+    np.testing.assert_allclose(curves_by_kind(slanted, edges)[2], [[2, 1], [2, 1]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
@@ -76,6 +96,7 @@ def test_objects_are_written_small(tmp_path):
     mesh = trimesh.load(folder / "surface.ply", process=False)
     with np.load(folder / "curves.npz") as curves:
         points, edges = curves["points"], curves["edges"]
+        assert len(curves["curves"]) == len(edges) and curves["curves"].max() < len(curves["kinds"])
     assert len(model.images) == 3 and len(edges) > 10
     for image in model.images.values():
         picture = cv2.imread(str(folder / "images" / image.name), cv2.IMREAD_GRAYSCALE)

@@ -108,6 +108,7 @@ def test_meshes_are_compared_with_the_true_surface(small, tmp_path):
     lines = run_script("compare_demo.py", demo, output).stdout.splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:4]]
     heads = ["depth error in all views", "mae", "rmse", "median", "p90", "coverage"]
+    heads += [f"right {share} percent" for share in ("0 5", "1", "2")]
     assert rows[0] == heads
     assert [row[0] for row in rows[2:]] == ["without edges", "with edges"]
     without, with_edges = ([float(cell) for cell in row[1:]] for row in rows[2:])

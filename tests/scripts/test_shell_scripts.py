@@ -20,8 +20,8 @@ else:
 
 
 NAMES = (
-    *("build", "demo", "memcheck", "reproduce_results", "sanitize", "setup", "soak", "test"),
-    "test_lower_bounds",
+    *("build", "build_wheels", "demo", "fetch_cgal", "memcheck", "reproduce_results", "sanitize"),
+    *("setup", "soak", "test", "test_lower_bounds"),
 )
 # A path from the project's folder on, not the rest of a longer one as in "$build/package/...".
 NAMED = re.compile(r"(?<![\w$/}\"])(?:\.ci|colmap_edges|docs|meshing|scripts|tests)/[\w./-]+")
@@ -108,3 +108,19 @@ def test_reproduce_results_tells_its_arguments():
     done = run_script("reproduce_results", code=2)
     assert "scripts/reproduce_results DATA OUT [PYTHON]" in done.stderr
     assert "#" not in done.stderr
+
+
+def test_fetch_cgal_tells_its_argument():
+    done = run_script("fetch_cgal", code=2)
+    assert done.stderr == "give the folder: scripts/fetch_cgal FOLDER\n"
+
+
+def test_build_wheels_needs_a_python(tmp_path):
+    done = subprocess.run(
+        ["bash", SCRIPTS / "build_wheels", tmp_path / "none", tmp_path / "dist"],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode != 0
+    assert "none" in done.stderr
+    assert list((tmp_path / "dist").iterdir()) == []

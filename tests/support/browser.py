@@ -116,6 +116,22 @@ class Browser:
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
+    def resize(self, width, height=900):
+        """Give the window another size, and let the page lay itself out."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        frames = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        self.evaluate(frames + ".then(() => 1)")
+
+    def press(self, key):
+        """Press a key and let it go."""
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    def pdf(self):
+        """The page as it is printed, without backgrounds, as browsers do unless told otherwise."""
+        return base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"])
+
     def complaints(self):
         """Errors of scripts, of the console and of what was loaded."""
         found = []

@@ -85,6 +85,7 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
         chain = np.column_stack([np.interp(wanted, arc, ideal[:, k]) for k in range(2)])
         chains.append(chain)
     ideal = np.concatenate([np.zeros((0, 2)), *chains])
+    normals = np.concatenate([np.zeros((0, 2)), *(left_of(chain) for chain in chains)])
     if noise_px:
         ideal = ideal + rng.normal(scale=noise_px, size=ideal.shape)
     return bare_graph(
@@ -92,8 +93,14 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
         [len(chain) for chain in chains],
         [curve.closed for curve in curves],
         ideal=ideal,
-        normals=np.tile([1.0, 0.0], (len(ideal), 1)),
+        normals=normals,
     )
+
+
+def left_of(chain):
+    """(N, 2) unit normals to the left of a chain: its curve is bright on that side in all views."""
+    tangents = np.gradient(chain, axis=0)
+    return tangents[:, ::-1] * (-1, 1) / np.linalg.norm(tangents, axis=1, keepdims=True)
 
 
 def distances_to_curves(points, curves):

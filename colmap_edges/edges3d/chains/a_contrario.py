@@ -1,4 +1,4 @@
-"""Which curves more views observe than chance would make (a contrario).
+"""A-contrario test: the probability that accidental observations explain a curve.
 
 Where edges are dense, any 3D curve projects near some chain of many views. How often is measured
 where the curve is not: the same curve moved in depth tells how likely a view observes it by chance.
@@ -17,7 +17,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import RefinementOptions
 
 DISPLACEMENT_PX = 12.0  # beyond the edge itself, within its surroundings
-CLOSE_PX = 0.75  # of a projection to the chain that observes it, to count as evidence
+CLOSE_SIGMAS = 2.5  # of a chain's noise, within which its observations count as evidence
 PRIOR_TRIALS = 20  # with one hit: what is known of chance before it is measured
 MIN_LOG = -12.0  # one point alone is not trusted further
 
@@ -32,7 +32,7 @@ def chance_of_observations(
     options: RefinementOptions,
     num_threads: int,
 ) -> FloatArray:
-    """(N,) log10 of the chance that as many views observe a point of a curve.
+    """(N,) log10 of the probability that as many views observe a point by accident.
 
     Args:
         reference: the view on whose chains the curves are.
@@ -41,16 +41,17 @@ def chance_of_observations(
         displacements: (N,) change of inverse depth that moves the point one pixel in the views.
         views: the K views.
         edge_indexes: their chains.
-        options: how near and how parallel an observation is.
+        options: the noise across chains, and how parallel an observation is.
         num_threads: threads to use.
     """
     ids, count = curves.curve_ids, len(curves.offsets) - 1
+    close_px = CLOSE_SIGMAS * options.noise_px
     visible = count_in_image(lift(reference, curves.ideal, curves.inverse_depths), views)
-    observed = np.sum(np.abs(residuals) <= CLOSE_PX, axis=1)
+    observed = np.sum(np.abs(residuals) <= close_px, axis=1)
     signs = np.where(ids % 2 == 0, 1, -1)
     moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
     positions = associate(
-        reference, moved, edge_indexes, CLOSE_PX, options.max_tangent_angle_deg, num_threads
+        reference, moved, edge_indexes, close_px, options.max_tangent_angle_deg, num_threads
     )
     seen = np.isfinite(drop_lone(positions, curves.offsets)).sum(axis=1)
     hits = np.bincount(ids, weights=seen, minlength=count)

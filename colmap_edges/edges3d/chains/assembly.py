@@ -12,10 +12,12 @@ from colmap_edges.core.edges3d import Edges3D, TracedEdges, mean_colors
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
+from colmap_edges.edges3d.chains.merging import merge_traced
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
+from colmap_edges.edges3d.linking.nodes import meet_at_nodes
 from colmap_edges.options import PipelineOptions
 
 
@@ -41,12 +43,15 @@ def link(
         goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    pieces, contours = make_edges(given, kept.edges), make_edges(given, kept.contours)
+    once, merged = merge_traced(given, kept, options, num_threads)
+    pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
     edges = meet_at_corners(linked(pieces), given, options, num_threads)
-    return TracedEdges(edges=edges, contours=linked(contours)), {
+    edges = meet_at_nodes(edges, given, options, num_threads)
+    return TracedEdges(edges=edges, contours=linked(contours)), merged | {
         "pieces": pieces.num_edges,
         "edges_closed": int(edges.closed.sum()),
-        "nodes": int(edges.end_nodes.max(initial=-1)) + 1,
+        "nodes": len(edges.nodes.points),
+        "junctions": int((edges.nodes.through_points >= 0).sum()),
     }
 
 

@@ -1,4 +1,4 @@
-"""Which stretches of chains edges run through, and what remains for later rounds.
+"""Marks the stretches of chains that have a 3D edge; later rounds use the rest.
 
 Among the few chains that remain less agreement tells a depth.
 """
@@ -27,7 +27,7 @@ def nothing_covered(offsets: ByView[IntArray]) -> list[BoolArray]:
 
 
 def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> TracingInput:
-    """What a later round looks at: the stretches of chains that no edge runs through.
+    """The input of a later round: the stretches of chains without a 3D edge.
 
     Contours take nothing: moving over a body they cross chains of edges beside it.
     """

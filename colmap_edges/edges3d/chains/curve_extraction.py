@@ -1,4 +1,4 @@
-"""Samples with sure depths -> runs -> curves on the chains of one view (paper: following)."""
+"""Extracts curves from consecutive samples with confirmed depths (paper: following)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depths along chains checked against each other: what one view found, others must find too."""
+"""Cross-checks the depths along chains between views."""
 
 from __future__ import annotations
 

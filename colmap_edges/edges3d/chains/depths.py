@@ -146,7 +146,7 @@ def learn_side_likelihoods(
     random_seed: int,
     num_threads: int,
 ) -> SideLikelihoods:
-    """How the sides of one edge differ between views, and how those of different edges do.
+    """Learn how the side intensities of one edge, and of different edges, differ between views.
 
     Depths that geometry alone makes sure tell it, for a few samples of a few views.
 

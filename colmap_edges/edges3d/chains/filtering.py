@@ -1,4 +1,4 @@
-"""Traced curves of all views -> edges and contours; hidden, uncertain and chance ones dropped.
+"""Filters the traced curves of all views into edges and view-dependent contours.
 
 (paper: Visibility refinement and outliers filtering)
 """
@@ -17,7 +17,6 @@ from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
 TESTS_PER_CURVE = 30  # depths that a chain could have had
-MIN_RESIDUAL_PX = 0.22  # of the given images: real edges may scatter as much in clean scenes
 INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
 
 
@@ -48,7 +47,7 @@ class Traced:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a curve may have at most.
+    """The largest uncertainty, residual and chance that a curve may have.
 
     Attributes:
         uncertainty_px: a point's standard deviation along the reference view's ray, in pixels.
@@ -63,7 +62,7 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Sorted:
-    """What is kept of traced curves.
+    """The traced curves that are kept, edges and contours apart.
 
     Attributes:
         edges: pieces of every reference view's curves that lie still.
@@ -83,7 +82,7 @@ def sort_out(
     num_threads: int,
     limits: Limits | None = None,
 ) -> tuple[Sorted, dict[str, Any]]:
-    """Filter observations, points and pieces, tell edges from contours, and count.
+    """Filter observations, points and pieces, and separate edges from contours.
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.
@@ -96,7 +95,7 @@ def sort_out(
         The pieces that are kept, and counts of what was dropped by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
-    limits = limits or find_limits(traced, options, model.scale)
+    limits = limits or find_limits(traced, options)
     sure, stats = sure_points(traced, limits, options)
     kept, start = Sorted(edges=[], contours=[], limits=limits), 0
     for each in traced:
@@ -119,7 +118,7 @@ def sort_out(
 def without_hidden(
     model: Model, traced: list[Traced], options: TracingOptions, num_threads: int
 ) -> tuple[list[Traced], int]:
-    """The curves without observations of points that nearer ones hide, and how many those are."""
+    """The curves without observations of occluded points, and the number of these."""
     if not traced or options.occlusion_radius_px == 0:
         return traced, 0
     observed = ChainObservations.concatenated([t.observations for t in traced])
@@ -142,16 +141,11 @@ def without_hidden(
     return kept, int(hidden.sum())
 
 
-def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> Limits:
-    """What curves may have, by the medians of all points with observations enough.
+def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
+    """Compute the limits from the medians over all points with enough observations.
 
     The median of scatter is that of observations: many views observe edges, few the many places
     of contours, of which scenes of smooth bodies may have as many points.
-
-    Args:
-        traced: the curves of every reference.
-        options: ratios to the medians.
-        scale: how many times the images are enlarged.
     """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
@@ -160,7 +154,7 @@ def find_limits(traced: list[Traced], options: TracingOptions, scale: float) -> 
     typical = median_of(np.repeat(scatter[sure], spare[sure]))
     return Limits(
         uncertainty_px=uncertainty_px,
-        residual_px=max(scale * MIN_RESIDUAL_PX, options.max_residual_ratio * typical),
+        residual_px=max(options.min_residual_px, options.max_residual_ratio * typical),
         log_chance=chance_limit(traced, options),
     )
 
@@ -248,6 +242,25 @@ def sort_pieces(
     return (
         chosen(traced, pieces, keep & (good & fixed)[pieces]),
         chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
+    )
+
+
+def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tuple[Traced, Traced]:
+    """Split what is left of pieces where points are observed too little.
+
+    The scatter of few points is known to one over the square root of their number of itself.
+
+    Returns:
+        The pieces that are edges, and those that scatter around any fixed curve.
+    """
+    keep = traced.observations.counts >= options.min_observations
+    keep &= traced.uncertainties <= limits.uncertainty_px
+    pieces, long = find_pieces(traced, keep, np.inf, options)
+    sizes = np.bincount(pieces)
+    fixed = scatter_of(traced, pieces) <= limits.residual_px * (1 + 1 / np.sqrt(sizes))
+    return (
+        chosen(traced, pieces, keep & (long & fixed)[pieces]),
+        chosen(traced, pieces, keep & (long & ~fixed)[pieces]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Which chains of other views observe curves, and the sums of their residuals."""
+"""Associates curves with the chains of other views, and sums the residuals."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Observations that cannot be: of points behind what their view sees around them.
+"""Rejects observations of occluded points.
 
-Where edges are dense, the projection of a hidden point lies near some chain, too, and is taken for
-an observation of it. The edges and SfM points that the view does see there tell: they are nearer.
+Where edges are dense, an occluded point also projects near some chain, which is taken for an
+observation of it. It is recognised by the edges and SfM points that the view sees there: they are
+nearer.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def find_hidden(
     radius_px: float,
     num_threads: int,
 ) -> BoolArray:
-    """(T,) which observations are of points that nearer ones hide.
+    """(T,) whether each observation is of an occluded point.
 
     Args:
         model: the views, and SfM points, which hide edge points as these hide each other.

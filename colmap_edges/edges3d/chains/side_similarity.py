@@ -1,4 +1,4 @@
-"""What the gray beside an edge says of whether two views see the same edge.
+"""Likelihood that two views see the same edge, from the intensities on its two sides.
 
 One side at least belongs to the body that the edge is on, and looks the same from elsewhere. How
 much sides differ between views nevertheless (exposure, gloss, moving lights), and how much they
@@ -22,7 +22,7 @@ PRIOR_COUNT = 20  # matches that differ as by chance, known of before any is see
 
 @dataclass(frozen=True, kw_only=True)
 class SideLikelihoods:
-    """How much likelier differences of sides are for one edge in two views than for two edges.
+    """Likelihood ratio of the differences of side intensities: one edge against two edges.
 
     Attributes:
         limit: gray levels; where both sides differ by more it is not one edge.
@@ -47,7 +47,7 @@ NOTHING_LEARNED = SideLikelihoods(limit=ANY_DIFFERENCE, ratios=np.ones((len(BINS
 
 
 def estimate(same: IntArray, chance: IntArray) -> SideLikelihoods:
-    """Learn from examples how sides differ.
+    """Learn the likelihood ratios from examples.
 
     Args:
         same: (N, 2) differences of the dark and of the bright sides of one edge in two views, in

@@ -18,7 +18,6 @@ from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import TracedEdges
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
-from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
 from colmap_edges.edges3d.chains.assembly import link
@@ -37,11 +36,17 @@ from colmap_edges.edges3d.chains.depths import (
     compute_chain_depths,
     learn_side_likelihoods,
 )
-from colmap_edges.edges3d.chains.filtering import Limits, Traced, lasting_points, sort_out
+from colmap_edges.edges3d.chains.filtering import (
+    Limits,
+    Sorted,
+    Traced,
+    lasting_points,
+    sort_out,
+)
 from colmap_edges.edges3d.chains.refinement import refine_curves
 from colmap_edges.edges3d.chains.tracing_input import NUM_KEPT, TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
-from colmap_edges.options import ChainDepthOptions, PipelineOptions
+from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
 from colmap_edges.runtime.scheduling import Schedule, local_order
 
@@ -72,18 +77,7 @@ def trace_edges(
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
-    traced, stats = trace_round(whole, near, options, None, workers, advance)
-    kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
-    whole = replace(whole, neighbors=near.later_neighbors)
-    for _ in range(1, options.tracing.num_rounds):
-        rest = what_remains(whole, kept, options.tracing)
-        # The surest curves, those of the first round, say what to ask of all.
-        limits = kept.limits if traced else None
-        later = for_what_remains(options)
-        found, more = trace_round(rest, near, later, limits, workers, advance)
-        traced += in_whole_graphs(rest, found)
-        stats = {name: stats[name] + more[name] for name in stats}
-        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
+    kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
     kept, repeated = without_repeats(whole, kept, options.tracing)
     result, linked = link(whole, kept, options, num_threads)
     about = {
@@ -91,7 +85,7 @@ def trace_edges(
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
         "max_side_difference": whole.sides.limit,
     }
-    return result, about | stats | sorted_stats | repeated | linked
+    return result, about | stats | repeated | linked
 
 
 def with_side_likelihoods(
@@ -102,6 +96,31 @@ def with_side_likelihoods(
         given, near.ranges, options.chain_depth, options.random_seed, num_threads
     )
     return replace(given, sides=learned)
+
+
+def trace_rounds(
+    model: Model,
+    whole: TracingInput,
+    near: Neighborhood,
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None],
+    workers: Workers,
+) -> tuple[Sorted, dict[str, Any]]:
+    """The filtered curves of all rounds, and counts; what rounds work with is not held longer."""
+    traced, stats = trace_round(whole, near, options, None, workers, advance)
+    kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    whole = replace(whole, neighbors=near.later_neighbors)
+    later = of_later_rounds(options)
+    for _ in range(1, options.tracing.num_rounds):
+        rest = what_remains(whole, kept, options.tracing)
+        # The surest curves, those of the first round, say what to ask of all.
+        limits = kept.limits if traced else None
+        found, more = trace_round(rest, near, later, limits, workers, advance)
+        traced += in_whole_graphs(rest, found)
+        stats = {name: stats[name] + more[name] for name in stats}
+        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
+    return kept, stats | sorted_stats
 
 
 def trace_round(
@@ -126,18 +145,6 @@ def trace_round(
     depths = [without_supports(found) for found in depths]
     traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
-
-
-def for_what_remains(options: PipelineOptions) -> PipelineOptions:
-    """Options of later rounds: where fewer chains are left, less agreement is enough."""
-    return replace(
-        options,
-        chain_depth=derived(
-            options.chain_depth,
-            min_log_likelihood_ratio=options.chain_depth.min_log_likelihood_ratio - 2,
-        ),
-        tracing=derived(options.tracing, min_agreeing_views=options.tracing.min_agreeing_views - 1),
-    )
 
 
 def find_depths(
@@ -178,7 +185,7 @@ def trace_views(
     """
     views = [given.views[view] for view in range(len(depths))]
     scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
-    order = np.argsort([-worth for worth in scores], kind="stable")
+    order = np.argsort([-score for score in scores], kind="stable")
     traced: dict[int, Traced] = {}
     covered = nothing_covered(given.polyline_offsets)
     in_runs = np.zeros(len(order), np.int64)

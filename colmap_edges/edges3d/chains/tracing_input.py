@@ -1,4 +1,4 @@
-"""What tracing looks at: views with their edge graphs, and who sees what."""
+"""The input of tracing: views, their edge graphs and indexes, and which views are compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which views look at the same part of the scene, and how deep each sees (paper: PEPC views)."""
+"""Selects the views to compare and the depth range of each (paper: PEPC views)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ends of edges that point at each other run on to where they meet: the corners of bodies.
+"""Extends edge ends to shared 3D corners.
 
 Blur rounds corners off and depths are known up to a few pixels before them, so that edges end a
 little before or behind the corner. Where lines through their ends meet, and views observe an edge
@@ -37,6 +37,7 @@ from colmap_edges.edges3d.linking.joining import (
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 FIT_POINTS = 8  # next to the last one that tell the line of an end
+BEND_RATIO = 2.0  # of squared residuals; by the F test of 8 points a bend is sure to 99 % here
 MIN_ANGLE_DEG = 20.0  # between lines; where nearly parallel ones meet is not known
 APART_RATIO = 1.5  # how far apart two ends are at most, in their longest ways to the corner
 MAX_MISS_SPACINGS = 0.5  # distance of an end's line to the corner
@@ -163,7 +164,27 @@ def fit_lines(edges: Edges3D) -> Lines:
     apart = points - centers[:, None]
     outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
     outward *= np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
+    off = apart - np.einsum("nki,ni->nk", apart, outward)[:, :, None] * outward[:, None]
+    at_tip, along, rest = parabolas(points)
+    # A line that leaves out twice what a parabola does is the chord of a bend.
+    bent = (np.abs(inner - tips) >= FIT_POINTS) & ((off**2).sum(axis=(1, 2)) > BEND_RATIO * rest)
+    centers[bent], outward[bent] = at_tip[bent], along[bent]
     return Lines(ends=ends, centers=centers, outward=outward)
+
+
+def parabolas(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The parabolas by steps through (n, K, 3) points one step and more from an end.
+
+    Returns:
+        (n, 3) where they are at the end, (n, 3) their unit directions out of it and (n,) the
+        squares of their residuals, summed up.
+    """
+    powers = np.vander(np.arange(1.0, points.shape[1] + 1), 3, increasing=True)
+    factors = np.einsum("ck,nki->nci", np.linalg.pinv(powers), points)
+    rest = ((points - np.einsum("kc,nci->nki", powers, factors)) ** 2).sum(axis=(1, 2))
+    outward = -factors[:, 1]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300
+    return factors[:, 0], outward, rest
 
 
 def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corners:
@@ -272,6 +293,12 @@ def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D
 
     Points past the corner or next to it are left out.
     """
+    order, lengths = order_to(edges, ends, met)
+    return longer.reordered(order, offsets_of(lengths), edges.closed, edges.end_nodes)
+
+
+def order_to(edges: Edges3D, ends: Ends, met: Corners) -> tuple[IntArray, IntArray]:
+    """The points of edges with M that follow them as some of their ends; (E,) points of each."""
     limits = MIN_GAP_SPACINGS * ends.spacings[met.members]
     skip = num_behind(edges, met.members, met.points, -ends.outward[met.members], limits)
     begins = edges.edge_offsets[:-1] + skip[::2]
@@ -283,5 +310,4 @@ def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D
     rank = np.concatenate([np.zeros(len(own)), np.where(met.members % 2 == 0, -1, 1)])
     points = np.concatenate([own, edges.num_points + np.arange(len(met.members))])
     order = np.lexsort((rank, owners))  # stable: points of an edge stay in their order
-    lengths = np.bincount(owners, minlength=edges.num_edges)
-    return longer.reordered(points[order], offsets_of(lengths), edges.closed, edges.end_nodes)
+    return points[order], np.bincount(owners, minlength=edges.num_edges)

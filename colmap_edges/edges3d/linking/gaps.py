@@ -1,4 +1,4 @@
-"""Gaps between two pieces of an edge: whether views observe that the edge goes on in them.
+"""Tests whether views observe an edge in the gap between two pieces.
 
 Without that, edges that end at corners would be joined to others that happen to lie on the same
 line, as the sides of windows in a row do.

@@ -74,11 +74,25 @@ def find_ends(edges: Edges3D) -> Ends:
     tips, inner = end_points(edges.edge_offsets, REACH)
     chords = edges.points[tips] - edges.points[inner]
     lengths = np.linalg.norm(chords, axis=1)
+    outward = end_directions(edges, tips, inner)
     return Ends(
         positions=edges.points[tips],
-        outward=chords / (lengths[:, None] + 1e-300),
+        outward=outward / (np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300),
         spacings=lengths / np.maximum(np.abs(tips - inner), 1),
     )
+
+
+def end_directions(edges: Edges3D, tips: IntArray, inner: IntArray) -> FloatArray:
+    """(2E, 3) directions out of the edges at their ends, of any length.
+
+    They are those of the parabolas through the last points: the chord of a small circle's piece
+    looks far aside of where it goes on. What is too short for a parabola gives its chord.
+    """
+    points, middle = edges.points, (tips + inner) // 2
+    curved = np.abs(tips - inner) == REACH
+    weights = np.where(curved[:, None], (3.0, -4.0, 1.0), (1.0, 0.0, -1.0))
+    parts = np.stack([points[tips], points[middle], points[inner]], axis=1)
+    return np.asarray(np.einsum("nk,nki->ni", weights, parts), np.float64)
 
 
 def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArray]:

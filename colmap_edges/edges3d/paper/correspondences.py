@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,6 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
-    entries_of,
-    offsets_of,
     ranks_of,
 )
 from colmap_edges.core.view import rows_by_view, views_with_rows
@@ -49,9 +47,43 @@ class Pepcs:
         return len(self.starts)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PepcSource:
+    """PEPCs that are made when their starts are tried, for most are on known edges by then.
+
+    Attributes:
+        starts: (S) places on chains.
+        find_candidates: of (n,) starts, by index, the candidates: (n + 1,) offsets, (C,) views and
+            positions.
+    """
+
+    starts: Places
+    find_candidates: Callable[[IntArray], tuple[IntArray, Int32Array, FloatArray]]
+
+    def __len__(self) -> int:
+        """Number of PEPCs."""
+        return len(self.starts)
+
+    def pepcs(self, rows: IntArray) -> Pepcs:
+        """The PEPCs of (n,) starts, by index."""
+        offsets, views, positions = self.find_candidates(rows)
+        candidates = Places(views=views, positions=positions)
+        return Pepcs(
+            starts=self.starts.select(rows), candidate_offsets=offsets, candidates=candidates
+        )
+
+    def shuffled(self, random_seed: int) -> PepcSource:
+        """The same PEPCs in random order, so that neighbours on an edge are not tried in a row."""
+        order = np.random.default_rng(random_seed).permutation(len(self))
+        return PepcSource(
+            starts=self.starts.select(order),
+            find_candidates=lambda rows: self.find_candidates(order[rows]),
+        )
+
+
 def pepcs_from_sfm_points(
     model: Model, chains: IndexedViews, options: CorrespondenceOptions, num_threads: int
-) -> Pepcs:
+) -> PepcSource:
     """PEPCs near SfM points.
 
     Around each SfM point lie two spheres. In every view that sees the point, the nearest place of
@@ -73,26 +105,24 @@ def pepcs_from_sfm_points(
     near = chains.find_near(
         model.track_views, project_tracks(model, point_ids), circles, num_threads
     )
-    offsets, *candidates = _kernels.candidates_in_spheres(
-        chains.indexes,
-        near.places.views,
-        near.places.positions,
-        point_ids[near.queries],
-        np.ascontiguousarray(model.points3D_xyz),
-        options.outer_radius_px * finest,
-        model.track_offsets,
-        model.track_views,
-        num_threads,
-    )
-    return make_pepcs(near.places, offsets, *candidates)
+    centers = np.ascontiguousarray(model.points3D_xyz)
+    radii, spheres = options.outer_radius_px * finest, point_ids[near.queries]
 
+    def find_candidates(rows: IntArray) -> tuple[IntArray, Int32Array, FloatArray]:
+        offsets, views, positions = _kernels.candidates_in_spheres(
+            chains.indexes,
+            near.places.views[rows],
+            near.places.positions[rows],
+            spheres[rows],
+            centers,
+            radii,
+            model.track_offsets,
+            model.track_views,
+            num_threads,
+        )
+        return offsets, views, positions
 
-def make_pepcs(
-    starts: Places, offsets: IntArray, views: Int32Array, positions: FloatArray
-) -> Pepcs:
-    """PEPCs of starts and the (S + 1,) offsets, (C,) views and positions of their candidates."""
-    candidates = Places(views=views, positions=positions)
-    return Pepcs(starts=starts, candidate_offsets=offsets, candidates=candidates)
+    return PepcSource(starts=near.places, find_candidates=find_candidates)
 
 
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
@@ -110,7 +140,7 @@ def pepcs_from_pecs(
     pecs: Int32Array,
     options: CorrespondenceOptions,
     num_threads: int,
-) -> Pepcs:
+) -> PepcSource:
     """PEPCs of matched polylines.
 
     Every polyline of a PEC is sampled at fixed intervals; the candidates of a sample are the
@@ -124,10 +154,15 @@ def pepcs_from_pecs(
         num_threads: threads to use; the result does not depend on it.
     """
     starts = sample_polylines(chains, pecs >= 0, options.sample_spacing_px)
-    candidates = _kernels.candidates_in_pecs(
-        chains.indexes, starts.views, starts.positions, pecs, depth_bounds(model), num_threads
-    )
-    return make_pepcs(starts, *candidates)
+    depths = depth_bounds(model)
+
+    def find_candidates(rows: IntArray) -> tuple[IntArray, Int32Array, FloatArray]:
+        offsets, views, positions = _kernels.candidates_in_pecs(
+            chains.indexes, starts.views[rows], starts.positions[rows], pecs, depths, num_threads
+        )
+        return offsets, views, positions
+
+    return PepcSource(starts=starts, find_candidates=find_candidates)
 
 
 def depth_bounds(model: Model) -> FloatArray:
@@ -178,23 +213,3 @@ def sample_graph(graph: EdgeGraph, wanted: BoolArray, spacing_px: float) -> Floa
     fractions = (places - arc[before]) / np.where(steps[before] > 0, steps[before], 1)
     positions: FloatArray = before + np.clip(fractions, 0, NEAREST_TO_NEXT)
     return positions
-
-
-def join_pepcs(parts: Sequence[Pepcs]) -> Pepcs:
-    """The PEPCs of several strategies, one after the other."""
-    counts = np.concatenate([np.diff(part.candidate_offsets) for part in parts])
-    return Pepcs(
-        starts=join_places([part.starts for part in parts]),
-        candidate_offsets=offsets_of(counts),
-        candidates=join_places([part.candidates for part in parts]),
-    )
-
-
-def shuffle_pepcs(pepcs: Pepcs, random_seed: int) -> Pepcs:
-    """The same PEPCs in random order, so that neighbours on an edge are not tried in a row."""
-    order = np.random.default_rng(random_seed).permutation(len(pepcs))
-    return Pepcs(
-        starts=pepcs.starts.select(order),
-        candidate_offsets=offsets_of(np.diff(pepcs.candidate_offsets)[order]),
-        candidates=pepcs.candidates.select(entries_of(pepcs.candidate_offsets, order)),
-    )

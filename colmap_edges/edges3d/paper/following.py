@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from colmap_edges.core.arrays import owners_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    joined_offsets,
+    owners_of,
+)
 from colmap_edges.core.edges3d import Edges3D, mean_colors
-from colmap_edges.edges3d.paper.correspondences import Pepcs
+from colmap_edges.edges3d.paper.correspondences import Pepcs, PepcSource
 from colmap_edges.edges3d.paper.observations import observations_at
 from colmap_edges.edges3d.paper.places import IndexedViews, Places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -23,21 +33,65 @@ OUTCOMES = (
 )
 
 
+BATCH = 16384  # starts whose candidates are held at a time; only memory and time depend on it
+
+
 def follow_edges(
-    chains: IndexedViews, pepcs: Pepcs, options: FollowingOptions, num_threads: int
+    chains: IndexedViews, sources: Sequence[PepcSource], options: FollowingOptions, num_threads: int
 ) -> tuple[Edges3D, dict[str, int]]:
     """Turn PEPCs into 3D edges.
 
-    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried: valid
-    is one that triangulates and can be followed. A PEPC with exactly one valid selection (those
-    that are one 3D point count as one) is extended to further views and followed both ways in all
-    its views at once. Starts on stretches that an earlier 3D edge covers are skipped.
+    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried, those
+    first that candidates of most other views agree with: valid is one that triangulates and can be
+    followed. A PEPC with exactly one valid selection (those that are one 3D point count as one, and
+    those do not count that two views fewer agree with) is extended to further views and followed
+    both ways in all its views at once. Starts on stretches that an earlier 3D edge covers are
+    skipped.
 
     Returns:
         3D edges with points about `step_px` apart, and the number of starts by outcome.
     """
-    points, edge_offsets, closed, track_offsets, views, positions, outcomes = _kernels.trace_edges(
+    covered = _kernels.CoveredChains(chains.indexes)
+    found, counts = [], np.zeros(len(OUTCOMES), np.int64)
+    for source in sources:
+        for first in range(0, len(source), BATCH):
+            rows = np.arange(first, min(first + BATCH, len(source)))
+            starts = source.starts.select(rows)
+            fresh = rows[covered.covers(starts.views, starts.positions) == 0]
+            *edges, outcomes = follow_pepcs(
+                chains, source.pepcs(fresh), covered, options, num_threads
+            )
+            found.append(FollowedEdges(*edges))
+            counts += np.bincount(outcomes, minlength=len(OUTCOMES))
+            counts[OUTCOMES.index("on_covered_stretch")] += len(rows) - len(fresh)
+    return edges_of(found, chains), dict(zip(OUTCOMES, counts.tolist(), strict=True))
+
+
+class FollowedEdges(NamedTuple):
+    """What the kernel gives: points, their edges and their tracks of places on chains."""
+
+    points: FloatArray  # (N, 3)
+    edge_offsets: IntArray  # (E + 1,)
+    closed: ByteArray  # (E,)
+    track_offsets: IntArray  # (N + 1,)
+    views: Int32Array  # (T,)
+    positions: FloatArray  # (T,)
+
+
+def follow_pepcs(
+    chains: IndexedViews,
+    pepcs: Pepcs,
+    covered: Any,
+    options: FollowingOptions,
+    num_threads: int,
+) -> tuple[Any, ...]:
+    """The arrays of `FollowedEdges` of PEPCs, and (S,) the outcome of each start.
+
+    `covered` is the kernel's record of covered chains, which has the new edges from then on.
+    """
+    found: tuple[Any, ...] = _kernels.trace_edges(
         chains.indexes,
+        covered,
         pepcs.starts.views,
         pepcs.starts.positions,
         pepcs.candidate_offsets,
@@ -51,19 +105,30 @@ def follow_edges(
         options.max_stretch,
         MIN_SELECTION_VIEWS,
         options.min_steps,
-        options.max_view_triples,
+        options.max_selections,
         num_threads,
     )
-    places = Places(views=views, positions=positions)
+    return found
+
+
+def edges_of(parts: Sequence[FollowedEdges], chains: IndexedViews) -> Edges3D:
+    """The edges of all parts, with what their views observe."""
+    if not parts:
+        return Edges3D.none()
+    points = np.concatenate([part.points for part in parts])
+    closed = np.concatenate([part.closed for part in parts]).astype(bool)
+    track_offsets = joined_offsets([part.track_offsets for part in parts])
+    places = Places(
+        views=np.concatenate([part.views for part in parts]),
+        positions=np.concatenate([part.positions for part in parts]),
+    )
     observed = observations_at(owners_of(track_offsets), places, chains)
-    edges = Edges3D(
+    return Edges3D(
         points=points,
-        edge_offsets=edge_offsets,
-        closed=closed.astype(bool),
+        edge_offsets=joined_offsets([part.edge_offsets for part in parts]),
+        closed=closed,
         observations=observed.by_point(len(points)),
         sigmas=np.full(len(points), np.nan),
         end_nodes=np.full((len(closed), 2), -1, np.int32),
         colors=mean_colors(observed.colors, track_offsets),
     )
-    counts = np.bincount(outcomes, minlength=len(OUTCOMES))
-    return edges, dict(zip(OUTCOMES, counts.tolist(), strict=True))

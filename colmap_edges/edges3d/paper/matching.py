@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import networkx
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -12,6 +11,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, owners_of
 from colmap_edges.core.view import views_with_rows
 from colmap_edges.edges3d.paper.places import IndexedViews
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import MatchingOptions
 
 
@@ -118,17 +118,15 @@ def similarity_graph(
 
 def find_pecs(graph: SimilarityGraph, resolution: float, random_seed: int) -> Int32Array:
     """(P,) int32 Louvain community (Blondel et al. 2008) of each polyline, -1 for lone ones."""
-    network = networkx.Graph()
-    network.add_nodes_from(np.unique(graph.links).tolist())
-    network.add_weighted_edges_from(
-        (a, b, weight)
-        for (a, b), weight in zip(graph.links.tolist(), graph.similarities.tolist(), strict=True)
+    communities = _kernels.louvain_communities(
+        graph.num_polylines,
+        np.ascontiguousarray(graph.links[:, 0], np.int32),
+        np.ascontiguousarray(graph.links[:, 1], np.int32),
+        graph.similarities,
+        resolution,
+        random_seed,
     )
-    communities = networkx.community.louvain_communities(
-        network, resolution=resolution, seed=random_seed
-    )
-    labels = np.full(graph.num_polylines, -1, np.int32)
-    members = sorted(sorted(community) for community in communities if len(community) > 1)
-    for label, community in enumerate(members):
-        labels[community] = label
+    matched = np.bincount(communities, minlength=1) > 1
+    numbers = np.where(matched, np.cumsum(matched) - 1, -1).astype(np.int32)
+    labels: Int32Array = numbers[communities]
     return labels

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of, ranks_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranks_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.paper.observations import (
     ObservedPoints,
@@ -32,8 +32,8 @@ def sample_edges(
     """Sample 3D edges finely to edge points, each with its own track.
 
     Between two edge points samples are spread evenly; the views that see both see the samples. A
-    sample is observed at the nearest place of the view's polylines, and triangulated from that,
-    so it follows the curve and not the chord. Samples left with fewer than three views or a
+    sample is observed at the nearest place of the polyline that both lie on, and triangulated from
+    that, so it follows the curve and not the chord. Samples left with fewer than three views or a
     larger error are left out; the edge points given stay.
     """
     segment_starts, segment_ends, counts = subdivisions(edges, chains, options.spacing_px)
@@ -80,34 +80,26 @@ def observe_samples(
     max_distance_px: float,
     num_threads: int,
 ) -> ObservedPoints:
-    """Nearest places to samples ((N,) segments, (N, 3) points) in the views of both their ends."""
-    num_views = len(chains.views)
-    seen = np.zeros((edges.num_points, num_views), bool)
-    seen[edges.observations.points, edges.observations.views] = True
-    both = seen[starts] & seen[ends]
+    """Nearest places to samples ((N,) segments, (N, 3) points) on the polylines of both ends."""
     points, places = [np.zeros(0, np.int64)], []
-    for index, view in enumerate(chains.views):
-        rows = np.flatnonzero(both[samples, index])
+    for index, of_view in edges.observations.by_view():
+        polylines = np.full(edges.num_points, -1, np.int64)
+        polylines[edges.observations.points[of_view]] = edges.observations.chains[of_view]
+        shared = np.where(polylines[starts] == polylines[ends], polylines[starts], -1)[samples]
+        rows = np.flatnonzero(shared >= 0)
         near = chains.find_near(
             np.full(len(rows), index, np.int32),
-            view.project_ideal(chords[rows])[0],
+            chains.views[index].project_ideal(chords[rows])[0],
             np.full(len(rows), max_distance_px),
             num_threads,
         )
-        nearest = nearest_rows(near.offsets, near.distances)
-        points.append(rows[np.diff(near.offsets) > 0])
-        places.append(near.places.select(nearest))
+        wanted = chains.polyline_offsets[index] + shared[rows][near.queries]
+        chosen = np.flatnonzero(near.polylines == wanted)
+        points.append(rows[near.queries[chosen]])
+        places.append(near.places.select(chosen))
     found, joined = np.concatenate(points), join_places(places)
     order = np.lexsort((joined.views, found))
     return observations_at(found[order], joined.select(order), chains)
-
-
-def nearest_rows(offsets: IntArray, distances: FloatArray) -> IntArray:
-    """Row of the smallest distance of each query that has any; the first among equals."""
-    queries = owners_of(offsets)
-    order = np.lexsort((distances, queries))
-    first: IntArray = order[offsets[:-1][np.diff(offsets) > 0]]
-    return first
 
 
 def insert_points(

@@ -11,17 +11,19 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.paper.correspondences import (
-    Pepcs,
-    join_pepcs,
+    PepcSource,
     pepcs_from_pecs,
     pepcs_from_sfm_points,
-    shuffle_pepcs,
 )
 from colmap_edges.edges3d.paper.following import follow_edges
 from colmap_edges.edges3d.paper.matching import match_polylines
 from colmap_edges.edges3d.paper.places import IndexedViews, index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
-from colmap_edges.edges3d.paper.visibility import expand_visibility, filter_outliers
+from colmap_edges.edges3d.paper.visibility import (
+    drop_doubtful_views,
+    expand_visibility,
+    filter_outliers,
+)
 from colmap_edges.options import PipelineOptions
 
 logger = logging.getLogger(__name__)
@@ -45,10 +47,13 @@ def trace_edges_paper(
     """
     whole = [graphs.load(view) for view in range(len(model.views))]
     chains = index_views(model.views, whole)
-    pepcs, stats = generate_pepcs(model, chains, options, num_threads)
-    edges, stats["starts"] = follow_edges(chains, pepcs, options.following, num_threads)
+    sources, stats = pepc_sources(model, chains, options, num_threads)
+    edges, stats["starts"] = follow_edges(chains, sources, options.following, num_threads)
     stats["followed"] = {"edges": edges.num_edges, "points": edges.num_points}
     edges, stats["visibility"] = expand_visibility(edges, chains, options.visibility, num_threads)
+    edges, stats["doubtful_views"] = drop_doubtful_views(
+        edges, chains, options.visibility, num_threads
+    )
     edges, stats["outliers"] = filter_outliers(edges, options.visibility)
     edges = sample_edges(
         edges, chains, options.sampling, options.following.max_error_px, num_threads
@@ -58,15 +63,15 @@ def trace_edges_paper(
     return TracedEdges(edges=edges, contours=Edges3D.none()), stats
 
 
-def generate_pepcs(
+def pepc_sources(
     model: Model, chains: IndexedViews, options: PipelineOptions, num_threads: int
-) -> tuple[Pepcs, dict[str, Any]]:
+) -> tuple[list[PepcSource], dict[str, Any]]:
     """PEPCs of the chosen strategies, those from SfM points first, each in random order."""
     seed, strategy = options.random_seed, options.correspondence.strategy
-    parts, stats = [], {}
+    sources, stats = [], {}
     if strategy in ("sfm_points", "both"):
         found = pepcs_from_sfm_points(model, chains, options.correspondence, num_threads)
-        parts.append(shuffle_pepcs(found, seed))
+        sources.append(found.shuffled(seed))
         stats["pepcs_from_sfm_points"] = len(found)
     if strategy in ("pecs", "both"):
         pecs = match_polylines(model, chains, options.matching, seed, num_threads)
@@ -74,6 +79,6 @@ def generate_pepcs(
         stats["matched_polylines"] = int(np.count_nonzero(pecs >= 0))
         stats["pecs"] = int(pecs.max(initial=-1)) + 1
         found = pepcs_from_pecs(model, chains, pecs, options.correspondence, num_threads)
-        parts.append(shuffle_pepcs(found, seed))
+        sources.append(found.shuffled(seed))
         stats["pepcs_from_pecs"] = len(found)
-    return join_pepcs(parts), {"pepcs": stats}
+    return sources, {"pepcs": stats}

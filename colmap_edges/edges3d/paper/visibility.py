@@ -8,6 +8,8 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import rows_by_view
+from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.paper.observations import (
     ObservedPoints,
     edge_neighbours,
@@ -23,6 +25,10 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
+MIN_POINT_VIEWS = 3  # of an edge point; fewer give no evidence (paper: PEPC-selection)
+MIN_VIEW_POINTS = 3  # of an edge that a view observes: a point and both its neighbours
+MIN_VIEW_SHARE = 1 / 3  # of an edge's points that a view observes; set by trial
+
 
 def expand_visibility(
     edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
@@ -30,9 +36,10 @@ def expand_visibility(
     """Add observations of edge points in views where they were not found so far.
 
     A point gains the nearest place of a polyline when that is the only polyline within d_v of its
-    projection, runs along the projected edge, is also the one its neighbours on the 3D edge come
-    to lie on, and all observations together still triangulate within the error. Points are
-    triangulated anew from all their observations.
+    projection, runs along the projected edge with its bright side where the point's other views
+    have it, is also the one its neighbours on the 3D edge come to lie on, and all observations
+    together still triangulate within the error. Points are triangulated anew from all their
+    observations.
 
     Returns:
         The edges with longer tracks, and counts of candidates and of those added.
@@ -61,6 +68,7 @@ def further_observations(
     """Places on single near polylines that agree in direction and with the neighbours."""
     tangents = edge_tangents(edges)
     neighbours = edge_neighbours(edges)
+    sides = sides_of_points(edges, tangents, observed, chains)
     found, places = [np.zeros(0, np.int64)], []
     for index in range(len(chains.views)):
         seen = np.zeros(edges.num_points, bool)
@@ -70,7 +78,9 @@ def further_observations(
         points, of_points = near_in_view(
             edges.points, tangents, neighbours, index, chains, options, num_threads
         )
+        along = projected_directions(edges.points[points], tangents[points], chains.views[index])
         fresh = ~seen[points]
+        fresh &= bright_sides(along, of_points.positions, chains.graph(index)) == sides[points]
         found.append(points[fresh])
         places.append(of_points.select(fresh))
     return observations_at(np.concatenate(found), join_places(places), chains)
@@ -83,6 +93,29 @@ def edge_tangents(edges: Edges3D) -> FloatArray:
     start, end = np.where(before >= 0, before, index), np.where(after >= 0, after, index)
     tangents: FloatArray = edges.points[end] - edges.points[start]
     return tangents
+
+
+def bright_sides(directions: FloatArray, positions: FloatArray, graph: EdgeGraph) -> IntArray:
+    """(N,) +1 where the graph's chain at (N,) positions is bright to the left of (N, 2) directions.
+
+    Left is a quarter turn from x towards y; -1 where it is bright to the right.
+    """
+    normals = graph.normals[positions.astype(np.int64)]
+    turns = directions[:, 0] * normals[:, 1] - directions[:, 1] * normals[:, 0]
+    return np.where(turns >= 0, 1, -1)
+
+
+def sides_of_points(
+    edges: Edges3D, tangents: FloatArray, observed: ObservedPoints, chains: IndexedViews
+) -> IntArray:
+    """(N,) the bright side of each point's 3D edge as most of its views see it, 0 for a tie."""
+    votes = np.zeros(edges.num_points, np.int64)
+    for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
+        points = observed.points[rows]
+        along = projected_directions(edges.points[points], tangents[points], chains.views[index])
+        np.add.at(votes, points, bright_sides(along, observed.positions[rows], chains.graph(index)))
+    sides: IntArray = np.sign(votes)
+    return sides
 
 
 def near_in_view(
@@ -199,19 +232,86 @@ def min_inlier_views(view_counts: IntArray, min_views: int) -> float:
 
 
 def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D, dict[str, float]]:
-    """Drop what too few views see: stretches of 3D edges whose points have fewer than k_v.
+    """Drop 3D edges that too few views see, whole: whose points have fewer than k_v in the median.
 
-    An edge is cut where points fall out; single points left over are dropped too.
+    Points that fewer than three views observe are left out, and an edge is cut there.
     """
     views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
-    kept = keep_points(edges, views >= threshold)
+    seen = medians_of_edges(views, edges) >= threshold
+    kept = keep_points(edges, seen[edges.edge_ids] & (views >= MIN_POINT_VIEWS))
     return kept, {
         "min_views": threshold,
         "points_before": edges.num_points,
         "points_after": kept.num_points,
         "edges_before": edges.num_edges,
         "edges_after": kept.num_edges,
+    }
+
+
+def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
+    """(E,) median over the points of each edge of (N,) values; 0 for edges without points."""
+    order = np.lexsort((values, edges.edge_ids))
+    counts = np.diff(edges.edge_offsets)
+    low = edges.edge_offsets[:-1] + np.maximum(counts - 1, 0) // 2
+    high = edges.edge_offsets[:-1] + counts // 2
+    medians = np.zeros(edges.num_edges)
+    filled = counts > 0
+    of_both = values[order[low[filled]]] + values[order[high[filled]]]
+    medians[filled] = of_both / 2
+    return medians
+
+
+def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> FloatArray:
+    """(num_groups,) root mean square of the (T,) errors of each group; 0 of empty ones."""
+    counts = np.bincount(groups, minlength=num_groups)
+    sums = np.bincount(groups, weights=errors**2, minlength=num_groups)
+    rms: FloatArray = np.sqrt(sums / np.maximum(counts, 1))
+    return rms
+
+
+def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
+    """(T,) distances in pixels of points from their observations, across the chains; NaN behind.
+
+    How far a point lies from its observation along a chain says nothing.
+    """
+    observed = edges.observations
+    errors = np.full(len(observed.views), np.nan)
+    for index, rows in observed.by_view():
+        view, points = chains.views[index], edges.points[observed.points[rows]]
+        offsets = view.project_ideal(points)[0] - view.ideal_from_image(observed.pixels[rows])
+        errors[rows] = np.einsum("ij,ij->i", offsets, observed.normals[rows])
+    return errors
+
+
+def drop_doubtful_views(
+    edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
+) -> tuple[Edges3D, dict[str, int]]:
+    """Leave out the views of a 3D edge that see it by chance, as those do that it is hidden from.
+
+    Chains that cross its projection there are near it for a short stretch and do not follow it: a
+    view stays that observes three points of an edge and a third of them, within a root mean square
+    error of `max_rms_ratio` of the tolerance. Points are triangulated anew from those that stay.
+    """
+    observed = edges.observations
+    ids = edges.edge_ids[observed.points]
+    pairs, inverse = np.unique(ids * len(chains.views) + observed.views, return_inverse=True)
+    counts = np.bincount(inverse, minlength=len(pairs))
+    lengths = np.diff(edges.edge_offsets)[pairs // len(chains.views)]
+    rms = rms_of_groups(errors_across(edges, chains), inverse, len(pairs))
+    sure = rms <= options.max_rms_ratio * options.max_error_px
+    sure &= counts >= np.minimum(MIN_VIEW_POINTS, lengths)
+    sure &= counts >= MIN_VIEW_SHARE * lengths
+    kept = replace(edges, observations=observed.keep(sure[inverse]))
+    anew, _ = triangulate_observations(
+        observations_of(kept, chains), kept.num_points, chains, num_threads
+    )
+    known = (kept.observations.counts >= MIN_POINT_VIEWS) & np.isfinite(anew).all(axis=1)
+    kept = replace(kept, points=np.where(known[:, None], anew, kept.points))
+    return kept, {
+        "views_of_edges": len(pairs),
+        "views_of_edges_kept": int(np.count_nonzero(sure)),
+        "observations_kept": len(kept.observations.views),
     }
 
 

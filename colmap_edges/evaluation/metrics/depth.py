@@ -13,7 +13,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import Float32Array, FloatArray
+from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
@@ -21,6 +21,8 @@ from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summariz
 from colmap_edges.evaluation.readers.arrays import read_arrays
 
 logger = logging.getLogger(__name__)
+
+RIGHT_WITHIN = {"right_0_5_percent": 0.005, "right_1_percent": 0.01, "right_2_percent": 0.02}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +59,18 @@ class DepthErrors:
     reference: Float32Array
     coverage: float
 
+    @property
+    def known(self) -> BoolArray:
+        """Which pixels (H, W) have a reference depth."""
+        return (self.reference > 0) & np.isfinite(self.reference)
+
     def statistics(self) -> ErrorStatistics:
         """Statistics of the known errors."""
         return summarize(self.errors[np.isfinite(self.errors)])
+
+    def record(self) -> dict[str, float]:
+        """Statistics of the known errors and shares of the reference's pixels; see `pool`."""
+        return pool([self])
 
 
 def measured_pixels(reference: ReferenceDepth) -> FloatArray:
@@ -190,12 +201,39 @@ def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
     )
 
 
-def pool(results: Sequence[DepthErrors]) -> tuple[ErrorStatistics, float]:
-    """Statistics and coverage over all pixels of all views together."""
-    errors = [result.errors[np.isfinite(result.errors)] for result in results]
-    known = sum(int(np.count_nonzero(result.reference > 0)) for result in results)
-    statistics = summarize(np.concatenate(errors) if errors else np.empty(0))
-    return statistics, statistics.count / known if known else float("nan")
+def pool(results: Sequence[DepthErrors]) -> dict[str, float]:
+    """Statistics of the errors and `pixel_shares`, over all pixels of all views together."""
+    if not results:
+        return _summary(np.empty(0), np.empty(0))
+    return _summary(
+        np.concatenate([result.errors[result.known] for result in results]),
+        np.concatenate([result.reference[result.known] for result in results]),
+    )
+
+
+def _summary(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
+    return asdict(summarize(errors[np.isfinite(errors)])) | pixel_shares(errors, depths)
+
+
+def pixel_shares(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
+    """What share of all pixels the mesh answers, and at what share it is right.
+
+    A pixel without an answer is wrong, so that errors and coverage cannot be traded for each other.
+
+    Args:
+        errors: (N,) mesh - reference along the optical axis, NaN where the mesh is not hit.
+        depths: (N,) depths of the reference, in the unit of `errors`.
+
+    Returns:
+        `coverage`, and by the names of `RIGHT_WITHIN` the shares of pixels at which the mesh lies
+        within that share of the pixel's own depth; all NaN without a pixel.
+    """
+    names = ("coverage", *RIGHT_WITHIN)
+    if not len(errors):
+        return dict.fromkeys(names, float("nan"))
+    relative = np.where(np.isfinite(errors), np.abs(errors), np.inf) / depths
+    right = [float(np.mean(relative <= limit)) for limit in RIGHT_WITHIN.values()]
+    return dict(zip(names, [float(np.isfinite(errors).mean()), *right], strict=True))
 
 
 def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArray, FloatArray]:
@@ -220,8 +258,8 @@ def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, d
     """Statistics of `observation_depth_errors`, absolute and relative to the points' depths."""
     errors, depths = observation_depth_errors(caster, model)
     known = np.isfinite(errors)
-    coverage = {"coverage": float(known.mean())}
+    shares = pixel_shares(errors, depths)
     return {
-        "absolute": asdict(summarize(errors[known])) | coverage,
-        "relative": asdict(summarize(errors[known] / depths[known])) | coverage,
+        "absolute": asdict(summarize(errors[known])) | shares,
+        "relative": asdict(summarize(errors[known] / depths[known])) | shares,
     }

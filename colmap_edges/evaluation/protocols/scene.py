@@ -10,15 +10,25 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
-from colmap_edges.evaluation.metrics import clouds, curves, depth, edges, visible_curves
+from colmap_edges.evaluation.metrics import (
+    clouds,
+    curves,
+    depth,
+    edge_graphs,
+    edges,
+    kinds,
+    visible_curves,
+)
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
-from colmap_edges.evaluation.readers import peers
+from colmap_edges.evaluation.readers import peers, results
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 
 Record = dict[str, Any]
+THRESHOLDS = (0.005, 0.01, 0.02)  # of the longest side of the reference's box
 
 
 def evaluate_mesh(
@@ -97,9 +107,13 @@ def _against_depth(
     results = [depth.depth_errors(caster, reference) for reference in references]
     if pictures_path is not None:
         pictures.write_error_maps(pictures_path, results)
-    pooled, coverage = depth.pool(results)
-    views = {r.name: asdict(r.statistics()) | {"coverage": r.coverage} for r in results}
-    return {"depth": {"pooled": asdict(pooled) | {"coverage": coverage}, "views": views}}
+    views = {result.name: result.record() for result in results}
+    mean = {
+        name: float(np.mean([view[name] for view in views.values()]))
+        for name in ("coverage", *depth.RIGHT_WITHIN)
+        if views
+    }
+    return {"depth": {"pooled": depth.pool(results), "mean_of_views": mean, "views": views}}
 
 
 def _against_points(caster: RayCaster, model: Model) -> Record:
@@ -155,31 +169,89 @@ def evaluate_edges(
     """
     model = load_model(sparse_path)
     found = peers.read_curves(edges_path)
+    run = run_edges(edges_path, model)
     record: Record = {
         "edges": str(edges_path),
         "lengths": asdict(edges.segment_lengths(found)),
+        "twins": _twins(found, run, model),
     }
-    if edges_path.suffix in (".ply", ".npz"):
-        points = model
-        if input_path is not None:
-            points = edges.edge_points(model, load_model(input_path))
+    points = _edge_points(edges_path, model, input_path)
+    if edges_path.suffix in (".ply", ".npz"):  # a peer's lines are sampled where they project to
         record["reprojection"] = asdict(edges.reprojection_errors(points))
-    else:  # a peer's: sampled where its lines project to, so their reprojection says nothing
-        points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
         true = load_curves(reference_path)
+        limits = thresholds or default_thresholds(true, unit_size)
         if surface_path is not None:
             record["curves"] = _against_visible_curves(
                 found, true, model, input_path, surface_path, thresholds_px
             )
         else:
-            thresholds = thresholds or default_thresholds(true, unit_size)
-            record["curves"] = asdict(
-                curves.compare_curves(found, true, thresholds, unit_size=unit_size, crop=crop)
-            )
+            scores = curves.compare_curves(found, true, limits, unit_size=unit_size, crop=crop)
+            record["curves"] = asdict(scores)
+            limit = min(limits) * (np.ptp(true.points, axis=0).max() if unit_size else 1.0)
+            record |= _against_kinds(edges_path, reference_path, float(limit))
+        record |= _as_graph(found, run, true, limits, unit_size=unit_size)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
         record["depth"] = _points_against_depth(points, input_path, references)
+    return record
+
+
+def _edge_points(edges_path: Path, model: Model, input_path: Path | None) -> Model:
+    """The points of edges: those that a model has beyond its input's, or samples of lines."""
+    if edges_path.suffix not in (".ply", ".npz"):
+        return edges.points_of_edges(peers.load(edges_path, model), model)
+    return model if input_path is None else edges.edge_points(model, load_model(input_path))
+
+
+def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> Record:
+    """How well kinds and radii are told, where the reference and the output folder tell them."""
+    true = kinds.true_curves(reference_path, threshold / kinds.SAMPLES)
+    if true is None or not (edges_path.parent / "edges.json").is_file():
+        return {}
+    found = results.read_edges(edges_path.parent).curves
+    return {"kinds": asdict(kinds.compare_kinds(found, true, threshold))}
+
+
+def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
+    """The edges of an output folder with their tracks and nodes; None for edges without these."""
+    beside = edges_path.parent
+    is_run = (beside / "edges.json").is_file() and (beside / "sparse").is_dir()
+    if edges_path.name != "edges.ply" or not is_run:
+        return None
+    return results.load_edges(edges_path.parent, model)
+
+
+def _twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
+    """Share of the edges' length that lies doubled, in pixels of the views that observe them."""
+    if run is None:
+        sizes = visible_curves.visibility(found.points, model.views, None).pixel_size
+    else:
+        sizes = edge_graphs.observed_pixel_sizes(run, model.views)
+    sizes = np.where(np.isfinite(sizes), sizes, np.median(sizes[np.isfinite(sizes)], axis=0))
+    return [asdict(share) for share in edge_graphs.twin_shares(found, sizes)]
+
+
+def _as_graph(
+    found: Curves,
+    run: Edges3D | None,
+    true: Curves,
+    thresholds: Sequence[float],
+    *,
+    unit_size: bool,
+) -> Record:
+    """How often each true edge is found and, where nodes are known, how well corners are."""
+    unit = float(np.ptp(true.points, axis=0).max()) if unit_size else 1.0
+    times = edge_graphs.times_found(found, true, thresholds, unit)
+    record: Record = {"times_found": [asdict(row) for row in times]}
+    if run is not None and len(true.segments):
+        ends = (edge_graphs.found_corners(run) / unit, edge_graphs.true_corners(true) / unit)
+        scores = edge_graphs.compare_corners(*ends, thresholds)
+        record["corners"] = {
+            "scores": [asdict(row) for row in scores],
+            "result_corners": len(ends[0]),
+            "reference_corners": len(ends[1]),
+        }
     return record
 
 
@@ -222,4 +294,4 @@ def _against_visible_curves(
 def default_thresholds(reference: Curves, unit_size: bool) -> list[float]:
     """0.005, 0.01 and 0.02 of the longest side of the reference's box."""
     side = 1.0 if unit_size else float(np.ptp(reference.points, axis=0).max())
-    return [share * side for share in (0.005, 0.01, 0.02)]
+    return [share * side for share in THRESHOLDS]

@@ -180,8 +180,10 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   const double speed = Norm(gradient);
   if (!(speed > 0)) return;
   const Vec2 u = {gradient[0] / speed, gradient[1] / speed};
-  const auto [low, high] = range;
-  const auto [wide_low, wide_high] = WithNeighborhood(range, a[2], b[2], speed);
+  const auto wide_range = WithNeighborhood(range, a[2], b[2], speed);
+  // Not structured bindings: C++17 has no lambda capture those.
+  const double low = range.low, high = range.high;
+  const double wide_low = wide_range.low, wide_high = wide_range.high;
   const size_t before = hypotheses.size();
   int64_t count = 0;
   double nearest = wide_high, farthest = wide_low;

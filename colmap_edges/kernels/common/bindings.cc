@@ -9,6 +9,7 @@
 #include "common/edge_index.h"
 #include "common/geometry.h"
 #include "common/parallel.h"
+#include "common/piecewise.h"
 #include "common/polyline.h"
 
 namespace colmap_edges {
@@ -85,6 +86,56 @@ nb::tuple TriangulateTracksArrays(const std::vector<const EdgeIndex*>& views, Lo
                         ToArray(std::move(errors), {count}));
 }
 
+// Costs are those of PieceCosts in their order, row by row for each polyline.
+nb::tuple CutPiecesArrays(Points3D points, Doubles weights, Longs offsets,
+                          InArray<double, nb::shape<-1, -1, 5>> costs, int64_t max_places,
+                          int num_threads) {
+  Require(weights.size() == points.shape(0), "points and weights differ in number");
+  CheckOffsets(offsets, points.shape(0));
+  const int64_t rows = int64_t(costs.shape(0)), count = int64_t(offsets.size()) - 1;
+  Require(int64_t(costs.shape(1)) == count, "costs must have a row for each polyline");
+  Require(max_places > 0, "max_places must be positive");
+  std::vector<double> totals(rows * count);
+  std::vector<std::vector<Piece>> found(rows * count);
+  {
+    nb::gil_scoped_release release;
+    const auto* all = reinterpret_cast<const Vec3*>(points.data());
+    ParallelFor(count, num_threads, [&](int64_t e, int) {
+      const int64_t first = offsets(e), size = offsets(e + 1) - first;
+      if (size == 0) return;
+      const PieceTable table(all + first, weights.data() + first, PlacesToCut(size, max_places));
+      for (int64_t row = 0; row < rows; ++row) {
+        const PieceCosts cost = {costs(row, e, 0), costs(row, e, 1), costs(row, e, 2),
+                                 costs(row, e, 3), costs(row, e, 4)};
+        std::vector<Piece>& pieces = found[row * count + e];
+        totals[row * count + e] = table.Cut(cost, &pieces);
+        if (rows > 1 || size <= max_places) continue;
+        // The best cut between places apart; now between all the points around its cuts.
+        const PieceTable fine(all + first, weights.data() + first,
+                              PlacesNear(pieces, size, 1 + size / max_places));
+        pieces.clear();
+        totals[row * count + e] = fine.Cut(cost, &pieces);
+      }
+    });
+  }
+  std::vector<int64_t> bounds;
+  std::vector<int32_t> kinds;
+  std::vector<int64_t> piece_offsets = {0};
+  for (int64_t i = 0; i < rows * count; ++i) {
+    for (const Piece& piece : found[i]) {
+      bounds.push_back(offsets(i % count) + piece.first);
+      bounds.push_back(offsets(i % count) + piece.last);
+      kinds.push_back(piece.kind);
+    }
+    piece_offsets.push_back(int64_t(kinds.size()));
+  }
+  const size_t num_pieces = kinds.size(), num_offsets = piece_offsets.size();
+  return nb::make_tuple(ToArray(std::move(totals), {size_t(rows), size_t(count)}),
+                        ToArray(std::move(bounds), {num_pieces, 2}),
+                        ToArray(std::move(kinds), {num_pieces}),
+                        ToArray(std::move(piece_offsets), {num_offsets}));
+}
+
 }  // namespace
 
 void BindCommon(nb::module_& m) {
@@ -96,6 +147,11 @@ void BindCommon(nb::module_& m) {
         "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
   m.def("douglas_peucker", &DouglasPeuckerArrays, "points"_a, "offsets"_a, "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
+  m.def("cut_pieces", &CutPiecesArrays, "points"_a, "weights"_a, "offsets"_a, "costs"_a,
+        "max_places"_a, "num_threads"_a,
+        "Polylines cut into lines, arcs and points of neither, of least cost: (R, E) costs, (K, 2) "
+        "first points and ends of pieces, (K,) kinds (0 line, 1 arc, -1 neither) and (R E + 1,) "
+        "offsets of the pieces by row of costs and polyline.");
   m.def("triangulate_tracks", &TriangulateTracksArrays, "views"_a, "offsets"_a, "track_views"_a,
         "track_pixels"_a, "num_threads"_a,
         "(N, 3) least-squares points of tracks and (N,) largest errors in pixels; NaN and inf "

@@ -8,6 +8,7 @@
 #include "image/corners.h"
 #include "image/displacement.h"
 #include "image/junctions.h"
+#include "image/pixel_chains.h"
 #include "image/subpixel.h"
 
 namespace colmap_edges {
@@ -140,6 +141,19 @@ OutArray<int32_t> TouchedChainsArrays(Points2D points, Longs offsets, int64_t wi
   return ToArray(std::move(touched), {count});
 }
 
+nb::tuple LinkPixelsArrays(InArray<uint8_t, nb::ndim<2>> map, int64_t reach) {
+  if (reach < 1) throw std::invalid_argument("reach is less than a pixel");
+  std::vector<double> places;
+  std::vector<int64_t> offsets;
+  {
+    nb::gil_scoped_release release;
+    LinkPixels(map.data(), map.shape(1), map.shape(0), int(reach), &places, &offsets);
+  }
+  const size_t count = places.size() / 2, num_offsets = offsets.size();
+  return nb::make_tuple(ToArray(std::move(places), {count, 2}),
+                        ToArray(std::move(offsets), {num_offsets}));
+}
+
 }  // namespace
 
 void BindImage(nb::module_& m) {
@@ -149,6 +163,9 @@ void BindImage(nb::module_& m) {
       "(K,) points of chains at corners, ascending, and (K, 2) where the lines along them cross.");
   m.def("touched_chains", &TouchedChainsArrays, "points"_a, "offsets"_a, "width"_a, "height"_a,
         "(2C,) chain whose inside each end touches, other than its own, or -1.");
+  m.def("link_pixels", &LinkPixelsArrays, "map"_a, "reach"_a,
+        "(N, 2) pixels (x, y) of a thinned edge image, linked to chains, and their (C + 1,) "
+        "offsets.");
   m.def("refine_subpixel", &RefineSubpixelArrays, "image"_a, "pixels"_a,
         "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
         "gradient directions.");

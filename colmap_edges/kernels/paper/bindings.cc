@@ -5,6 +5,8 @@
 
 #include "common/arrays.h"
 #include "common/parallel.h"
+#include "paper/agreement.h"
+#include "paper/communities.h"
 #include "paper/correspondences.h"
 #include "paper/following.h"
 #include "paper/places.h"
@@ -109,6 +111,47 @@ nb::tuple CandidatesInSpheresArrays(const Views& views, Ints start_views, Double
   return ToPlaceArrays(std::move(offsets), all);
 }
 
+nb::tuple AgreedDepthsArrays(Doubles lows, Doubles highs, Ints of_views, int min_views) {
+  const size_t count = lows.size();
+  Require(highs.size() == count && of_views.size() == count,
+          "lows, highs and views differ in number");
+  std::vector<DepthInterval> intervals(count);
+  for (size_t i = 0; i < count; ++i) {
+    Require(of_views(i) >= 0, "views must not be negative");
+    intervals[i] = {lows(i), highs(i), of_views(i)};
+  }
+  std::vector<AgreedDepth> agreed;
+  FindAgreement(intervals, min_views, &agreed);
+  std::vector<double> inverse_distances;
+  std::vector<int32_t> num_views;
+  for (const AgreedDepth& depth : agreed) {
+    inverse_distances.push_back(depth.inverse_distance), num_views.push_back(depth.num_views);
+  }
+  const size_t total = agreed.size();
+  return nb::make_tuple(ToArray(std::move(inverse_distances), {total}),
+                        ToArray(std::move(num_views), {total}));
+}
+
+nb::object LouvainArray(int num_nodes, Ints firsts, Ints seconds, Doubles weights,
+                        double resolution, uint64_t seed) {
+  Require(num_nodes >= 0, "num_nodes must not be negative");
+  Require(firsts.size() == weights.size() && seconds.size() == weights.size(),
+          "links and weights differ in number");
+  std::vector<WeightedLink> links;
+  for (size_t i = 0; i < weights.size(); ++i) {
+    Require(std::min(firsts(i), seconds(i)) >= 0 && std::max(firsts(i), seconds(i)) < num_nodes,
+            "node index out of range");
+    Require(std::isfinite(weights(i)) && weights(i) > 0, "weights must be positive");
+    links.push_back({firsts(i), seconds(i), weights(i)});
+  }
+  std::vector<int32_t> labels;
+  {
+    nb::gil_scoped_release release;
+    labels = LouvainCommunities(num_nodes, std::move(links), resolution, seed);
+  }
+  return nb::cast(ToArray(std::move(labels), {size_t(num_nodes)}));
+}
+
 // Runs of the polylines of each label, by view and ascending: CSR. Labels are of the polylines of
 // all views.
 std::vector<int64_t> RunsOfLabels(const Views& views, const Ints& labels,
@@ -182,27 +225,51 @@ nb::tuple ToEdgeArrays(const std::vector<Edge3D>& edges, std::vector<StartOutcom
       ToArray(std::move(positions), {total}), ToArray(std::move(codes), {num_starts}));
 }
 
-nb::tuple TraceEdgesArrays(const Views& views, Ints start_views, Doubles start_positions,
-                           Longs offsets, Ints candidate_views, Doubles candidate_positions,
-                           double step_px, double max_error_px, double max_step_ratio,
-                           double min_epipolar_sine, double full_triangulation_sine,
-                           double max_stretch, int min_views, int min_steps, int max_triples,
-                           int num_threads) {
+// Which chain points of all views 3D edges cover.
+struct CoveredChains {
+  explicit CoveredChains(const Views& views) : points(NothingCovered(views)) {}
+  Coverage points;
+};
+
+nb::object Covers(const CoveredChains& covered, Ints of_views, Doubles positions) {
+  const size_t count = of_views.size();
+  Require(positions.size() == count, "views and positions differ in number");
+  CheckViews(of_views, covered.points.size());
+  std::vector<uint8_t> result(count);
+  for (size_t i = 0; i < count; ++i) {
+    const double limit = double(covered.points[of_views(i)].size());
+    Require(positions(i) >= 0 && positions(i) < limit, "a position is not on a chain");
+    result[i] = IsCovered({of_views(i), positions(i)}, covered.points);
+  }
+  return nb::cast(ToArray(std::move(result), {count}));
+}
+
+nb::tuple TraceEdgesArrays(const Views& views, CoveredChains& covered, Ints start_views,
+                           Doubles start_positions, Longs offsets, Ints candidate_views,
+                           Doubles candidate_positions, double step_px, double max_error_px,
+                           double max_step_ratio, double min_epipolar_sine,
+                           double full_triangulation_sine, double max_stretch, int min_views,
+                           int min_steps, int max_selections, int num_threads) {
   const std::vector<Place> starts = ToPlaces(views, start_views, start_positions);
   const std::vector<Place> candidates = ToPlaces(views, candidate_views, candidate_positions);
   CheckOffsets(offsets, starts.size(), candidates.size());
   Require(step_px > 0 && max_error_px > 0, "step_px and max_error_px must be positive");
   Require(min_views >= 3, "min_views must be at least 3");
+  Require(covered.points.size() == views.size(), "coverage is of other views");
+  for (size_t v = 0; v < views.size(); ++v) {
+    Require(int64_t(covered.points[v].size()) == views[v]->num_points(),
+            "coverage is of other views");
+  }
   const FollowSettings settings = {
       step_px,     max_error_px, max_step_ratio, min_epipolar_sine, full_triangulation_sine,
-      max_stretch, min_views,    min_steps,      max_triples};
+      max_stretch, min_views,    min_steps,      max_selections};
   std::vector<StartOutcome> outcomes;
   std::vector<Edge3D> edges;
   {
     nb::gil_scoped_release release;
     edges = TraceEdges(views,
                        {starts.data(), int64_t(starts.size()), offsets.data(), candidates.data()},
-                       settings, num_threads, &outcomes);
+                       settings, num_threads, &covered.points, &outcomes);
   }
   return ToEdgeArrays(edges, std::move(outcomes));
 }
@@ -220,11 +287,20 @@ void BindPaper(nb::module_& m) {
   m.def("candidates_in_pecs", &CandidatesInPecsArrays, "indexes"_a, "start_views"_a,
         "start_positions"_a, "labels"_a, "depth_ranges"_a, "num_threads"_a,
         "Candidates of starts on polylines of equal label: CSR offsets, views, positions.");
-  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "start_views"_a, "start_positions"_a,
-        "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a, "max_error_px"_a,
-        "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a, "max_stretch"_a,
-        "min_views"_a, "min_steps"_a, "max_triples"_a, "num_threads"_a,
-        "3D edges of PEPCs: points, edge offsets, closed, track offsets, track views and "
+  m.def("louvain_communities", &LouvainArray, "num_nodes"_a, "firsts"_a, "seconds"_a, "weights"_a,
+        "resolution"_a, "seed"_a,
+        "(N,) communities of a weighted graph by Louvain's method, numbered by their first nodes.");
+  m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
+        "Where intervals of most views overlap: inverse distances and numbers of views.");
+  nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
+      .def(nb::init<const Views&>(), "indexes"_a)
+      .def("covers", &Covers, "views"_a, "positions"_a, "(N,) whether places are covered, uint8.");
+  m.def("trace_edges", &TraceEdgesArrays, "indexes"_a, "covered"_a, "start_views"_a,
+        "start_positions"_a, "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a,
+        "max_error_px"_a, "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a,
+        "max_stretch"_a, "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
+        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track "
+        "offsets, track views and "
         "positions, and the outcome of each start.");
 }
 

@@ -11,6 +11,7 @@
 
 #include "common/geometry.h"
 #include "common/parallel.h"
+#include "paper/agreement.h"
 #include "paper/places.h"
 
 namespace colmap_edges {
@@ -24,7 +25,7 @@ struct FollowSettings {
   double max_stretch;              // longest 3D step, in steps seen frontally
   int min_views;                   // views that must see every edge point
   int min_steps;                   // steps that make a selection a valid 3D edge
-  int max_triples;                 // triples of views tried for a start
+  int max_selections;              // selections, and triples of views of one, that are tried
 };
 
 enum class StartOutcome : uint8_t {
@@ -85,41 +86,27 @@ class EdgeTracer {
   StartOutcome Trace(Place start, const Place* candidates, int64_t num_candidates,
                      Edge3D* edge) const {
     if (IsCovered(start, covered_)) return StartOutcome::kCovered;
-    const std::vector<CandidateView> groups = RankViews(start, candidates, num_candidates);
-    if (groups.size() < 2) return StartOutcome::kTooFewViews;
-    int tried = 0;
-    for (size_t sum = 1; sum < 2 * groups.size() && tried < settings_.max_triples; ++sum) {
-      // Pairs (i, j), i < j, best scores first: (0,1), (0,2), (0,3), (1,2), ...
-      for (size_t i = 0; 2 * i < sum && tried < settings_.max_triples; ++i) {
-        const size_t j = sum - i;
-        if (j >= groups.size()) continue;
-        ++tried;
-        Selection selection;
-        const int found = SelectUnique(start, groups[i], groups[j], &selection);
-        if (found > 1) return StartOutcome::kAmbiguous;
-        if (found == 0) continue;
-        Extend(groups, &selection);
-        if (MostlyCovered(MakePoint(selection.point, selection.strands).track, covered_))
-          return StartOutcome::kDuplicate;
-        Follow(selection, edge);
-        return int(edge->points.size()) > settings_.min_steps ? StartOutcome::kAccepted
-                                                              : StartOutcome::kInvalid;
-      }
-    }
-    return StartOutcome::kInvalid;
+    const std::vector<Candidate> usable = UsableCandidates(start, candidates, num_candidates);
+    if (usable.empty() || usable.back().group < 1) return StartOutcome::kTooFewViews;
+    Selection selection;
+    const int found = SelectUnique(start, usable, &selection);
+    if (found != 1) return found ? StartOutcome::kAmbiguous : StartOutcome::kInvalid;
+    Extend(usable, &selection);
+    if (MostlyCovered(MakePoint(selection.point, selection.strands).track, covered_))
+      return StartOutcome::kDuplicate;
+    Follow(selection, edge);
+    return int(edge->points.size()) > settings_.min_steps ? StartOutcome::kAccepted
+                                                          : StartOutcome::kInvalid;
   }
 
  private:
-  // A candidate and the point where its ray meets the start's, with the inverse of its distance.
+  // A candidate, the way in which its chain runs where the start's runs with its points, where the
+  // start's ray meets it, and how well conditioned that is.
   struct Candidate {
     Place at;
-    Vec3 point;
-    double inverse_distance;
-  };
-  struct CandidateView {
-    int32_t view;
-    std::vector<Candidate> candidates;  // by inverse distance
-    double score = 0;
+    int32_t group;  // its view, counted among those of the start's candidates
+    int sign;
+    double inverse_distance, px_per_inverse, score;
   };
   // Strands of one 3D edge point; the first is the leading view's. Signs are those of the
   // direction in which the leading strand walks with its points.
@@ -145,41 +132,67 @@ class EdgeTracer {
     return std::abs(line.a * tangent.x + line.b * tangent.y);
   }
 
-  // Sine of the angle between the chain at `at` and the epipolar line of `other` there.
-  double EpipolarSine(Place at, Place other) const {
-    Line2D line;
-    const bool defined = EpipolarLine(ViewAt(other), ViewAt(at), PixelAt(other), &line);
-    return defined ? SineTo(line, at) : 0;
+  // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the
+  // right.
+  int BrightSide(Place at) const {
+    const EdgeIndex& chains = ChainsAt(at);
+    const int64_t i = int64_t(at.position);
+    const Vec2 tangent = chains.tangent(i), normal = chains.normal(i);
+    return Cross(tangent, normal) >= 0 ? 1 : -1;
   }
 
-  // Groups well-conditioned candidates by view and puts the best-conditioned views first.
-  std::vector<CandidateView> RankViews(Place start, const Place* candidates,
-                                       int64_t num_candidates) const {
-    std::vector<CandidateView> groups;
+  // Whether two strands have their bright sides on the same side of the 3D edge.
+  bool SameBrightSide(const Strand& a, const Strand& b) const {
+    return a.sign * BrightSide(a.at) == b.sign * BrightSide(b.at);
+  }
+
+  // The way in which the chain at `at` runs where that at `start` runs with its points: both leave
+  // the epipolar plane to the same side.
+  int SignAlong(Place start, Place at, const Vec3& epipolar_normal) const {
+    const auto leaves = [&](Place place) {
+      const Vec2 tangent = ChainsAt(place).tangent(int64_t(place.position));
+      return Dot(epipolar_normal, ViewAt(place).RotateBack({tangent.x, tangent.y, 0})) >= 0;
+    };
+    return leaves(start) == leaves(at) ? 1 : -1;
+  }
+
+  // The well-conditioned candidates, by view. Those whose bright side is on the other side of the
+  // 3D edge are of another edge.
+  std::vector<Candidate> UsableCandidates(Place start, const Place* candidates,
+                                          int64_t num_candidates) const {
+    std::vector<Candidate> usable;
+    const PinholeView& from = ViewAt(start);
+    const Vec3 ray = from.Ray(PixelAt(start));
     int32_t view = -1;
-    const Vec3 ray = ViewAt(start).Ray(PixelAt(start));
+    bool defined = false;
+    Line2D line{}, back{};
+    Vec3 epipolar_normal;
     for (int64_t i = 0; i < num_candidates; ++i) {
       const Place at = candidates[i];
-      const double sine = std::min(EpipolarSine(start, at), EpipolarSine(at, start));
-      const double parallax = Norm(Cross(ray, ViewAt(at).Ray(PixelAt(at))));
-      if (sine < settings_.min_epipolar_sine) continue;
-      const std::array<Sighting, 2> pair = {SightingOf(start), SightingOf(at)};
-      Vec3 point;
-      if (!Triangulate(pair.data(), 2, &point)) continue;
-      if (at.view != view) groups.push_back({at.view, {}, 0});
-      view = at.view;
-      const double score = sine * std::min(1.0, parallax / settings_.full_triangulation_sine);
-      groups.back().candidates.push_back({at, point, 1 / Norm(point - ViewAt(start).center)});
-      groups.back().score = std::max(groups.back().score, score);
+      const PinholeView& to = ViewAt(at);
+      if (at.view != view) {  // all candidates of a view have the same epipolar plane
+        view = at.view;
+        defined = EpipolarLine(from, to, PixelAt(start), &line) &&
+                  EpipolarLine(to, from, PixelAt(at), &back) &&
+                  SineTo(back, start) >= settings_.min_epipolar_sine;
+        epipolar_normal = Cross(to.center - from.center, ray);
+      }
+      const double sine = defined ? SineTo(line, at) : 0;
+      if (!defined || sine < settings_.min_epipolar_sine) continue;
+      const int sign = SignAlong(start, at, epipolar_normal);
+      Candidate candidate{at, 0, sign, 0, 0, 0};
+      if (!SameBrightSide({start, 1}, {at, sign}) ||
+          !MeetRay(from.center, ray, to, PixelAt(at), &candidate.inverse_distance,
+                   &candidate.px_per_inverse)) {
+        continue;
+      }
+      const double parallax = Norm(Cross(ray, to.Ray(PixelAt(at))));
+      candidate.score = std::min(sine, SineTo(back, start)) *
+                        std::min(1.0, parallax / settings_.full_triangulation_sine);
+      if (!usable.empty()) candidate.group = usable.back().group + (usable.back().at.view != view);
+      usable.push_back(candidate);
     }
-    for (CandidateView& group : groups) {
-      std::stable_sort(
-          group.candidates.begin(), group.candidates.end(),
-          [](const auto& a, const auto& b) { return a.inverse_distance < b.inverse_distance; });
-    }
-    std::stable_sort(groups.begin(), groups.end(),
-                     [](const auto& a, const auto& b) { return a.score > b.score; });
-    return groups;
+    return usable;
   }
 
   bool TriangulateStrands(const std::vector<Strand>& strands, Vec3* point, double* error,
@@ -193,47 +206,70 @@ class EdgeTracer {
     return true;
   }
 
-  // Number of different valid selections (at most 2) on three views; keeps the best of the first.
-  int SelectUnique(Place start, const CandidateView& a, const CandidateView& b,
-                   Selection* best) const {
-    for (const Candidate& first : a.candidates) {
-      const auto [begin, end] = MayAgree(first, a, b);
-      for (size_t k = begin; k < end; ++k) {
-        Selection selection;
-        selection.strands = {{start, 1}, {first.at, 0}, {b.candidates[k].at, 0}};
-        if (!TriangulateStrands(selection.strands, &selection.point, &selection.error) ||
-            selection.error > settings_.max_error_px || !MatchDirections(&selection)) {
-          continue;
-        }
-        if (!best->strands.empty() && !SamePoint(selection, *best)) return 2;
-        if (selection.error < best->error) *best = selection;
-      }
+  // Number of valid selections (at most 2), of which `best` becomes the one that most views agree
+  // with. Others count that all but one as many agree with.
+  int SelectUnique(Place start, const std::vector<Candidate>& usable, Selection* best) const {
+    thread_local std::vector<DepthInterval> intervals;
+    thread_local std::vector<AgreedDepth> agreed;
+    intervals.clear();
+    for (const Candidate& candidate : usable) {
+      const double slack = settings_.max_error_px / candidate.px_per_inverse;
+      intervals.push_back({candidate.inverse_distance - slack, candidate.inverse_distance + slack,
+                           candidate.group});
     }
-    return best->strands.empty() ? 0 : 1;
+    FindAgreement(intervals, settings_.min_views - 1, &agreed);
+    int tried = 0, num_views = 0;
+    for (const AgreedDepth& depth : agreed) {
+      const bool found = num_views > 0;
+      if (found ? depth.num_views + 1 < num_views : tried++ == settings_.max_selections) break;
+      Selection selection;
+      if (!SelectAt(start, usable, depth.inverse_distance, &selection)) continue;
+      if (found && !SamePoint(selection, *best)) return 2;
+      if (!found) *best = selection, num_views = depth.num_views;
+    }
+    return num_views > 0;
   }
 
-  // The range of candidates of view b that may triangulate with a candidate of view a: a cheap
-  // necessary test. The point of the start and one candidate must project near the other, within
-  // a slack for the error that triangulation may spread over the three views.
-  std::pair<size_t, size_t> MayAgree(const Candidate& first, const CandidateView& a,
-                                     const CandidateView& b) const {
-    const PinholeView &view_a = views_[a.view]->pose(), &view_b = views_[b.view]->pose();
-    const Vec2 pixel_a = PixelAt(first.at);
-    Vec2 expected;
-    const bool projects = view_b.Project(first.point, &expected);
-    const double slack = 4 * settings_.max_error_px;
-    const auto agrees = [&](const Candidate& second) {
-      Vec2 pixel;
-      return (projects && Norm(PixelAt(second.at) - expected) <= slack) ||
-             (view_a.Project(second.point, &pixel) && Norm(pixel - pixel_a) <= slack);
+  // The first valid selection, of the start and the best conditioned two of the candidates, one a
+  // view, that come nearest to a point of the start's ray. False when there is none.
+  bool SelectAt(Place start, const std::vector<Candidate>& usable, double inverse_distance,
+                Selection* selection) const {
+    std::vector<const Candidate*> near = NearestOfViews(usable, inverse_distance);
+    std::stable_sort(near.begin(), near.end(),
+                     [](const auto* a, const auto* b) { return a->score > b->score; });
+    int tried = 0;
+    for (size_t sum = 1; sum + 2 <= 2 * near.size(); ++sum) {
+      // Pairs (i, j), i < j, best scores first: (0,1), (0,2), (0,3), (1,2), ...
+      for (size_t i = 0; 2 * i < sum; ++i) {
+        if (sum - i >= near.size()) continue;
+        if (tried++ == settings_.max_selections) return false;
+        const Candidate &a = *near[i], &b = *near[sum - i];
+        selection->strands = {{start, 1}, {a.at, a.sign}, {b.at, b.sign}};
+        if (TriangulateStrands(selection->strands, &selection->point, &selection->error) &&
+            selection->error <= settings_.max_error_px && CanFollow(*selection)) {
+          return true;
+        }
+      }
+    }
+    return false;
+  }
+
+  // Of each view that allows a point of the start's ray the candidate nearest to it.
+  std::vector<const Candidate*> NearestOfViews(const std::vector<Candidate>& usable,
+                                               double inverse_distance) const {
+    std::vector<const Candidate*> nearest;
+    const auto distance = [&](const Candidate& candidate) {
+      return std::abs(candidate.inverse_distance - inverse_distance) * candidate.px_per_inverse;
     };
-    const auto nearest = std::lower_bound(
-        b.candidates.begin(), b.candidates.end(), first.inverse_distance,
-        [](const Candidate& c, double value) { return c.inverse_distance < value; });
-    size_t begin = nearest - b.candidates.begin(), end = begin;
-    while (begin > 0 && agrees(b.candidates[begin - 1])) --begin;
-    while (end < b.candidates.size() && agrees(b.candidates[end])) ++end;
-    return {begin, end};
+    for (const Candidate& candidate : usable) {
+      if (distance(candidate) > settings_.max_error_px) continue;
+      if (nearest.empty() || nearest.back()->group != candidate.group) {
+        nearest.push_back(&candidate);
+      } else if (distance(candidate) < distance(*nearest.back())) {
+        nearest.back() = &candidate;
+      }
+    }
+    return nearest;
   }
 
   // Whether two selections are one 3D point as far as the views of the first can tell.
@@ -255,26 +291,16 @@ class EdgeTracer {
     return settings_.max_step_ratio * settings_.step_px * std::max(1.0, other_scale / leader_scale);
   }
 
-  // Finds the directions of the strands that belong together: one step along the leader, the first
-  // crossing each way on the others, the combination that triangulates best. True when at least
-  // min_steps (1 or 2: one or both directions) work.
-  bool MatchDirections(Selection* selection) const {
-    std::array<StepResult, 2> steps;
-    for (int k = 0; k < 2; ++k) FirstStep(*selection, k == 0 ? 1 : -1, &steps[k]);
-    if (steps[0].strands.empty() && steps[1].strands.empty()) return false;
-    const int base = steps[0].error <= steps[1].error ? 0 : 1;
-    const int lead = base == 0 ? 1 : -1;
-    for (size_t i = 0; i < selection->strands.size(); ++i) {
-      selection->strands[i].sign = lead * steps[base].strands[i].sign;
-    }
-    int valid = 1;
-    if (settings_.min_steps > 1) {
-      std::vector<Strand> strands = selection->strands;
-      if (base == 0) Reverse(&strands);
+  // Whether at least min_steps (1 or 2: one or both directions) can be walked from a selection.
+  bool CanFollow(const Selection& selection) const {
+    std::vector<Strand> strands = selection.strands;
+    int valid = 0;
+    for (int way = 0; way < 2; ++way, Reverse(&strands)) {
       StepResult step;
-      valid += Step(strands, selection->point, &step);
+      valid += Step(strands, selection.point, &step);
+      if (valid + 1 - way < settings_.min_steps) return false;
     }
-    return valid >= std::min(settings_.min_steps, 2);
+    return valid >= settings_.min_steps;
   }
 
   static void Reverse(std::vector<Strand>* strands) {
@@ -286,35 +312,11 @@ class EdgeTracer {
     return Walk(ChainsAt(from), from.position, sign, settings_.step_px, &to->position);
   }
 
-  // One step of the leader with `sign`, all combinations of directions of the other two strands.
-  void FirstStep(const Selection& selection, int sign, StepResult* best) const {
-    Place lead;
-    if (!Step(selection.strands[0].at, sign, &lead)) return;
-    std::array<std::vector<Strand>, 2> next;
-    for (int k = 0; k < 2; ++k) {
-      for (const int direction : {1, -1}) {
-        Strand strand{selection.strands[k + 1].at, direction};
-        if (MoveToLine(lead, selection.point, &strand)) next[k].push_back(strand);
-      }
-    }
-    for (const Strand& a : next[0]) {
-      for (const Strand& b : next[1]) {
-        StepResult step;
-        step.strands = {{lead, sign}, a, b};
-        if (TriangulateStrands(step.strands, &step.point, &step.error) &&
-            step.error <= settings_.max_error_px &&
-            Plausible(selection.point, step.point, step.strands) && step.error < best->error) {
-          *best = step;
-        }
-      }
-    }
-  }
-
   // Moves a strand to its first crossing with the epipolar line of the leader's new place.
-  bool MoveToLine(Place lead, const Vec3& point, Strand* strand) const {
+  bool MoveToLine(const Strand& lead, const Vec3& point, Strand* strand) const {
     Line2D line;
-    const PinholeView &from = ViewAt(lead), &to = ViewAt(strand->at);
-    if (!EpipolarLine(from, to, PixelAt(lead), &line)) return false;
+    const PinholeView &from = ViewAt(lead.at), &to = ViewAt(strand->at);
+    if (!EpipolarLine(from, to, PixelAt(lead.at), &line)) return false;
     Place at = strand->at;
     if (!FirstCrossing(ChainsAt(at), at.position, strand->sign, line, Reach(from, to, point),
                        &at.position) ||
@@ -322,7 +324,7 @@ class EdgeTracer {
       return false;
     }
     strand->at = at;
-    return true;
+    return SameBrightSide(lead, *strand);
   }
 
   // False for a 3D step much longer than what a view sees of it: an edge towards the camera, in
@@ -348,7 +350,7 @@ class EdgeTracer {
       step->strands = {{lead, strands[leader].sign}};
       for (size_t i = leader + 1; i < strands.size(); ++i) {
         Strand strand = strands[i];
-        if (MoveToLine(lead, point, &strand)) step->strands.push_back(strand);
+        if (MoveToLine(step->strands[0], point, &strand)) step->strands.push_back(strand);
       }
       if (Reconcile(step) && Plausible(point, step->point, step->strands)) return true;
     }
@@ -367,7 +369,7 @@ class EdgeTracer {
   }
 
   // Adds the candidates of further views that fit the point and the directions of its edge.
-  void Extend(const std::vector<CandidateView>& groups, Selection* selection) const {
+  void Extend(const std::vector<Candidate>& usable, Selection* selection) const {
     std::array<StepResult, 2> steps;
     std::array<bool, 2> stepped;
     for (int k = 0; k < 2; ++k) {
@@ -375,28 +377,23 @@ class EdgeTracer {
       if (k == 1) Reverse(&strands);
       stepped[k] = Step(strands, selection->point, &steps[k]);
     }
-    for (const CandidateView& group : groups) {
+    for (size_t i = 0; i < usable.size();) {
       Selection best;
-      if (SeenFrom(group.view, selection->strands)) continue;
-      for (const Candidate& candidate : group.candidates) {
-        const Place at = candidate.at;
+      const int32_t view = usable[i].at.view;
+      const bool seen = SeenFrom(view, selection->strands);
+      for (; i < usable.size() && usable[i].at.view == view; ++i) {
+        const Place at = usable[i].at;
         Vec2 pixel;
-        if (!ViewAt(at).Project(selection->point, &pixel) ||
+        if (seen || !ViewAt(at).Project(selection->point, &pixel) ||
             Norm(pixel - PixelAt(at)) > 4 * settings_.max_error_px) {
           continue;
         }
         Selection extended = *selection;
-        extended.strands.push_back({at, 0});
-        if (!TriangulateStrands(extended.strands, &extended.point, &extended.error) ||
-            extended.error > settings_.max_error_px || extended.error >= best.error) {
-          continue;
-        }
-        for (const int sign : {1, -1}) {
-          extended.strands.back().sign = sign;
-          if (FitsSteps(extended.strands.back(), steps, stepped)) {
-            best = extended;
-            break;
-          }
+        extended.strands.push_back({at, usable[i].sign});
+        if (TriangulateStrands(extended.strands, &extended.point, &extended.error) &&
+            extended.error <= settings_.max_error_px && extended.error < best.error &&
+            FitsSteps(extended.strands.back(), steps, stepped)) {
+          best = extended;
         }
       }
       if (!best.strands.empty()) *selection = best;
@@ -416,7 +413,7 @@ class EdgeTracer {
       if (!stepped[k]) continue;
       Strand next{strand.at, k == 0 ? strand.sign : -strand.sign};
       Vec2 pixel;
-      if (MoveToLine(steps[k].strands[0].at, steps[k].point, &next) &&
+      if (MoveToLine(steps[k].strands[0], steps[k].point, &next) &&
           ViewAt(next.at).Project(steps[k].point, &pixel)) {
         fits += Norm(pixel - PixelAt(next.at)) <= settings_.max_error_px;
       }
@@ -538,16 +535,21 @@ struct Pepcs {
   const Place* candidates;
 };
 
-// Validates the PEPCs in order and follows the accepted ones. They are traced in batches against
+inline Coverage NothingCovered(const Views& views) {
+  Coverage covered;
+  for (const EdgeIndex* chains : views) covered.emplace_back(chains->num_points());
+  return covered;
+}
+
+// Validates the PEPCs in order, follows the accepted ones where nothing is covered yet and marks
+// what they cover. They are traced in batches against
 // the coverage at the start of the batch; one whose surroundings were covered by an earlier one
 // of its batch is traced again, so the result is that of one thread.
 inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
                                       const FollowSettings& settings, int num_threads,
-                                      std::vector<StartOutcome>* outcomes) {
+                                      Coverage* covered, std::vector<StartOutcome>* outcomes) {
   constexpr int64_t kBatch = 256;
-  Coverage covered;
-  for (const EdgeIndex* chains : views) covered.emplace_back(chains->num_points());
-  const EdgeTracer tracer(views, settings, covered);
+  const EdgeTracer tracer(views, settings, *covered);
   std::vector<Edge3D> edges, batch(kBatch);
   outcomes->assign(pepcs.num_starts, StartOutcome::kCovered);
   const auto trace = [&](int64_t i, Edge3D* edge) {
@@ -560,11 +562,11 @@ inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
     for (int64_t k = 0; k < count; ++k) {
       const int64_t i = begin + k;
       if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
-      if (IsCovered(pepcs.starts[i], covered) || RunsIntoCovered(batch[k], covered)) {
+      if (IsCovered(pepcs.starts[i], *covered) || RunsIntoCovered(batch[k], *covered)) {
         trace(i, &batch[k]);
         if ((*outcomes)[i] != StartOutcome::kAccepted) continue;
       }
-      MarkEdge(views, batch[k], &covered);
+      MarkEdge(views, batch[k], covered);
       edges.push_back(std::move(batch[k]));
     }
   }

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges3d.chains.a_contrario import (
-    CLOSE_PX,
+    CLOSE_SIGMAS,
     MIN_LOG,
     PRIOR_TRIALS,
     chance_of_observations,
@@ -20,6 +20,7 @@ from colmap_edges.edges3d.chains.a_contrario import (
 from colmap_edges.edges3d.chains.curves import Curves
 from colmap_edges.options import RefinementOptions
 
+CLOSE_PX = CLOSE_SIGMAS * RefinementOptions().noise_px
 DRIVER, *OTHERS = known.ring(7, arc_deg=60)
 LINE = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
 

@@ -4,7 +4,6 @@ import pytest
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.filtering import (
-    MIN_RESIDUAL_PX,
     Limits,
     Traced,
     find_limits,
@@ -12,7 +11,7 @@ from colmap_edges.edges3d.chains.filtering import (
     scatter_of,
     sort_pieces,
 )
-from colmap_edges.options import TracingOptions
+from colmap_edges.options import PipelineOptions, TracingOptions, resolved
 
 
 def traced_curves(log_chances, num_observations, lengths, residuals=0.0):
@@ -88,15 +87,16 @@ def test_what_scatters_is_an_outline_though_half_of_its_points_fit():
 def test_limit_of_scatter_is_by_the_scenes_own_and_not_below_what_edges_have():
     options = TracingOptions(max_residual_ratio=2.0)
     clean, rough = (traced_curves([-4.0] * 5, [6] * 5, [5], of) for of in (0.01, 0.8))
-    assert find_limits([clean], options, 1.0).residual_px == MIN_RESIDUAL_PX
-    assert find_limits([clean], options, 1.5).residual_px == 1.5 * MIN_RESIDUAL_PX
-    assert find_limits([rough], options, 1.5).residual_px == pytest.approx(2 * 0.8 * 5 / 4)
+    assert find_limits([clean], options).residual_px == options.min_residual_px
+    upsampled = resolved(PipelineOptions(tracing=options), 1.5).tracing
+    assert find_limits([clean], upsampled).residual_px == 1.5 * options.min_residual_px
+    assert find_limits([rough], upsampled).residual_px == pytest.approx(2 * 0.8 * 5 / 4)
 
 
 def test_limit_of_scatter_is_by_what_many_views_observe():
     options = TracingOptions(max_residual_ratio=2.0)
     edges, contours = traced_curves([-4.0] * 5, [8] * 5, [5], 0.3), [[-4.0] * 20, [3] * 20, [20]]
-    many = find_limits([edges, traced_curves(*contours, 0.9)], options, 1.0)
+    many = find_limits([edges, traced_curves(*contours, 0.9)], options)
     assert many.residual_px == pytest.approx(2 * 0.3 * 7 / 6)  # of 30 observations, not of 5 points
-    alone = find_limits([traced_curves(*contours, 0.9)], options, 1.0)
+    alone = find_limits([traced_curves(*contours, 0.9)], options)
     assert alone.residual_px == pytest.approx(2 * 0.9 * 2)

@@ -6,11 +6,9 @@ from pinhole_geometry import epipolar_lines, fundamental_matrix
 
 from colmap_edges.edges3d.paper.correspondences import (
     depth_bounds,
-    join_pepcs,
     pepcs_from_pecs,
     pepcs_from_sfm_points,
     sample_polylines,
-    shuffle_pepcs,
 )
 from colmap_edges.edges3d.paper.places import index_views
 from colmap_edges.options import CorrespondenceOptions
@@ -40,6 +38,10 @@ def segments_at(places):
     return [(v, int(p)) for v, p in zip(*vars(places).values(), strict=True)]
 
 
+def all_of(source):
+    return source.pepcs(np.arange(len(source)))
+
+
 def candidates_of(pepcs, i):
     return pepcs.candidates.select(
         slice(pepcs.candidate_offsets[i], pepcs.candidate_offsets[i + 1])
@@ -50,7 +52,7 @@ def test_pepcs_from_sfm_points_lie_in_the_two_circles():
     rng = np.random.default_rng(0)
     points = CURVES[0].points[125::250] + rng.normal(scale=0.02, size=(8, 3))
     model = model_of(VIEWS, points)
-    pepcs = pepcs_from_sfm_points(model, CHAINS, OPTIONS, 1)
+    pepcs = all_of(pepcs_from_sfm_points(model, CHAINS, OPTIONS, 1))
     assert len(pepcs) >= len(VIEWS) * 4
     depths = np.array([view.cam_from_world(points)[:, 2] for view in VIEWS])  # (V, N)
     focal = VIEWS[0].focal_px
@@ -79,7 +81,7 @@ def test_pepcs_from_sfm_points_lie_in_the_two_circles():
 def test_pepcs_from_pecs_cross_the_polylines_of_the_pec_only():
     labels = np.tile([0, 1, 0], len(VIEWS)).astype(np.int32)
     labels[-1] = -1
-    pepcs = pepcs_from_pecs(model_of(VIEWS), CHAINS, labels, OPTIONS, 1)
+    pepcs = all_of(pepcs_from_pecs(model_of(VIEWS), CHAINS, labels, OPTIONS, 1))
     start_polylines = polylines_at(pepcs.starts)
     assert (labels[start_polylines] >= 0).all()
     for i in range(0, len(pepcs), 7):
@@ -100,8 +102,8 @@ def test_true_correspondence_is_among_the_candidates_within_the_depth_range():
     ranges = depth_bounds(model)
     assert (ranges[:, 0] < 6).all()
     assert (ranges[:, 1] > 6).all()
-    bounded = pepcs_from_pecs(model, CHAINS, labels, OPTIONS, 1)
-    unbounded = pepcs_from_pecs(model_of(VIEWS), CHAINS, labels, OPTIONS, 1)
+    bounded = all_of(pepcs_from_pecs(model, CHAINS, labels, OPTIONS, 1))
+    unbounded = all_of(pepcs_from_pecs(model_of(VIEWS), CHAINS, labels, OPTIONS, 1))
     lines = polylines_at(bounded.starts) % 3 == 0
     counts = np.diff(bounded.candidate_offsets)
     assert (counts[lines] <= len(VIEWS) - 1).all()
@@ -116,7 +118,7 @@ def test_pepcs_do_not_depend_on_threads():
         lambda n: pepcs_from_sfm_points(model, CHAINS, OPTIONS, n),
         lambda n: pepcs_from_pecs(model, CHAINS, labels, OPTIONS, n),
     ):
-        one, two = make(1), make(2)
+        one, two = all_of(make(1)), all_of(make(2))
         assert one.candidates.views.tobytes() == two.candidates.views.tobytes()
         assert one.candidates.positions.tobytes() == two.candidates.positions.tobytes()
 
@@ -135,16 +137,9 @@ def test_samples_are_evenly_spaced_and_on_wanted_polylines():
     assert abs(np.linalg.norm(pixels[0] - first) - steps.mean() / 2) < 1e-6
 
 
-def test_joined_and_shuffled_pepcs_keep_their_candidates():
+def test_shuffled_pepcs_keep_their_candidates():
     labels = np.zeros(POLYLINES, np.int32)
     model = model_of(VIEWS, CURVES[0].points[::400])
-    parts = [
-        pepcs_from_sfm_points(model, CHAINS, OPTIONS, 1),
-        pepcs_from_pecs(model, CHAINS, labels, OPTIONS, 1),
-    ]
-    joined = join_pepcs(parts)
-    assert len(joined) == len(parts[0]) + len(parts[1])
-    shuffled = shuffle_pepcs(joined, 3)
 
     def contents(pepcs):
         return sorted(
@@ -154,5 +149,13 @@ def test_joined_and_shuffled_pepcs_keep_their_candidates():
             )
         )
 
-    assert contents(joined) == contents(shuffled)
-    assert shuffled.starts.positions.tolist() != joined.starts.positions.tolist()
+    for source in (
+        pepcs_from_sfm_points(model, CHAINS, OPTIONS, 1),
+        pepcs_from_pecs(model, CHAINS, labels, OPTIONS, 1),
+    ):
+        shuffled = source.shuffled(3)
+        whole = contents(all_of(source))
+        assert whole == contents(all_of(shuffled))
+        assert shuffled.starts.positions.tolist() != source.starts.positions.tolist()
+        halves = [shuffled.pepcs(rows) for rows in np.array_split(np.arange(len(source)), 2)]
+        assert whole == sorted(contents(halves[0]) + contents(halves[1]))

@@ -17,13 +17,15 @@ from hypothesis.extra.numpy import arrays
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.edges3d.paper.observations import edge_neighbours
+from colmap_edges.edges3d.paper.observations import edge_neighbours, observations_at
 from colmap_edges.edges3d.paper.places import index_views
 from colmap_edges.edges3d.paper.sampling import sample_edges
 from colmap_edges.edges3d.paper.visibility import (
+    drop_doubtful_views,
     expand_visibility,
     filter_outliers,
     keep_points,
+    medians_of_edges,
     min_inlier_views,
 )
 from colmap_edges.options import SamplingOptions, VisibilityOptions
@@ -57,6 +59,21 @@ def edges_of(curves, view_indices, spacing=60, views=VIEWS):
     )
 
 
+def on_their_chains(edges, chains, max_distance_px=2.0):
+    """The same edges with their observations at the nearest places of the chains."""
+    observed = edges.observations
+    pixels = np.empty((len(observed.views), 2))
+    for view, rows in observed.by_view():
+        pixels[rows] = chains.views[view].ideal_from_image(observed.pixels[rows])
+    near = chains.find_near(observed.views, pixels, np.full(len(pixels), max_distance_px), 1)
+    order = np.lexsort((near.distances, near.queries))
+    _, first = np.unique(near.queries[order], return_index=True)
+    nearest = order[first]
+    assert len(nearest) == len(pixels)
+    placed = observations_at(observed.points, near.places.select(nearest), chains)
+    return replace(edges, observations=placed.by_point(edges.num_points))
+
+
 def check(edges):
     assert edges.edge_offsets[0] == edges.observations.offsets[0] == 0
     assert edges.edge_offsets[-1] == edges.num_points == len(edges.sigmas)
@@ -73,7 +90,7 @@ def check(edges):
 
 def test_all_views_of_an_edge_are_found():
     chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX]) for view in VIEWS])
-    edges = edges_of([LINE, HELIX], [0, 3, 6])
+    edges = on_their_chains(edges_of([LINE, HELIX], [0, 3, 6]), chains)
     expanded, stats = expand_visibility(edges, chains, OPTIONS, 1)
     check(expanded)
     views = np.diff(expanded.observations.offsets)
@@ -91,7 +108,8 @@ def expanded_views(graph_curves, options=OPTIONS, noise=None):
         graphs[1] = replace(graphs[1], ideal=graphs[1].ideal + noise)
     chains = index_views(VIEWS, graphs)
     others = [v for v in range(len(VIEWS)) if v != 1]
-    expanded, _ = expand_visibility(edges_of([LINE], others), chains, options, 1)
+    edges = on_their_chains(edges_of([LINE], others), chains)
+    expanded, _ = expand_visibility(edges, chains, options, 1)
     check(expanded)
     return np.count_nonzero(expanded.observations.views == 1) / expanded.num_points
 
@@ -123,14 +141,15 @@ def test_view_that_looks_away_sees_nothing():
     views = (*VIEWS, make_view(len(VIEWS), (0, 0, -6), (0, 0, -12)))
     graphs = [graph_of(view, [LINE]) for view in VIEWS]
     chains = index_views(views, [*graphs, graphs[0]])
-    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), chains, OPTIONS, 1)
+    edges = on_their_chains(edges_of([LINE], [0, 3, 6]), chains)
+    expanded, _ = expand_visibility(edges, chains, OPTIONS, 1)
     assert len(VIEWS) not in expanded.observations.views
 
 
 def test_expansion_does_not_depend_on_threads():
     rng = np.random.default_rng(0)
     chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX], 0.5, rng) for view in VIEWS])
-    edges = edges_of([LINE, HELIX], [0, 3, 6])
+    edges = on_their_chains(edges_of([LINE, HELIX], [0, 3, 6]), chains)
     one, two = (expand_visibility(edges, chains, OPTIONS, n)[0] for n in (1, 2))
     assert one.points.tobytes() == two.points.tobytes()
     assert one.observations.pixels.tobytes() == two.observations.pixels.tobytes()
@@ -152,21 +171,86 @@ def test_smallest_number_of_views(counts, expected):
     assert min_inlier_views(np.array(counts), 4) == expected
 
 
-def test_filter_cuts_what_few_views_see():
-    edges = edges_of([LINE], [0, 1, 2, 3, 4])
+def bright_on_the_other_side(view, curve):
+    graph = graph_of(view, [curve])
+    return replace(graph, normals=-graph.normals)
+
+
+def test_polyline_with_its_bright_side_on_the_other_side_is_left_alone():
+    graphs = [graph_of(view, [LINE]) for view in VIEWS]
+    graphs[1] = bright_on_the_other_side(VIEWS[1], LINE)
+    chains = index_views(VIEWS, graphs)
+    edges = on_their_chains(edges_of([LINE], [0, 3, 6]), chains)
+    expanded, _ = expand_visibility(edges, chains, OPTIONS, 1)
+    seen = set(expanded.observations.views.tolist())
+    assert seen == set(range(len(VIEWS))) - {1}
+
+
+def test_edges_that_few_views_see_are_dropped_whole():
+    views = [0, 1, 2, 3, 4]
+    chains = index_views(VIEWS, [graph_of(view, [LINE, HELIX]) for view in VIEWS])
+    edges = on_their_chains(edges_of([LINE, HELIX], views), chains)
+    count = int(edges.edge_offsets[1])
     keep = np.ones(len(edges.observations.views), bool)
-    weak = [3, 10, 11]
-    for point in weak:
-        keep[5 * point : 5 * point + 2] = False  # three views left
-    thinned = replace(
-        edges,
-        observations=edges.observations.keep(keep),
-    )
+    few = np.arange(5 * count).reshape(count, 5)[: count // 2 + 1, :2]
+    keep[few.ravel()] = False  # three views left for more than half of the line's points
+    keep[5 * count : 5 * count + 2] = False  # and for one point of the helix
+    keep[5 * count + 30 : 5 * count + 33] = False  # two views left for another one
+    thinned = replace(edges, observations=edges.observations.keep(keep))
     kept, stats = filter_outliers(thinned, OPTIONS)
     check(kept)
-    assert stats["points_before"] - stats["points_after"] == 3
-    assert kept.edge_offsets.tolist() == [0, 3, 9, edges.num_points - 3]
-    np.testing.assert_array_equal(kept.points, np.delete(edges.points, weak, axis=0))
+    assert (stats["edges_before"], stats["edges_after"]) == (2, 2)
+    assert kept.edge_offsets.tolist() == [0, 6, edges.num_points - count - 1]
+    np.testing.assert_array_equal(kept.points, np.delete(edges.points[count:], 6, axis=0))
+
+
+def views_after_doubts(edges, chains):
+    kept, stats = drop_doubtful_views(edges, chains, OPTIONS)
+    assert stats["observations_kept"] == len(kept.observations.views)
+    return np.bincount(kept.observations.views, minlength=len(VIEWS))
+
+
+def test_views_that_see_an_edge_by_chance_are_left_out():
+    chains = index_views(VIEWS, [graph_of(view, [LINE]) for view in VIEWS])
+    edges = on_their_chains(edges_of([LINE], [0, 1, 2, 3, 4]), chains)
+    count = edges.num_points
+    np.testing.assert_array_equal(views_after_doubts(edges, chains)[:5], 5 * [count])
+    # View 1 observes two points in a row, view 2 a third of them.
+    few = np.ones((count, 5), bool)
+    few[2:, 1] = False
+    few[-(-count // 3) :, 2] = False
+    rare = replace(edges, observations=edges.observations.keep(few.ravel()))
+    counts = views_after_doubts(rare, chains)
+    np.testing.assert_array_equal(counts[:5], [count, 0, -(-count // 3), count, count])
+
+
+@pytest.mark.parametrize(("offset_px", "stays"), [(0.3, True), (1.0, False)])
+def test_views_whose_chains_run_beside_an_edge_are_left_out(offset_px, stays):
+    graphs = [graph_of(view, [LINE]) for view in VIEWS]
+    edges = on_their_chains(edges_of([LINE], [0, 1, 2, 3, 4]), index_views(VIEWS, graphs))
+    moved = replace(graphs[1], ideal=graphs[1].ideal + offset_px * graphs[1].normals)
+    chains = index_views(VIEWS, [graphs[0], moved, *graphs[2:]])
+    observed = edges.observations
+    rows = observed.views == 1
+    pixels = observed.pixels.copy()
+    pixels[rows] += offset_px * observed.normals[rows]
+    beside = replace(edges, observations=replace(observed, pixels=pixels))
+    counts = views_after_doubts(beside, chains)
+    assert counts[1] == (edges.num_points if stays else 0)
+    assert (counts[[0, 2, 3, 4]] == edges.num_points).all()
+
+
+@given(st.lists(st.lists(st.integers(0, 9), min_size=0, max_size=6), min_size=1, max_size=5))
+def test_medians_of_edges(lists):
+    values = np.array([v for each in lists for v in each], np.int64)
+    edges = replace(
+        Edges3D.none(),
+        points=np.zeros((len(values), 3)),
+        edge_offsets=np.cumsum([0, *(len(each) for each in lists)]),
+        closed=np.zeros(len(lists), bool),
+    )
+    expected = [np.median(each) if each else 0 for each in lists]
+    np.testing.assert_array_equal(medians_of_edges(values, edges), expected)
 
 
 @given(arrays(bool, 24), st.booleans())
@@ -195,7 +279,7 @@ def test_kept_pieces_are_runs_of_neighbours(keep, closed):
 def test_fine_samples_follow_the_curve_and_not_the_chord():
     rings = [circle((0.1, 0, 0), 0.8), HELIX]
     chains = index_views(VIEWS, [graph_of(view, rings) for view in VIEWS])
-    edges = edges_of(rings, [0, 1, 3, 5], 120)
+    edges = on_their_chains(edges_of(rings, [0, 1, 3, 5], 120), chains)
     sampled = sample_edges(edges, chains, SamplingOptions(spacing_px=2.0), 2.0)
     check(sampled)
     chord_error = 0.8 * (1 - np.cos(np.pi * 120 / 4000))
@@ -220,7 +304,8 @@ def test_fine_samples_follow_the_curve_and_not_the_chord():
 def test_expansion_of_unseen_noise_keeps_error_small():
     rng = np.random.default_rng(4)
     chains = index_views(VIEWS, [graph_of(view, [LINE], 1.0, rng) for view in VIEWS])
-    expanded, _ = expand_visibility(edges_of([LINE], [0, 3, 6]), chains, OPTIONS, 1)
+    edges = on_their_chains(edges_of([LINE], [0, 3, 6]), chains, 6.0)
+    expanded, _ = expand_visibility(edges, chains, OPTIONS, 1)
     check(expanded)
     for index, view in enumerate(VIEWS):
         rows = expanded.observations.views == index

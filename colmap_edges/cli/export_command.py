@@ -1,0 +1,116 @@
+"""The command `export`: the edges of an output folder in the format of another program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from colmap_edges.cli.errors import one_line_errors
+from colmap_edges.cli.help import Command
+from colmap_edges.cli.terminal import say
+
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+STRUCTURES = "structures"  # name of the folder of LIMAP's lines
+
+
+@click.command(cls=Command, name="export")
+@click.option(
+    "--run_path",
+    type=FOLDER,
+    required=True,
+    help="Output folder of reconstruct or mesh, or LIMAP's",
+)
+@click.option(
+    "--output_path",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="File to write: .step, .stp, .dxf, .svg, .glb, .obj or .ply; or a folder named "
+    "structures, for LIMAP",
+)
+@click.option("--svg", metavar="IMAGE", help="Name of the image whose view an .svg shows")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier file")
+@click.option("--verbose", is_flag=True, help="Show where errors arise")
+def export(verbose: bool, **values: Any) -> None:
+    """Write the edges of an output folder for another program."""
+    with one_line_errors(verbose):
+        say(export_edges(**values))
+
+
+def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: bool) -> str:
+    """Write edges in the format that the name of the output says.
+
+    Returns:
+        What was written, in a line.
+
+    Raises:
+        ColmapEdgesError: there are no edges, no such format or image, or a file is there already.
+    """
+    from colmap_edges.errors import ColmapEdgesError
+    from colmap_edges.evaluation.readers.results import read_edges
+
+    write = writers().get(output_path.suffix.lower())
+    if (output_path.name != STRUCTURES and write is None) or (
+        (svg is not None) != (output_path.suffix.lower() == ".svg")
+    ):
+        raise ColmapEdgesError(
+            f"cannot write edges as {output_path.name!r}; give a file named .step, .stp, .dxf, "
+            ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
+        )
+    if output_path.exists() and not overwrite:
+        raise ColmapEdgesError(f"{output_path} is there already; --overwrite replaces it")
+    if run_path.resolve() in output_path.resolve().parents:
+        raise ColmapEdgesError(f"{output_path} is inside of {run_path}; give a path outside of it")
+    written = read_edges(run_path)
+    output_path.parent.mkdir(parents=True, exist_ok=True)
+    if write is None:
+        from colmap_edges.export.limap import write_structures
+
+        count = write_structures(written.edges, written.curves, written.model, output_path)
+        return f"{count:,} lines in {output_path}; LIMAP reads them beside the model of {run_path}"
+    write(written, output_path, svg)
+    return (
+        f"{written.curves.num_curves:,} curves of {written.edges.num_edges:,} edges: {output_path}"
+    )
+
+
+def writers() -> dict[str, Callable[[Any, Path, str | None], None]]:
+    """What writes each kind of file, by suffix."""
+    from colmap_edges.export.dxf import write_dxf
+    from colmap_edges.export.edges import write_obj, write_ply
+    from colmap_edges.export.glb import write_glb
+    from colmap_edges.export.step import write_step
+
+    def of_curves(write: Callable[[Any, Path], None]) -> Callable[[Any, Path, str | None], None]:
+        return lambda written, path, _: write(written.curves, path)
+
+    def of_edges(write: Callable[[Any, Path], None]) -> Callable[[Any, Path, str | None], None]:
+        return lambda written, path, _: write(written.edges, path)
+
+    return {
+        ".step": of_curves(write_step),
+        ".stp": of_curves(write_step),
+        ".dxf": of_curves(write_dxf),
+        ".glb": of_edges(write_glb),
+        ".obj": of_edges(write_obj),
+        ".ply": of_edges(write_ply),
+        ".svg": write_view,
+    }
+
+
+def write_view(written: Any, path: Path, name: str | None) -> None:
+    """Write what the image of a name sees.
+
+    Raises:
+        ColmapEdgesError: no posed image has the name.
+    """
+    from colmap_edges.errors import ColmapEdgesError
+    from colmap_edges.export.svg import write_svg
+
+    names = [view.name for view in written.model.views]
+    if name not in names:
+        raise ColmapEdgesError(f"no posed image is named {name!r}; there is {names[0]!r}, ...")
+    index = names.index(name)
+    write_svg(written.edges, written.curves, written.model.views[index], index, path)

@@ -1,0 +1,154 @@
+"""3D edges said as what they are: lines, arcs, circles, ellipses and splines, with deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, offsets_of, ranks_of
+
+KINDS = ("line", "arc", "circle", "elliptic_arc", "ellipse", "spline")
+LINE, ARC, CIRCLE, ELLIPTIC_ARC, ELLIPSE, SPLINE = range(len(KINDS))
+DEGREE = 3  # of splines
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curves3D:
+    """Curves that 3D edges consist of, in the order in which they follow each other.
+
+    A line is o + t a for t from 0 to 1. A circle, an ellipse or an arc of one is
+    o + cos(t) a + sin(t) b, with a perpendicular to b and not shorter; a and b are as long as its
+    radii. A spline is a cubic B-spline with clamped knots.
+
+    Attributes:
+        kinds: (C,) uint8 index into `KINDS`.
+        edges: (C,) int64 the edge each is of.
+        ranges: (C, 2) int64 first edge point of each and the one after its last, as indices into
+            `Edges3D.points`; on closed edges the last may be beyond the edge's, and go on from
+            its first.
+        frames: (C, 3, 3) float64 rows o, a and b, world units; b is 0 of lines, all of splines.
+        spans: (C, 2) float64 first and last t: radians of arcs.
+        knot_offsets: (C + 1,) int64; the knots of curve c are those from knot_offsets[c] on.
+        knots: (K,) float64 knots of splines, from 0 to their length, world units.
+        control_points: (M, 3) float64, four fewer than knots for each spline, in the same order.
+        position_sigmas: (C, 2) float64 standard deviations, world units: across a line at its
+            start and end; of a centre within its plane and off it; NaN of splines.
+        direction_sigmas: (C,) float64 of a line's direction or of a plane's normal, radians.
+        radius_sigmas: (C, 2) float64 of the radii, world units; NaN where there is none.
+        control_sigmas: (M,) float64 of control points in each direction, world units.
+    """
+
+    kinds: ByteArray
+    edges: IntArray
+    ranges: IntArray
+    frames: FloatArray
+    spans: FloatArray
+    knot_offsets: IntArray
+    knots: FloatArray
+    control_points: FloatArray
+    position_sigmas: FloatArray
+    direction_sigmas: FloatArray
+    radius_sigmas: FloatArray
+    control_sigmas: FloatArray
+
+    @classmethod
+    def none(cls) -> Curves3D:
+        """No curves."""
+        return cls(
+            kinds=np.zeros(0, np.uint8),
+            edges=np.zeros(0, np.int64),
+            ranges=np.zeros((0, 2), np.int64),
+            frames=np.zeros((0, 3, 3)),
+            spans=np.zeros((0, 2)),
+            knot_offsets=np.zeros(1, np.int64),
+            knots=np.zeros(0),
+            control_points=np.zeros((0, 3)),
+            position_sigmas=np.zeros((0, 2)),
+            direction_sigmas=np.zeros(0),
+            radius_sigmas=np.zeros((0, 2)),
+            control_sigmas=np.zeros(0),
+        )
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[Curves3D]) -> Curves3D:
+        """The curves of all parts, one part after the other."""
+        parts = [cls.none(), *parts]
+        arrays = {
+            entry.name: np.concatenate([getattr(part, entry.name) for part in parts])
+            for entry in fields(cls)
+            if entry.name != "knot_offsets"
+        }
+        lengths = np.concatenate([np.diff(part.knot_offsets) for part in parts])
+        return cls(knot_offsets=offsets_of(lengths), **arrays)
+
+    @property
+    def num_curves(self) -> int:
+        """Number of curves."""
+        return len(self.kinds)
+
+    @property
+    def radii(self) -> FloatArray:
+        """(C, 2) larger and smaller radius; NaN where there is none."""
+        radii: FloatArray = np.linalg.norm(self.frames[:, 1:], axis=2)
+        radii[(self.kinds == LINE) | (self.kinds == SPLINE)] = np.nan
+        return radii
+
+    @property
+    def normals(self) -> FloatArray:
+        """(C, 3) unit normals of the planes of circles, ellipses and their arcs; else NaN."""
+        normals = np.cross(self.frames[:, 1], self.frames[:, 2])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            units: FloatArray = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return units
+
+    def spline(self, curve: int) -> BSpline:
+        """The spline that a curve is."""
+        first, last = self.knot_offsets[curve : curve + 2]
+        before = DEGREE + 1
+        points = int(np.count_nonzero(np.diff(self.knot_offsets[: curve + 1])))
+        start = first - before * points
+        control = self.control_points[start : start + last - first - before]
+        return BSpline(self.knots[first:last], control, DEGREE)
+
+    def control_rows(self, curve: int) -> slice:
+        """The rows of `control_points` that belong to a curve; none unless it is a spline."""
+        before = (DEGREE + 1) * np.count_nonzero(np.diff(self.knot_offsets[: curve + 1]))
+        first, last = self.knot_offsets[curve : curve + 2]
+        count = max(0, last - first - DEGREE - 1)
+        return slice(int(first - before), int(first - before + count))
+
+    def at(self, owners: IntArray, places: FloatArray) -> FloatArray:
+        """(N, 3) points of the (N,) curves at (N,) places, from 0 at the start to 1 at the end."""
+        t = self.spans[owners, 0] + places * np.diff(self.spans[owners], axis=1)[:, 0]
+        origin, a, b = np.moveaxis(self.frames[owners], 1, 0)
+        straight = self.kinds[owners] == LINE
+        along = np.where(straight, t, np.cos(t))[:, None]
+        points: FloatArray = origin + along * a + np.sin(t)[:, None] * b
+        for curve in np.flatnonzero(self.kinds == SPLINE):
+            rows = owners == curve
+            points[rows] = self.spline(int(curve))(t[rows])
+        return points
+
+    def ends(self) -> FloatArray:
+        """(C, 2, 3) starts and ends."""
+        every = np.arange(self.num_curves)
+        sides = (np.zeros(len(every)), np.ones(len(every)))
+        return np.stack([self.at(every, side) for side in sides], axis=1)
+
+    def lengths(self) -> FloatArray:
+        """(C,) lengths, world units."""
+        counts = np.full(self.num_curves, 65)
+        points = self.at(np.repeat(np.arange(self.num_curves), counts), ranks_of(counts) / 64)
+        steps = np.diff(points.reshape(-1, 65, 3), axis=1)
+        lengths: FloatArray = np.linalg.norm(steps, axis=2).sum(axis=1)
+        return lengths
+
+    def sampled(self, spacing: float) -> tuple[FloatArray, IntArray]:
+        """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each."""
+        counts = 2 + np.ceil(self.lengths() / spacing).astype(np.int64)
+        owners = np.repeat(np.arange(self.num_curves), counts)
+        places = ranks_of(counts) / np.maximum(counts[owners] - 1, 1)
+        return self.at(owners, places), owners

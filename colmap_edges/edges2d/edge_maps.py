@@ -1,0 +1,108 @@
+"""Edge images of another detector -> pixel chains, in place of EdgeDrawing's.
+
+Binary maps are thinned to lines of single pixels. Of maps that say how likely edges are, the crests
+across which they are largest are taken (non-maximum suppression), and of these what is linked to a
+crest above Otsu's threshold by crests above half of it (hysteresis, as in Canny 1986).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, offsets_of
+from colmap_edges.images.edge_maps import EdgeMap
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+CREST_SIGMA_PX = 1.0  # blur that gives a plateau its middle as its crest
+DIRECTION_SIGMA_PX = 2.0  # blur under which the direction across a crest is measured
+HYSTERESIS = 0.5  # of the threshold for crests linked to one above it; Canny: a half to a third
+BRANCH_PX = 6  # of the branches of a junction, along which their directions are measured
+GRAYS = 255  # steps of the histogram that is split
+
+
+def pixel_chains_of(
+    edge_map: EdgeMap, size: tuple[int, int], scale: float, min_points: int
+) -> tuple[FloatArray, IntArray]:
+    """Link the pixels of an edge image to chains.
+
+    Args:
+        edge_map: of an image, or of the image upsampled.
+        size: width and height of the image.
+        scale: how many times the image is upsampled where the chains are used.
+        min_points: shortest chain kept.
+
+    Returns:
+        (N, 2) points in pixels of the image upsampled `scale` times (OpenCV's origin), a point for
+        each of its pixels, and their (C + 1,) offsets. They are whole where the edge image is of
+        that size.
+    """
+    edges = edge_map.strengths > 0 if edge_map.is_binary else crests_of(edge_map.strengths)
+    pixels, offsets = _kernels.link_pixels(thinned(edges), BRANCH_PX)
+    height, width = edges.shape
+    ratio = scale * size[0] / width
+    if abs(ratio - 1) * max(width, height) >= 1:  # more than rounding of the size
+        pixels, offsets = rescaled(pixels, offsets, ratio)
+    return long_enough(pixels, offsets, min_points)
+
+
+def thinned(edges: BoolArray) -> BoolArray:
+    """Lines a pixel wide, (H, W) uint8, in the middle of what is set in (H, W)."""
+    padded = np.pad(edges.astype(np.uint8) * 255, 1)  # OpenCV leaves the border as it is
+    thin = cv2.ximgproc.thinning(padded, thinningType=cv2.ximgproc.THINNING_GUOHALL)
+    return np.ascontiguousarray(thin[1:-1, 1:-1])
+
+
+def crests_of(strengths: Float32Array) -> BoolArray:
+    """(H, W) where an edge is likelier than to both sides of it, and likely enough."""
+    smooth = cv2.GaussianBlur(strengths, (0, 0), CREST_SIGMA_PX)
+    broad = cv2.GaussianBlur(strengths, (0, 0), DIRECTION_SIGMA_PX)
+    xx, xy, yy = (cv2.Sobel(broad, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
+    along = 0.5 * np.arctan2(2 * xy, xx - yy)  # direction of the larger second derivative
+    across_x, across_y = -np.sin(along), np.cos(along)
+    is_crest = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy) < 0
+    rows, columns = np.indices(strengths.shape, np.float32)
+    for side in (-1, 1):
+        beside = cv2.remap(
+            smooth, columns + side * across_x, rows + side * across_y, cv2.INTER_LINEAR
+        )
+        is_crest &= smooth >= beside
+    return linked_crests(np.where(is_crest, smooth, 0))
+
+
+def linked_crests(heights: Float32Array) -> BoolArray:
+    """(H, W) crests above a threshold that splits their heights best, and those linked to them."""
+    grays = np.rint(GRAYS * heights / max(float(heights.max()), 1e-12)).astype(np.uint8)
+    found = grays[grays > 0]
+    if len(found) == 0:
+        return np.zeros(heights.shape, bool)
+    threshold, _ = cv2.threshold(found, 0, GRAYS, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    labels, count = ndimage.label(grays > HYSTERESIS * threshold, np.ones((3, 3)))
+    strong = np.zeros(count + 1, bool)
+    strong[labels[grays > threshold]] = True
+    strong[0] = False
+    kept: BoolArray = strong[labels]
+    return kept
+
+
+def rescaled(pixels: FloatArray, offsets: IntArray, ratio: float) -> tuple[FloatArray, IntArray]:
+    """The chains in pixels `ratio` times as small, with a point for each of them."""
+    lengths = np.diff(offsets)
+    counts = np.where(lengths > 1, np.rint((lengths - 1) * ratio).astype(np.int64) + 1, 1)
+    moved = offsets_of(counts)
+    ranks = np.arange(moved[-1]) - np.repeat(moved[:-1], counts)
+    steps = np.repeat((lengths - 1) / np.maximum(counts - 1, 1), counts)
+    places = np.repeat(offsets[:-1], counts) + ranks * steps
+    every = np.arange(len(pixels))
+    points = np.column_stack([np.interp(places, every, axis) for axis in pixels.T])
+    return (points + 0.5) * ratio - 0.5, moved
+
+
+def long_enough(
+    pixels: FloatArray, offsets: IntArray, min_points: int
+) -> tuple[FloatArray, IntArray]:
+    """The chains of at least this many points."""
+    lengths = np.diff(offsets)
+    kept = lengths >= min_points
+    return pixels[np.repeat(kept, lengths)], offsets_of(lengths[kept])

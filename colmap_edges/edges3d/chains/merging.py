@@ -1,0 +1,199 @@
+"""Pieces of all reference views that are one edge -> one piece, refined on what all observed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    entries_of,
+    offsets_of,
+)
+from colmap_edges.core.observations import ChainObservations
+from colmap_edges.core.view import lift
+from colmap_edges.edges3d.chains.curves import Curves, replace_depths
+from colmap_edges.edges3d.chains.filtering import (
+    Sorted,
+    Traced,
+    chosen,
+    find_pieces,
+    sort_remains,
+)
+from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
+from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, joint_step
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
+from colmap_edges.edges3d.linking.merging import Pieces, merge_pieces
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import PipelineOptions
+
+
+def merge_traced(
+    given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
+) -> tuple[Sorted, dict[str, int]]:
+    """Each edge once: copies leave their observations to the piece that stays.
+
+    Args:
+        given: the views with their whole edge graphs.
+        kept: the pieces of every reference view, at positions on these graphs.
+        options: noise, how near an observation is, and how often an edge is seen.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        What stays, refined where it took observations, and counts. What is left of a piece scatters
+        as contours do where only its better part was an edge; that goes to the contours.
+    """
+    traced = [each for each in kept.edges if len(each.points)]
+    if not traced:
+        return kept, {"points_merged": 0}
+    pieces = Pieces(
+        points=np.concatenate([t.points for t in traced]),
+        offsets=offsets_of(np.concatenate([np.diff(t.offsets) for t in traced])),
+        sigmas=np.concatenate([t.sigmas for t in traced]),
+        observations=ChainObservations.concatenated([t.observations for t in traced]),
+        views=[given.views[view] for view in range(given.num_views)],
+    )
+    merging = merge_pieces(pieces, given, options, num_threads)
+    starts = offsets_of(np.array([len(t.points) for t in traced]))
+    owners = np.searchsorted(starts, merging.takers, "right") - 1
+    edges, contours = [], list(kept.contours)
+    for place, each in enumerate(traced):
+        rows = np.flatnonzero(owners == place)
+        stays = merging.kept[starts[place] : starts[place + 1]]
+        left = chosen(each, find_pieces(each, stays, np.inf, options.tracing)[0], stays)
+        takers = np.cumsum(stays)[merging.takers[rows] - starts[place]] - 1
+        if len(rows):
+            taken = taken_observations(pieces.observations, merging.givers[rows], takers)
+            left = refined_with(given, left, taken, options, num_threads)
+        fixed, moving = sort_remains(left, kept.limits, options.tracing)
+        edges.append(fixed)
+        contours.append(moving)
+    count = {"points_merged": int((~merging.kept).sum())}
+    return replace(kept, edges=edges, contours=contours), count
+
+
+@dataclass(frozen=True, kw_only=True)
+class Taken:
+    """Observations that (R,) points take, in views and at positions on their chains."""
+
+    points: IntArray
+    views: IntArray
+    positions: FloatArray
+
+
+def taken_observations(
+    observations: ChainObservations, givers: IntArray, takers: IntArray
+) -> Taken:
+    """What points take of others, one from each."""
+    rows = entries_of(observations.offsets, givers)
+    return Taken(
+        points=np.repeat(takers, observations.counts[givers]),
+        views=observations.views[rows].astype(np.int64),
+        positions=observations.positions[rows],
+    )
+
+
+def refined_with(
+    given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
+) -> Traced:
+    """Curves of one reference view refined on their observations and others."""
+    reference = given.views[traced.reference]
+    others, table = observation_table(traced, taken)
+    at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
+    ideal, depths = reference.project_ideal(traced.points)
+    curves = Curves(
+        ideal=ideal,
+        inverse_depths=1 / depths,
+        indices=np.zeros(len(ideal), np.int64),
+        offsets=traced.offsets,
+        sides=np.zeros(len(ideal), np.int8),
+    )
+    observers = Observers(
+        reference=reference,
+        own=given.index(traced.reference),
+        others=[given.index(view) for view in others.tolist()],
+        options=options.refinement,
+        num_threads=num_threads,
+    )
+    curves, table, residuals, information = refit(curves, table, observers)
+    observed = np.isfinite(table).sum(axis=1)
+    with np.errstate(divide="ignore"):
+        sigmas = options.refinement.noise_px / np.sqrt(information)
+    return replace(
+        traced,
+        points=lift(reference, curves.ideal, curves.inverse_depths),
+        sigmas=np.minimum(traced.sigmas, sigmas / curves.inverse_depths**2),
+        uncertainties=np.minimum(
+            traced.uncertainties, sigmas / curves.inverse_depths * reference.focal_px
+        ),
+        residuals=np.nansum(np.abs(residuals), axis=1) / np.maximum(observed, 1),
+        observations=ChainObservations.of_table(
+            np.append(traced.reference, others), np.column_stack([at_reference, table])
+        ),
+    )
+
+
+def observation_table(traced: Traced, taken: Taken) -> tuple[IntArray, FloatArray]:
+    """The views that observe curves besides their reference, and (N, 1 + K) positions there.
+
+    Those on the chains of the reference view come first. Own observations go before those taken.
+    """
+    own = traced.observations
+    views = np.unique(np.concatenate([own.views, taken.views, [traced.reference]]))
+    table = np.full((len(traced.points), len(views)), np.nan)
+    table[taken.points, np.searchsorted(views, taken.views)] = taken.positions
+    table[own.points, np.searchsorted(views, own.views)] = own.positions
+    at = int(np.searchsorted(views, traced.reference))
+    others = np.delete(np.arange(len(views)), at)
+    return views[others], table[:, np.append(at, others)]
+
+
+def refit(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[Curves, FloatArray, FloatArray, FloatArray]:
+    """Refine curves on given observations, and drop those that do not fit.
+
+    Returns:
+        The curves, (N, K) positions, (N, K) residuals in pixels and (N,) information on inverse
+        depth in units of the noise.
+    """
+    positions, _, _ = slid(curves, positions, observers)
+    normals = curves.normals
+    sums = observers.sums(curves, positions, normals)
+    changes, shifts = joint_step(curves, sums, observers.options)
+    movable = ~weak_points(curves, sums)
+    shifts, changes = np.where(movable, (shifts, changes), 0)
+    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+    curves = replace_depths(curves, curves.inverse_depths + changes)
+    return curves, *slid(curves, positions, observers)
+
+
+def weak_points(curves: Curves, sums: Sums) -> BoolArray:
+    """(N,) points of curves along the epipolar lines, whose depths the gray beside them told."""
+    count = len(curves.offsets) - 1
+    across, every = (
+        np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
+    )
+    return np.asarray((across < WELL_ACROSS * every)[curves.curve_ids], np.bool_)
+
+
+def slid(
+    curves: Curves, positions: FloatArray, observers: Observers
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The nearest places on the same chains, where these are near enough.
+
+    Returns:
+        (N, K) positions, (N, K) residuals in pixels, both NaN where there is none, and (N,)
+        information on inverse depth in units of the noise.
+    """
+    at, others = placed(observers.reference, curves), observers.others
+    positions = _kernels.slide_positions(*at, positions, others, observers.num_threads)
+    residuals, information = _kernels.observation_residuals(
+        *at, positions, others, observers.num_threads
+    )
+    near = np.abs(residuals) <= observers.options.max_residual_px
+    positions = drop_lone(np.where(near, positions, np.nan), curves.offsets)
+    return positions, np.where(np.isfinite(positions), residuals, np.nan), information

@@ -1,0 +1,323 @@
+"""Pieces of an edge -> its curves: which neighbours are one line, arc, ellipse or spline together.
+
+Cutting knows lines and arcs. Ellipses and splines come out of it as a row of arcs; stray points
+part what is one. So rows of pieces that follow each other without a corner are fitted again as one
+curve of each kind, and the rows of least cost are taken, again by BIC.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, ELLIPTIC_ARC, LINE, SPLINE
+from colmap_edges.edges3d.curves import cutting
+from colmap_edges.edges3d.curves.cutting import Noise, Pieces
+from colmap_edges.edges3d.curves.ellipses import fit_ellipses
+from colmap_edges.edges3d.curves.rounds import fit_circles, fit_lines
+from colmap_edges.edges3d.curves.splines import SplineFit, fit_spline, smooth_squares, spline_price
+from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
+
+MAX_ROW = 6  # pieces that may become one curve
+MAX_TURN = np.radians(40)  # between the chords before and after a place without a corner
+CHORD = 4  # points of these chords
+MAX_DOUBT = 0.03  # of the radii: deviation up to which an ellipse is said to be one
+# Fewest control points of splines, and the degree of polynomials that bend more than such splines
+# of up to one (four at the second) control points more: no spline costs less than the price of
+# the one with the distance from the other.
+PROBES = ((4, 5), (6, 9))
+FREEDOM = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
+MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Rows of successive pieces that may be one curve.
+
+    Attributes:
+        edges: (R,) their edges.
+        pieces: (R, 2) first and last piece.
+        bounds: (R, 2) first point and the one after the last.
+        whole: (R,) whether it is taken as all of a closed edge.
+        all_of_edge: (R,) whether it is all of an edge.
+    """
+
+    edges: IntArray
+    pieces: IntArray
+    bounds: IntArray
+    whole: BoolArray
+    all_of_edge: BoolArray
+
+    @property
+    def lengths(self) -> IntArray:
+        """(R,) numbers of points."""
+        return np.diff(self.bounds)[:, 0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The curves chosen: of each its kind, edge and stretch of points, and its fit.
+
+    Attributes:
+        kinds, edges, bounds: (C,), (C,), (C, 2).
+        frames: (C, 3, 3) rows: of lines a point, the direction and 0, of rounds the centre and the
+            half axes.
+        sigmas: (C, 5) deviations: of the point or the centre, of the centre off its plane, of the
+            direction or normal as an angle, of the two radii.
+        splines: by curve, those that are splines.
+    """
+
+    kinds: IntArray
+    edges: IntArray
+    bounds: IntArray
+    frames: FloatArray
+    sigmas: FloatArray
+    splines: dict[int, SplineFit]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fits:
+    """The best fit to each row so far.
+
+    Attributes:
+        kinds: (R,) its kind.
+        costs: (R,) its cost.
+        frames, sigmas: (R, 3, 3) and (R, 5) as of `Choice`.
+        splines: by row.
+    """
+
+    kinds: IntArray
+    costs: FloatArray
+    frames: FloatArray
+    sigmas: FloatArray
+    splines: dict[int, SplineFit]
+
+    def take(self, rows: IntArray, kind: int, costs: FloatArray, frames: Any, sigmas: Any) -> None:
+        """Keep fits of one kind to (n,) rows where they cost less than those so far."""
+        better = costs < self.costs[rows]
+        rows = rows[better]
+        self.kinds[rows], self.costs[rows] = kind, costs[better]
+        self.frames[rows], self.sigmas[rows] = frames[better], sigmas[better]
+
+
+def choose(points: FloatArray, noise: Noise, pieces: Pieces, closed: BoolArray) -> Choice:
+    """Choose the curves of edges that were cut into pieces.
+
+    Args:
+        points: (N, 3) edge points.
+        noise: how far they are off.
+        pieces: stretches of each edge.
+        closed: (E,) which edges are closed.
+    """
+    rows = candidate_rows(points, pieces, closed)
+    judge = Judge(
+        stack=stacked(points, noise.weights, rows.bounds),
+        rows=rows,
+        logs=price_of_a_parameter(pieces, noise)[rows.edges],
+        shares=noise.shares(rows.lengths),
+        correlation=noise.correlation,
+    )
+    fits = fits_of_nothing(rows, noise)
+    fit_simple(judge, pieces, fits)
+    fit_free(judge, pieces, fits)
+    taken = cheapest(rows, pieces, fits.costs)
+    taken = taken[fits.kinds[taken] != cutting.NOTHING]
+    return Choice(
+        kinds=fits.kinds[taken],
+        edges=rows.edges[taken],
+        bounds=rows.bounds[taken],
+        frames=fits.frames[taken],
+        sigmas=fits.sigmas[taken],
+        splines={
+            curve: fits.splines[row]
+            for curve, row in enumerate(taken.tolist())
+            if fits.kinds[row] == SPLINE
+        },
+    )
+
+
+def price_of_a_parameter(pieces: Pieces, noise: Noise) -> FloatArray:
+    """(E,) what a parameter of a curve of each edge costs."""
+    lengths = np.zeros(len(pieces.offsets) - 1, np.int64)
+    some = np.diff(pieces.offsets) > 0
+    first, last = pieces.offsets[:-1][some], pieces.offsets[1:][some] - 1
+    lengths[some] = pieces.bounds[last, 1] - pieces.bounds[first, 0]
+    return cutting.log_counts(lengths, noise.correlation)
+
+
+def fits_of_nothing(rows: Rows, noise: Noise) -> Fits:
+    """What it costs that points are of no curve, which those of all of an edge must be."""
+    count = len(rows.edges)
+    costs = MISFIT**2 / noise.correlation * rows.lengths
+    return Fits(
+        kinds=np.full(count, cutting.NOTHING, np.int64),
+        costs=np.where(rows.all_of_edge, 1e300, costs),
+        frames=np.zeros((count, 3, 3)),
+        sigmas=np.full((count, 5), np.nan),
+        splines={},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judge:
+    """What fits to rows are judged by.
+
+    Attributes:
+        stack: the points of each row.
+        rows: the rows.
+        logs: (R,) what a parameter costs.
+        shares: (R,) what squares of residuals are divided by.
+        correlation: number of successive points that say as much as one.
+    """
+
+    stack: Stack
+    rows: Rows
+    logs: FloatArray
+    shares: FloatArray
+    correlation: float
+
+    def part(self, which: IntArray) -> Stack:
+        """The points of some rows."""
+        offsets = self.stack.offsets
+        bounds = np.column_stack([offsets[:-1], offsets[1:]])[which]
+        return stacked(self.stack.points, self.stack.weights, bounds)
+
+    def costs(self, which: IntArray, part: Stack, squares: FloatArray, kind: int) -> FloatArray:
+        """(n,) costs of fits of a kind to rows with the squared distances of their points."""
+        shares = self.shares[which][part.owners]
+        sums = part.sums(costs_of(part.weights * squares, shares, self.correlation))
+        return np.asarray(sums + FREEDOM[kind] * self.logs[which])
+
+    def asked(self, mask: BoolArray, kind: int) -> IntArray:
+        """The rows of a mask that have points enough for a kind."""
+        return np.flatnonzero(mask & (self.rows.lengths >= MIN_POINTS[kind]))
+
+
+def fit_simple(judge: Judge, pieces: Pieces, fits: Fits) -> None:
+    """Fit lines, arcs and circles to rows, of single pieces only what they were cut as."""
+    first, last = judge.rows.pieces.T
+    several = (first != last) | judge.rows.all_of_edge & (pieces.kinds[first] != cutting.LINE)
+    which = judge.asked(several | (pieces.kinds[first] != cutting.ARC), LINE)
+    part = judge.part(which)
+    lines = fit_lines(part)
+    frames = np.stack([lines.origins, lines.directions, 0 * lines.origins], axis=1)
+    middle, direction = lines.middle_sigmas, lines.direction_sigmas
+    sigmas = np.column_stack([middle, middle, direction, 0 * middle, 0 * middle])
+    fits.take(which, LINE, judge.costs(which, part, lines.squares, LINE), frames, sigmas)
+    round_ = several | (pieces.kinds[first] != cutting.LINE)
+    for kind, mask in ((ARC, ~judge.rows.whole), (CIRCLE, judge.rows.whole)):
+        which = judge.asked(round_ & mask, kind)
+        part = judge.part(which)
+        circles = fit_circles(part)
+        half = circles.radii[:, None, None] * circles.axes[:, :2]
+        frames = np.concatenate([circles.centers[:, None], half], axis=1)
+        sigmas = circles.sigmas[:, [0, 1, 2, 3, 3]]
+        fits.take(which, kind, judge.costs(which, part, circles.squares, kind), frames, sigmas)
+
+
+def stacked(points: FloatArray, weights: FloatArray, bounds: IntArray) -> Stack:
+    """The stretches of points between (R, 2) bounds."""
+    rows = ranges_of(bounds[:, 0], bounds[:, 1])
+    offsets = offsets_of(bounds[:, 1] - bounds[:, 0])
+    return Stack(points=points[rows], weights=weights[rows], offsets=offsets)
+
+
+def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Rows:
+    """Single pieces, rows of them without a corner, few or all, and all of each closed edge."""
+    count = len(pieces.kinds)
+    owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
+    smooth = np.zeros(count, bool)  # whether the piece goes on from the one before
+    if count:
+        smooth[1:] = (owners[1:] == owners[:-1]) & ~is_corner(points, pieces)[1:]
+    firsts, lasts = [np.arange(count)], [np.arange(count)]
+    reach = np.ones(count, bool)
+    for length in range(1, MAX_ROW):
+        reach = reach[:-1] & smooth[length:] if len(reach) > 1 else reach[:0]
+        firsts.append(np.flatnonzero(reach))
+        lasts.append(firsts[-1] + length)
+    starts = np.flatnonzero(~smooth)
+    ends = np.append(starts[1:], count) - 1
+    long = ends - starts >= MAX_ROW  # all that goes on without a corner
+    firsts.append(starts[long])
+    lasts.append(ends[long])
+    loops = np.flatnonzero(closed & (np.diff(pieces.offsets) > 0))
+    singles = len(np.concatenate(firsts))
+    first = np.concatenate([*firsts, pieces.offsets[loops]])
+    last = np.concatenate([*lasts, pieces.offsets[loops + 1] - 1])
+    whole = np.arange(len(first)) >= singles
+    return Rows(
+        edges=owners[first] if count else np.zeros(0, np.int64),
+        pieces=np.column_stack([first, last]),
+        bounds=np.column_stack([pieces.bounds[first, 0], pieces.bounds[last, 1]]),
+        whole=whole,
+        all_of_edge=(first == pieces.offsets[owners[first]])
+        & (last == pieces.offsets[owners[first] + 1] - 1),
+    )
+
+
+def is_corner(points: FloatArray, pieces: Pieces) -> BoolArray:
+    """(K,) whether the edge turns sharply where a piece begins."""
+    owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
+    start = pieces.bounds[pieces.offsets[:-1], 0][owners]
+    end = pieces.bounds[pieces.offsets[1:] - 1, 1][owners] - 1
+    at = pieces.bounds[:, 0]
+    # A point that one neighbour's rounding takes belongs to neither chord.
+    before = points[np.maximum(at - 2, start)] - points[np.maximum(at - 1 - CHORD, start)]
+    after = points[np.minimum(at + CHORD, end)] - points[np.minimum(at + 1, end)]
+    norms = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+    return np.asarray(np.einsum("ij,ij->i", before, after) < np.cos(MAX_TURN) * norms)
+
+
+def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
+    """Fit ellipses and splines to rows with a bent piece, where they may cost less."""
+    first, last = judge.rows.pieces.T
+    totals = np.concatenate([[0.0], np.cumsum(fits.costs[: len(pieces.kinds)])])
+    limit = np.minimum(totals[last + 1] - totals[first], fits.costs)
+    bends = np.concatenate([[0], np.cumsum(pieces.kinds != cutting.LINE)])
+    bent = bends[last + 1] > bends[first]
+    for kind, mask in ((ELLIPTIC_ARC, ~judge.rows.whole), (ELLIPSE, judge.rows.whole)):
+        which = judge.asked(bent & mask & (FREEDOM[kind] * judge.logs < limit), kind)
+        part = judge.part(which)
+        ellipses = fit_ellipses(part)
+        costs = judge.costs(which, part, ellipses.squares, kind)
+        radii = np.linalg.norm(ellipses.frames[:, 1:], axis=2)
+        known = ellipses.sigmas[:, 3:] * np.sqrt(judge.correlation) < MAX_DOUBT * radii
+        costs[~(ellipses.found & known.all(axis=1))] = np.inf
+        fits.take(which, kind, costs, ellipses.frames, ellipses.sigmas)
+    limit = np.minimum(limit, fits.costs)
+    price = spline_price(DEGREE + 1, 1.0) * judge.logs
+    which = judge.asked(bent & (price < limit), SPLINE)
+    part = judge.part(which)
+    least = np.full(len(which), np.inf)
+    for size, degree in PROBES:
+        squares = part.weights * smooth_squares(part, degree)
+        costs = part.sums(costs_of(squares, judge.shares[which][part.owners], judge.correlation))
+        least = np.minimum(least, costs + spline_price(size, 1.0) * judge.logs[which])
+    for row in which[least < limit[which]].tolist():
+        own = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
+        points, weights = judge.stack.points[own], judge.stack.weights[own]
+        prices = judge.logs[row], judge.shares[row], judge.correlation
+        spline = fit_spline(points, weights, *prices, limit[row])
+        if spline is not None:
+            fits.kinds[row], fits.costs[row], fits.splines[row] = SPLINE, spline.cost, spline
+
+
+def cheapest(rows: Rows, pieces: Pieces, cost: FloatArray) -> IntArray:
+    """The rows that cover every piece once at the least cost, in their order."""
+    order = np.argsort(rows.pieces[:, 1], kind="stable")
+    best = np.full(len(pieces.kinds) + 1, np.inf)
+    best[0] = 0
+    from_row = np.zeros(len(pieces.kinds) + 1, np.int64)
+    for row in order.tolist():
+        first, last = rows.pieces[row].tolist()
+        total = best[first] + cost[row]
+        if total < best[last + 1]:
+            best[last + 1], from_row[last + 1] = total, row
+    taken, piece = [], len(pieces.kinds)
+    while piece > 0:
+        taken.append(int(from_row[piece]))
+        piece = int(rows.pieces[taken[-1], 0])
+    return np.array(taken[::-1], dtype=np.int64)

@@ -1,0 +1,164 @@
+"""Edges -> stretches that a line or a circular arc fits, at the noise that the edges show.
+
+The standard deviations that tracing gives are right up to a factor that differs from scene to
+scene: poses and detection are better or worse than assumed. The factor is the one at which lines,
+arcs and points of neither describe the edges with the least cost, minus log-likelihood and half the
+parameters times the logarithm of the number of points (BIC).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of, ranges_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges3d.curves.rounds import fit_lines, principal_axes
+from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, softened
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+NOTHING, LINE, ARC = -1, 0, 1  # kinds of pieces, as the kernel has them
+# Parameters, one of them where along the edge the piece ends.
+LINE_FREEDOM, ARC_FREEDOM = 5, 8
+MIN_LOG = 2.0  # logarithm of the number of points that counts for edges of few
+FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # of the deviations, that are tried
+TAILS = 3.0  # errors are no normal ones: those of 1 point in 100 are so many times as large
+MAX_SAMPLE = 400  # edges of which the noise is learned
+MIN_SAMPLE_POINTS = 8
+MAX_PLACES = 64  # of an edge between which the best cut is sought; others follow
+FIRST_CORRELATION = 2.0  # points that count as one, before it is known
+MAX_LAG = 2  # farther on it is the shared errors that are alike (SHARED)
+STRAY = 16.0  # cost of a point of no curve while the factor is sought: 4 deviations as stated
+# Independent points that a curve of many says as much as: what pose and light do to them is shared.
+SHARED = 16.0
+SMALLEST = 1e-7  # of the scene's size: smaller deviations are those of rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """How far points are off.
+
+    Attributes:
+        sigmas: (N,) effective standard deviation of each point, world units.
+        correlation: number of successive points that say as much as one.
+    """
+
+    sigmas: FloatArray
+    correlation: float
+
+    def shares(self, lengths: IntArray) -> FloatArray:
+        """By what squares of residuals of curves of (R,) points are divided."""
+        return np.asarray(self.correlation + lengths / SHARED)
+
+    @property
+    def weights(self) -> FloatArray:
+        """(N,) one over the squares of the deviations."""
+        return 1 / self.sigmas**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pieces:
+    """Stretches of edges.
+
+    Attributes:
+        bounds: (K, 2) first point and the one after the last.
+        kinds: (K,) LINE, ARC or NOTHING.
+        offsets: (E + 1,) pieces of edge e are offsets[e]:offsets[e + 1].
+    """
+
+    bounds: IntArray
+    kinds: Int32Array
+    offsets: IntArray
+
+
+def stated_sigmas(edges: Edges3D) -> FloatArray:
+    """(N,) deviations of points as tracing gives them; where it gives none, the roughness."""
+    points = edges.points
+    known = np.isfinite(edges.sigmas) & (edges.sigmas > 0)
+    bends = points[2:] - 2 * points[1:-1] + points[:-2]
+    within = edges.edge_ids[2:] == edges.edge_ids[:-2]
+    rough = np.linalg.norm(bends[within], axis=1) / np.sqrt(6)
+    usual = float(np.median(rough)) if len(rough) else 0.0
+    smallest = SMALLEST * float(np.ptp(points, axis=0).max(initial=0)) or 1.0
+    return np.maximum(np.where(known, edges.sigmas, usual), smallest)
+
+
+def log_counts(lengths: IntArray, correlation: float) -> FloatArray:
+    """Logarithms of how many independent points edges of (E,) points have."""
+    return np.log(np.maximum(lengths / correlation, np.exp(MIN_LOG)))
+
+
+def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
+    """The factor of the deviations, and the correlation, at which the edges are told best."""
+    sigmas = stated_sigmas(edges)
+    lengths = np.diff(edges.edge_offsets)
+    long = np.flatnonzero(lengths >= MIN_SAMPLE_POINTS)
+    if not len(long):
+        return Noise(sigmas=sigmas, correlation=FIRST_CORRELATION)
+    chosen = long[:: -(-len(long) // MAX_SAMPLE)]
+    rows = ranges_of(edges.edge_offsets[chosen], edges.edge_offsets[chosen + 1])
+    points, offsets = edges.points[rows], offsets_of(lengths[chosen])
+    costs = cut_costs(lengths[chosen], FACTORS, FIRST_CORRELATION, STRAY)
+    totals, *_ = _kernels.cut_pieces(
+        points, 1 / sigmas[rows] ** 2, offsets, costs, MAX_PLACES, num_threads
+    )
+    misses = 4 * np.log(FACTORS) * len(rows) / FIRST_CORRELATION
+    best = int(np.argmin(totals.sum(axis=1) + misses))
+    sigmas = TAILS * FACTORS[best] * sigmas
+    first = Noise(sigmas=sigmas[rows], correlation=FIRST_CORRELATION)
+    pieces = cut(points, offsets, first, num_threads)
+    return Noise(sigmas=sigmas, correlation=correlation_of(points, first, pieces))
+
+
+def cut_costs(
+    lengths: IntArray, factors: FloatArray, correlation: float, stray: float
+) -> FloatArray:
+    """(F, E, 5) costs as the kernel has them, for edges of (E,) points and (F,) factors.
+
+    `stray` is the cost of a point of no curve, at the factor 1.
+    """
+    costs = np.zeros((len(factors), len(lengths), 5))
+    logs = log_counts(lengths, correlation)
+    costs[:, :, 0], costs[:, :, 1] = LINE_FREEDOM * logs, ARC_FREEDOM * logs
+    # How likely a point of no curve is does not depend on the factor; that of others does.
+    costs[:, :, 2] = np.maximum(stray - 4 * np.log(factors), 1)[:, None] / correlation
+    costs[:, :, 3] = (factors**2 * correlation)[:, None]
+    costs[:, :, 4] = SHARED * correlation
+    return costs
+
+
+def cut(points: FloatArray, offsets: IntArray, noise: Noise, num_threads: int) -> Pieces:
+    """Cut polylines, in CSR arrays, at the noise of their points."""
+    costs = cut_costs(np.diff(offsets), np.ones(1), noise.correlation, MISFIT**2)
+    _, bounds, kinds, piece_offsets = _kernels.cut_pieces(
+        points, noise.weights, offsets, costs, MAX_PLACES, num_threads
+    )
+    return Pieces(bounds=bounds, kinds=kinds, offsets=piece_offsets)
+
+
+def correlation_of(points: FloatArray, noise: Noise, pieces: Pieces) -> float:
+    """How many successive points say as much as one, by their distances from lines."""
+    bounds = pieces.bounds[pieces.kinds == LINE]
+    if not len(bounds):
+        return noise.correlation
+    rows = ranges_of(bounds[:, 0], bounds[:, 1])
+    stack = Stack(
+        points=points[rows],
+        weights=noise.weights[rows],
+        offsets=offsets_of(bounds[:, 1] - bounds[:, 0]),
+    )
+    origins, vectors = principal_axes(stack, softened(stack.weights, fit_lines(stack).squares))
+    q = stack.points - origins[stack.owners]
+    direction = vectors[stack.owners, 2]
+    off = (q - np.einsum("ij,ij->i", q, direction)[:, None] * direction) / noise.sigmas[rows, None]
+    off /= np.maximum(1, np.linalg.norm(off, axis=1) / MISFIT)[:, None]
+    total = 1.0
+    for lag in range(1, MAX_LAG + 1):
+        same = stack.owners[lag:] == stack.owners[:-lag]
+        products = np.einsum("ij,ij->i", off[lag:][same], off[:-lag][same]).sum()
+        shared = products / max((off[lag:][same] ** 2).sum(), 1e-300)
+        if shared < 0.05:
+            break
+        total += 2 * float(shared)
+    return total

@@ -1,0 +1,161 @@
+"""Ellipses by geometric least squares, robustly, for many stretches at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.edges3d.curves.rounds import least_squares, principal_axes
+from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
+
+STEPS = 10
+FOOT_STEPS = 4
+MAX_STEP = 0.3  # of the smaller radius, a step
+MAX_ASPECT = 20.0  # a flatter one is a line there and back
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipses:
+    """Ellipses of S stretches.
+
+    Attributes:
+        frames: (S, 3, 3) rows: centre and the two half axes, the longer first.
+        squares: (N,) squared distances of the stack's points.
+        sigmas: (S, 5) deviations: of the centre in the plane and off it, of the normal's angle,
+            and of the two radii.
+        found: (S,) which stretches are of an ellipse at all.
+    """
+
+    frames: FloatArray
+    squares: FloatArray
+    sigmas: FloatArray
+    found: BoolArray
+
+
+def fit_ellipses(stack: Stack) -> Ellipses:
+    """Fit an ellipse to every stretch: distances in the plane nearest to it, and off that."""
+    owners, given = stack.owners, stack.weights
+    origins, vectors = principal_axes(stack, given)
+    axes = np.stack([vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])], axis=1)
+    local = np.einsum("ijk,ik->ij", axes[owners], stack.points - origins[owners])
+    rows = np.column_stack([local[:, :2], np.ones(len(local))])
+    slopes, flat_inverse = least_squares(
+        stack, softened(given, local[:, 2] ** 2), rows, local[:, 2]
+    )
+    height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
+    shapes, found = algebraic_ellipses(stack, local[:, :2])
+    for _ in range(STEPS):
+        distances, jacobian = residuals(shapes[owners], local[:, :2])
+        weights = softened(given, distances**2 + height**2)
+        normal = stack.sums(np.einsum("i,ij,ik->ijk", weights, jacobian, jacobian))
+        steps, inverse = solved(normal, stack.sums((weights * distances)[:, None] * jacobian))
+        limit = MAX_STEP * np.abs(shapes[:, 2:4]).min(axis=1, keepdims=True)
+        shapes = shapes + np.clip(steps, -limit, limit)
+        radii = np.sort(np.abs(shapes[:, 2:4]), axis=1)
+        found &= np.isfinite(shapes).all(axis=1) & (radii[:, 1] < MAX_ASPECT * radii[:, 0])
+        shapes[~found] = (0, 0, 1, 1, 0)
+    distances, _ = residuals(shapes[owners], local[:, :2])
+    inside, off = (np.einsum("sii->si", each) for each in (inverse, flat_inverse))
+    variances = [inside[:, :2].mean(axis=1), off[:, 2], off[:, :2].mean(axis=1), *inside[:, 2:4].T]
+    frames, sigmas = frames_of(shapes, slopes, origins, axes, np.sqrt(np.abs(variances)).T)
+    return Ellipses(frames=frames, squares=distances**2 + height**2, sigmas=sigmas, found=found)
+
+
+def frames_of(
+    shapes: FloatArray,
+    slopes: FloatArray,
+    origins: FloatArray,
+    axes: FloatArray,
+    sigmas: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(S, 3, 3) centres and half axes in space, the longer first, and the (S, 5) sigmas so.
+
+    Args:
+        shapes: (S, 5) centre, radii and turn in the planes.
+        slopes: (S, 3) rise of the planes over the axes, and their height at the origins.
+        origins: (S, 3) of the frames in which these are.
+        axes: (S, 3, 3) of the same.
+        sigmas: (S, 5) as of `Ellipses`, for the radii as in `shapes`.
+    """
+    turn = shapes[:, 4]
+    ways = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1)
+    ways = ways.reshape(-1, 2, 2)
+    lifted = np.concatenate(
+        [ways, np.einsum("sij,sj->si", ways, slopes[:, :2])[:, :, None]], axis=2
+    )
+    lifted[:, 0] /= np.linalg.norm(lifted[:, 0], axis=1, keepdims=True)
+    along = np.einsum("si,si->s", lifted[:, 0], lifted[:, 1])
+    lifted[:, 1] -= along[:, None] * lifted[:, 0]
+    lifted[:, 1] /= np.linalg.norm(lifted[:, 1], axis=1, keepdims=True)
+    half = np.einsum("sij,sjk->sik", np.abs(shapes[:, 2:4, None]) * lifted, axes)
+    height = np.einsum("si,si->s", slopes[:, :2], shapes[:, :2]) + slopes[:, 2]
+    centers = np.column_stack([shapes[:, :2], height])
+    frames = np.concatenate([(origins + np.einsum("sj,sjk->sk", centers, axes))[:, None], half], 1)
+    swapped = np.abs(shapes[:, 2]) < np.abs(shapes[:, 3])
+    frames[swapped] = frames[swapped][:, [0, 2, 1]]
+    sigmas[swapped] = sigmas[swapped][:, [0, 1, 2, 4, 3]]
+    return frames, sigmas
+
+
+def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Signed distances (n,) of (n, 2) points from their (n, 5) ellipses; Jacobian (n, 5).
+
+    The foot points are found by Newton's method on their angles.
+    """
+    a, b, turn = shapes[:, 2:].T
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = (plane - shapes[:, :2]).T
+    u, v = x * c + y * s, y * c - x * s
+    t = np.arctan2(v * a, u * b)
+    for _ in range(FOOT_STEPS):
+        cos, sin = np.cos(t), np.sin(t)
+        slope = (u - a * cos) * a * sin - (v - b * sin) * b * cos
+        bend = (a * sin) ** 2 + (b * cos) ** 2 + (u - a * cos) * a * cos + (v - b * sin) * b * sin
+        t = t - np.clip(slope / np.where(np.abs(bend) > 1e-300, bend, 1), -0.5, 0.5)
+    cos, sin = np.cos(t), np.sin(t)
+    normal = np.column_stack([b * cos, a * sin])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    p, q = normal.T
+    distances = (u - a * cos) * p + (v - b * sin) * q
+    columns = (p * c - q * s, p * s + q * c, p * cos, q * sin, q * a * cos - p * b * sin)
+    return distances, np.column_stack(columns)
+
+
+def algebraic_ellipses(stack: Stack, plane: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Halir and Flusser's direct fits (1998) to the stretches of (N, 2) points.
+
+    Returns:
+        (S, 5) centre, radii and turn, and (S,) which are ellipses.
+    """
+    owners = stack.owners
+    ones = np.ones(len(plane))
+    counts = stack.sums(ones)
+    size = np.sqrt(stack.sums((plane**2).sum(axis=1)) / counts)
+    size = np.maximum(size, 1e-300)
+    x, y = (plane / size[owners][:, None]).T
+    monomials = np.column_stack([x * x, x * y, y * y, x, y, ones])
+    scatter = stack.sums(np.einsum("ij,ik->ijk", monomials, monomials))
+    mixed, flat = scatter[:, :3, 3:], scatter[:, 3:, 3:]
+    flat = flat + 1e-12 * np.trace(flat, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    back = -np.linalg.solve(flat, np.swapaxes(mixed, 1, 2))
+    reduced = scatter[:, :3, :3] + mixed @ back
+    constraint = np.array([[0, 0, 0.5], [0, -1, 0], [0.5, 0, 0]])
+    vectors = np.swapaxes(np.linalg.eig(constraint @ reduced)[1].real, 1, 2)
+    level = 4 * vectors[:, :, 0] * vectors[:, :, 2] - vectors[:, :, 1] ** 2
+    best = np.take_along_axis(vectors, np.argmax(level, axis=1)[:, None, None], axis=1)[:, 0]
+    linear = np.einsum("sij,sj->si", back, best)
+    form = np.stack([best[:, 0], best[:, 1] / 2, best[:, 1] / 2, best[:, 2]], 1).reshape(-1, 2, 2)
+    found = level.max(axis=1) > 1e-12
+    form[~found] = np.eye(2)
+    center = -0.5 * np.linalg.solve(form, linear[:, :2, None])[:, :, 0]
+    constant = np.einsum("si,sij,sj->s", center, form, center) - linear[:, 2]
+    found &= np.abs(constant) > 1e-300
+    values, axes = np.linalg.eigh(form / np.where(found, constant, 1)[:, None, None])
+    found &= (values > 0).all(axis=1)
+    radii = 1 / np.sqrt(np.where(found[:, None], values, 1))
+    turn = np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
+    shapes = np.column_stack([center * size[:, None], radii * size[:, None], turn])
+    shapes[~found] = (0, 0, 1, 1, 0)
+    return shapes, found

@@ -1,0 +1,172 @@
+"""3D edges -> what they are: lines, arcs, circles, ellipses and splines, with deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    ranges_of,
+)
+from colmap_edges.core.curves3d import (
+    ARC,
+    CIRCLE,
+    ELLIPSE,
+    ELLIPTIC_ARC,
+    LINE,
+    SPLINE,
+    Curves3D,
+)
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.edges3d.curves.choosing import Choice, choose
+from colmap_edges.edges3d.curves.cutting import Noise, cut, learn_noise
+from colmap_edges.edges3d.curves.joints import joined_at_corners
+from colmap_edges.edges3d.curves.relations import regularized
+
+# Distances between points: an arc that lacks less of the full turn is one. As pieces of edges are
+# joined across gaps (Linking.max_gap_spacings).
+MAX_GAP_SPACINGS = 8.0
+
+
+def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1) -> Curves3D:
+    """Say what each edge is: the simplest curves that fit within its standard deviations.
+
+    Edges are cut where the kind of curve changes. Every choice is that of least cost, which is
+    half the squares of the residuals in standard deviations plus half the number of parameters
+    times the logarithm of the number of points (BIC; Schwarz 1978). How large the deviations
+    really are, and how many successive points say as much as one, is learned from the edges.
+
+    Args:
+        edges: the edges, whole or in pieces.
+        regularize: make lines and planes parallel, perpendicular and coplanar, and circles
+            concentric, where they are so within their deviations.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The curves in the order of the edges. Points that fit none are of none.
+    """
+    if not edges.num_points:
+        return Curves3D.none()
+    noise = learn_noise(edges, num_threads)
+    order = cut_order(edges, noise, num_threads)
+    points = edges.points[order]
+    noise = replace(noise, sigmas=noise.sigmas[order])
+    pieces = cut(points, edges.edge_offsets, noise, num_threads)
+    choice = choose(points, noise, pieces, edges.closed)
+    curves = assembled(points, noise, choice)
+    curves = joined_at_corners(curves, points, noise)
+    if regularize:
+        curves = regularized(curves, points, noise)
+    return replace(curves, ranges=ranges_in(edges, order, choice))
+
+
+def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
+    """(N,) the points, those of closed edges from a place on where two curves meet."""
+    order = np.arange(edges.num_points)
+    loops = np.flatnonzero(edges.closed)
+    if not len(loops):
+        return order
+    offsets = offsets_of(np.diff(edges.edge_offsets)[loops])
+    rows = ranges_of(edges.edge_offsets[loops], edges.edge_offsets[loops + 1])
+    part = replace(noise, sigmas=noise.sigmas[rows])
+    pieces = cut(edges.points[rows], offsets, part, num_threads)
+    for place, edge in enumerate(loops.tolist()):
+        first, end = edges.edge_offsets[edge : edge + 2].tolist()
+        cuts = pieces.bounds[pieces.offsets[place] : pieces.offsets[place + 1], 0] - offsets[place]
+        middle = int(cuts[np.argmin(np.abs(cuts - (end - first) / 2))])
+        order[first:end] = np.roll(order[first:end], -middle)
+    return order
+
+
+def ranges_in(edges: Edges3D, order: IntArray, choice: Choice) -> IntArray:
+    """(C, 2) stretches of the curves as indices of the edges' own points."""
+    if not len(choice.bounds):
+        return np.zeros((0, 2), np.int64)
+    first = order[choice.bounds[:, 0]]
+    ranges: IntArray = np.column_stack([first, first + np.diff(choice.bounds)[:, 0]])
+    return ranges
+
+
+def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
+    """The chosen fits as curves, each from its first point to its last."""
+    kinds = choice.kinds.astype(np.uint8)
+    spread = np.sqrt(noise.correlation)
+    splines = [choice.splines[curve] for curve in sorted(choice.splines)]
+    spans = np.zeros((len(kinds), 2))
+    lengths = np.zeros(len(kinds), np.int64)
+    spans[kinds == SPLINE] = [fit.knots[[0, -1]] for fit in splines] or np.zeros((0, 2))
+    lengths[kinds == SPLINE] = [len(fit.knots) for fit in splines]
+    sigmas = np.where((kinds == SPLINE)[:, None], np.nan, choice.sigmas)
+    radius_sigmas = np.where(has_radii(kinds)[:, None], sigmas[:, 3:], np.nan)
+    curves = Curves3D(
+        kinds=kinds,
+        edges=choice.edges,
+        ranges=choice.bounds,
+        frames=np.where((kinds == SPLINE)[:, None, None], 0, choice.frames),
+        spans=spans,
+        knot_offsets=offsets_of(lengths),
+        knots=np.concatenate([np.zeros(0), *(fit.knots for fit in splines)]),
+        control_points=np.concatenate([np.zeros((0, 3)), *(fit.control for fit in splines)]),
+        position_sigmas=sigmas[:, :2] * spread,
+        direction_sigmas=sigmas[:, 2] * spread,
+        radius_sigmas=radius_sigmas * spread,
+        control_sigmas=np.concatenate([np.zeros(0), *(fit.sigmas for fit in splines)]) * spread,
+    )
+    return bounded_rounds(bounded_lines(curves, points), points)
+
+
+def has_radii(kinds: ByteArray) -> BoolArray:
+    """(C,) which curves have radii."""
+    return np.asarray((kinds != LINE) & (kinds != SPLINE))
+
+
+def bounded_lines(curves: Curves3D, points: FloatArray) -> Curves3D:
+    """Lines from the foot of their first point to that of their last."""
+    which = np.flatnonzero(curves.kinds == LINE)
+    frames, positions = curves.frames.copy(), curves.position_sigmas.copy()
+    ends = points[np.column_stack([curves.ranges[which, 0], curves.ranges[which, 1] - 1])]
+    origin, direction = frames[which, 0], frames[which, 1]
+    along = np.einsum("cij,cj->ci", ends - origin[:, None], direction)
+    flip = np.where(along[:, 1] < along[:, 0], -1.0, 1.0)
+    direction, along = direction * flip[:, None], along * flip[:, None]
+    frames[which, 0] = origin + along[:, :1] * direction
+    frames[which, 1] = (along[:, 1:] - along[:, :1]) * direction
+    lever = along * curves.direction_sigmas[which, None]
+    positions[which] = np.hypot(positions[which], lever)
+    spans = curves.spans.copy()
+    spans[which] = (0, 1)
+    return replace(curves, frames=frames, position_sigmas=positions, spans=spans)
+
+
+def bounded_rounds(curves: Curves3D, points: FloatArray) -> Curves3D:
+    """Arcs from their first point to their last; those that all but close are closed."""
+    kinds, frames, spans = curves.kinds.copy(), curves.frames.copy(), curves.spans.copy()
+    for curve in np.flatnonzero(has_radii(kinds)).tolist():
+        first, end = curves.ranges[curve].tolist()
+        angles = np.unwrap(angles_of(frames[curve], points[first:end]))
+        if angles[-1] < angles[0]:
+            frames[curve, 2] *= -1
+            angles = -angles
+        step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
+        open_kind = kinds[curve] in (ARC, ELLIPTIC_ARC)
+        if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > MAX_GAP_SPACINGS * step:
+            spans[curve] = angles[0], angles[-1]
+        else:
+            kinds[curve] = CIRCLE if kinds[curve] in (ARC, CIRCLE) else ELLIPSE
+            spans[curve] = angles[0], angles[0] + 2 * np.pi
+    return replace(curves, kinds=kinds, frames=frames, spans=spans)
+
+
+def angles_of(frame: FloatArray, points: FloatArray) -> FloatArray:
+    """(n,) angles t at which (n, 3) points are, on o + cos(t) a + sin(t) b."""
+    origin, a, b = frame
+    q = points - origin
+    angles: Any = np.arctan2(q @ b / (b @ b), q @ a / (a @ a))
+    return np.asarray(angles, dtype=np.float64)

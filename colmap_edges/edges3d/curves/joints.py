@@ -1,0 +1,107 @@
+"""Where successive curves of an edge meet: both are led to their common point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.curves3d import CIRCLE, ELLIPSE, LINE, SPLINE, Curves3D
+from colmap_edges.edges3d.curves.cutting import Noise
+from colmap_edges.edges3d.curves.stacks import MISFIT
+
+STEPS = 30
+MAX_POINTS_BETWEEN = 8  # that are of no curve where two meet, such as those of a rounded corner
+REACH = 3.0  # distances between points that a curve is led on at most, beyond the gap
+
+
+def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
+    """Lead the ends of successive curves to where they meet, if they do within deviations.
+
+    The common point is found by projecting onto the one and the other in turn. Splines end where
+    they are; what follows is led to them. Ends of lines are moved to the point itself.
+
+    Args:
+        curves: with ranges into `points`, those of an edge in order.
+        points: (N, 3) edge points in that order.
+        noise: how far they are off.
+    """
+    left, right = joints_of(curves)
+    if not len(left):
+        return curves
+    gaps = np.linalg.norm(
+        points[curves.ranges[right, 0]] - points[curves.ranges[left, 1] - 1], axis=1
+    )
+    ends = curves.ends()
+    at_left, at_right = ends[left, 1], ends[right, 0]
+    starts = at_left.copy(), at_right.copy()
+    for _ in range(STEPS):
+        middle = (at_left + at_right) / 2
+        at_left = nearest_on(curves, left, middle, starts[0])
+        at_right = nearest_on(curves, right, middle, starts[1])
+    sigmas = noise.sigmas[curves.ranges[left, 1] - 1] + noise.sigmas[curves.ranges[right, 0]]
+    allowed = (1 + REACH) * np.maximum(gaps, np.median(gaps))
+    led = [np.linalg.norm(a - b, axis=1) for a, b in zip((at_left, at_right), starts, strict=True)]
+    meet = np.linalg.norm(at_left - at_right, axis=1) < MISFIT * sigmas
+    meet &= np.maximum(*led) < allowed
+    place = np.where(is_line(curves, right)[:, None], at_left, at_right)
+    both = is_line(curves, left) & is_line(curves, right)
+    place[both] = ((at_left + at_right) / 2)[both]
+    curves = with_ends(curves, left[meet], place[meet], 1)
+    return with_ends(curves, right[meet], place[meet], 0)
+
+
+def joints_of(curves: Curves3D) -> tuple[IntArray, IntArray]:
+    """(J,) curves and (J,) those that follow them on their edge, nearly without a gap."""
+    follows = curves.edges[1:] == curves.edges[:-1]
+    between = curves.ranges[1:, 0] - curves.ranges[:-1, 1]
+    closed = (curves.kinds == CIRCLE) | (curves.kinds == ELLIPSE)
+    follows &= (between <= MAX_POINTS_BETWEEN) & ~closed[1:] & ~closed[:-1]
+    left = np.flatnonzero(follows)
+    return left, left + 1
+
+
+def is_line(curves: Curves3D, which: IntArray) -> BoolArray:
+    """(J,) which of these curves are lines."""
+    return np.asarray(curves.kinds[which] == LINE)
+
+
+def nearest_on(
+    curves: Curves3D, which: IntArray, targets: FloatArray, ends: FloatArray
+) -> FloatArray:
+    """(J, 3) points of (J,) curves, led on as far as needed, near (J, 3) targets.
+
+    Of ellipses it is the point at the same angle, which is near by. Splines are not led on: it
+    is their end.
+    """
+    origin, a, b = np.moveaxis(curves.frames[which], 1, 0)
+    q = targets - origin
+    squares = np.maximum(np.einsum("ij,ij->i", a, a), 1e-300)
+    along = np.einsum("ij,ij->i", q, a) / squares
+    foot = origin + along[:, None] * a
+    aside = np.einsum("ij,ij->i", q, b) / np.maximum(np.einsum("ij,ij->i", b, b), 1e-300)
+    angle = np.arctan2(aside, along)
+    round_foot = origin + np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b
+    found = np.where(is_line(curves, which)[:, None], foot, round_foot)
+    return np.where((curves.kinds[which] == SPLINE)[:, None], ends, found)
+
+
+def with_ends(curves: Curves3D, which: IntArray, places: FloatArray, side: int) -> Curves3D:
+    """The curves, the start (side 0) or end (1) of (J,) of them at (J, 3) places."""
+    frames, spans = curves.frames.copy(), curves.spans.copy()
+    lines = is_line(curves, which)
+    straight, round_ = which[lines], which[~lines & (curves.kinds[which] != SPLINE)]
+    first, last = frames[straight, 0], frames[straight].sum(axis=1)  # b of lines is 0
+    if side == 0:
+        frames[straight, 0], frames[straight, 1] = places[lines], last - places[lines]
+    else:
+        frames[straight, 1] = places[lines] - first
+    origin, a, b = np.moveaxis(frames[round_], 1, 0)
+    q = places[~lines & (curves.kinds[which] != SPLINE)] - origin
+    along = np.einsum("ij,ij->i", q, a) / np.einsum("ij,ij->i", a, a)
+    aside = np.einsum("ij,ij->i", q, b) / np.einsum("ij,ij->i", b, b)
+    now = spans[round_, side]
+    turn = np.arctan2(aside, along) - now
+    spans[round_, side] = now + (turn + np.pi) % (2 * np.pi) - np.pi
+    return replace(curves, frames=frames, spans=spans)

@@ -1,0 +1,200 @@
+"""Relations between curves that the data supports: parallel, perpendicular, coplanar, concentric.
+
+Directions are those of lines and the normals of planes of circles, ellipses and their arcs. What is
+equal within its standard deviations is made equal, the surest first; a curve that its points then
+fit worse than chance allows stays as it was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranges_of
+from colmap_edges.core.curves3d import LINE, SPLINE, Curves3D
+from colmap_edges.edges3d.curves.cutting import Noise
+from colmap_edges.edges3d.curves.stacks import MISFIT, Stack
+
+MAX_GROWTH = 1.5  # of the mean square of a curve's residuals, beyond that of its deviations
+MAX_ANGLE = np.radians(5)  # however unsure: what is farther apart is not taken for equal
+
+
+def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
+    """Make curves parallel, perpendicular, coplanar and concentric where they nearly are.
+
+    Args:
+        curves: with ranges into `points`.
+        points: (N, 3) edge points.
+        noise: how far they are off.
+    """
+    sizes = np.linalg.norm(curves.frames[:, 1:], axis=2)
+    sized = (sizes[:, 0] > 0) & ((curves.kinds == LINE) | (sizes[:, 1] > 0))
+    which = np.flatnonzero((curves.kinds != SPLINE) & np.isfinite(curves.direction_sigmas) & sized)
+    if not len(which):
+        return curves
+    directions, groups = shared_directions(curves, which)
+    moved = with_directions(curves, which, directions)
+    moved = with_shared_axes(moved, which, groups, directions)
+    moved = with_shared_planes(moved, which, groups, directions)
+    worse = residual_squares(moved, points, noise) > MAX_GROWTH * np.maximum(
+        residual_squares(curves, points, noise), 1.0
+    )
+    frames = np.where(worse[:, None, None], curves.frames, moved.frames)
+    return replace(curves, frames=frames)
+
+
+def directions_of(curves: Curves3D, which: IntArray) -> FloatArray:
+    """(n, 3) unit directions of lines and normals of the others."""
+    ways = curves.frames[which, 1]
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-300)
+    return np.where((curves.kinds[which] == LINE)[:, None], ways, curves.normals[which])
+
+
+def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, IntArray]:
+    """(n, 3) directions after those that agree were made equal or perpendicular; (n,) groups."""
+    directions = directions_of(curves, which)
+    sigmas = np.maximum(curves.direction_sigmas[which], 1e-12)
+    groups = np.full(len(which), -1)
+    means: list[FloatArray] = []
+    spreads: list[float] = []
+    for place in np.argsort(sigmas, kind="stable").tolist():
+        if groups[place] >= 0:
+            continue
+        open_ = np.flatnonzero(groups < 0)
+        cosines = directions[open_] @ directions[place]
+        apart = np.arccos(np.minimum(np.abs(cosines), 1))
+        limit = np.minimum(MISFIT * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
+        members = open_[(apart <= limit) | (open_ == place)]
+        signs = np.sign(directions[members] @ directions[place])
+        weights = signs / sigmas[members] ** 2
+        groups[members] = len(means)
+        mean = weights @ directions[members]
+        means.append(mean / np.linalg.norm(mean))
+        spreads.append(1 / np.sqrt((1 / sigmas[members] ** 2).sum()))
+    shared = perpendicular(np.array(means), np.array(spreads), np.bincount(groups))
+    aligned = shared[groups]
+    aligned *= np.sign(np.einsum("ij,ij->i", aligned, directions))[:, None]
+    return aligned, groups
+
+
+def perpendicular(means: FloatArray, spreads: FloatArray, counts: IntArray) -> FloatArray:
+    """(G, 3) directions of groups, those that are nearly at right angles exactly so.
+
+    In the order of how many curves share them, each is turned to be perpendicular to at most two
+    that came before.
+    """
+    turned = means.copy()
+    done: list[int] = []
+    for group in np.argsort(-counts, kind="stable").tolist():
+        fixed: list[int] = []
+        for other in done:
+            off = abs(float(np.arcsin(np.clip(turned[group] @ turned[other], -1, 1))))
+            limit = min(MISFIT * float(np.hypot(spreads[group], spreads[other])), MAX_ANGLE)
+            square = all(abs(turned[other] @ turned[f]) < 1e-9 for f in fixed)
+            if off <= limit and square and len(fixed) < 2:
+                fixed.append(other)
+        for other in fixed:
+            turned[group] -= (turned[group] @ turned[other]) * turned[other]
+        turned[group] /= np.linalg.norm(turned[group])
+        if counts[group] > 1:
+            done.append(group)
+    return turned
+
+
+def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -> Curves3D:
+    """The curves turned to directions: lines about their middles, planes about their centres."""
+    frames = curves.frames.copy()
+    lines = curves.kinds[which] == LINE
+    chosen, ways = which[lines], directions[lines]
+    middle = frames[chosen, 0] + frames[chosen, 1] / 2
+    length = np.linalg.norm(frames[chosen, 1], axis=1, keepdims=True)
+    frames[chosen, 0], frames[chosen, 1] = middle - length / 2 * ways, length * ways
+    chosen, normals = which[~lines], directions[~lines]
+    sizes = np.linalg.norm(frames[chosen, 1:], axis=2)
+    a = frames[chosen, 1]
+    a = a - np.einsum("ij,ij->i", a, normals)[:, None] * normals
+    a /= np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-300)
+    frames[chosen, 1], frames[chosen, 2] = sizes[:, :1] * a, sizes[:, 1:] * np.cross(normals, a)
+    return replace(curves, frames=frames)
+
+
+def with_shared_axes(
+    curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
+) -> Curves3D:
+    """Circles and arcs whose axes are the same within deviations, on one axis."""
+    frames = curves.frames.copy()
+    for group in np.unique(groups).tolist():
+        members = np.flatnonzero((groups == group) & (curves.kinds[which] != LINE))
+        if len(members) < 2:
+            continue
+        normal = directions[members[0]]
+        chosen = which[members]
+        sigmas = np.maximum(curves.position_sigmas[chosen, 0], 1e-300)
+        across = frames[chosen, 0] - np.outer(frames[chosen, 0] @ normal, normal)
+        for part in agreeing(across, sigmas):
+            mean = np.average(across[part], axis=0, weights=1 / sigmas[part] ** 2)
+            frames[chosen[part], 0] += mean - across[part]
+    return replace(curves, frames=frames)
+
+
+def with_shared_planes(
+    curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
+) -> Curves3D:
+    """Planes of arcs, and lines in them, at one height along a shared normal where they agree."""
+    frames = curves.frames.copy()
+    lines = curves.kinds[which] == LINE
+    for group in np.unique(groups[~lines]).tolist():
+        normal = directions[groups == group][0]
+        flat = lines & (np.abs(directions @ normal) < 1e-9)
+        members = np.flatnonzero(((groups == group) & ~lines) | flat)
+        chosen = which[members]
+        middle = frames[chosen, 0] + np.where(lines[members, None], frames[chosen, 1] / 2, 0)
+        column = np.where(lines[members], 0, 1)
+        sigmas = np.maximum(curves.position_sigmas[chosen, column], 1e-300)
+        heights = middle @ normal
+        for part in agreeing(heights[:, None], sigmas):
+            mean = np.average(heights[part], weights=1 / sigmas[part] ** 2)
+            frames[chosen[part], 0] += np.outer(mean - heights[part], normal)
+    return replace(curves, frames=frames)
+
+
+def agreeing(places: FloatArray, sigmas: FloatArray) -> list[IntArray]:
+    """Groups of (n, k) places that are the same within (n,) deviations, the surest first."""
+    tree = cKDTree(places)
+    left = np.ones(len(places), bool)
+    found = []
+    for place in np.argsort(sigmas, kind="stable").tolist():
+        if not left[place]:
+            continue
+        reach = MISFIT * float(np.hypot(sigmas[place], sigmas[left].max()))
+        near = np.array(sorted(tree.query_ball_point(places[place], reach)), dtype=np.int64)
+        apart = np.linalg.norm(places[near] - places[place], axis=1)
+        near = near[left[near] & (apart <= MISFIT * np.hypot(sigmas[near], sigmas[place]))]
+        left[near] = False
+        left[place] = False
+        if len(near) > 1:
+            found.append(near)
+    return found
+
+
+def residual_squares(curves: Curves3D, points: FloatArray, noise: Noise) -> FloatArray:
+    """(C,) mean squares of the distances of points from their curves, in deviations.
+
+    Of ellipses it is the distance from the point at the same angle; of splines 0.
+    """
+    lengths = np.diff(curves.ranges)[:, 0]
+    rows = ranges_of(curves.ranges[:, 0], curves.ranges[:, 1])
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    stack = Stack(points=points[rows], weights=noise.weights[rows], offsets=offsets)
+    origin, a, b = np.moveaxis(curves.frames[stack.owners], 1, 0)
+    q = stack.points - origin
+    along = np.einsum("ij,ij->i", q, a) / np.maximum(np.einsum("ij,ij->i", a, a), 1e-300)
+    aside = np.einsum("ij,ij->i", q, b) / np.maximum(np.einsum("ij,ij->i", b, b), 1e-300)
+    straight: BoolArray = (curves.kinds == LINE)[stack.owners]
+    angle = np.arctan2(aside, along)
+    x, y = np.where(straight, along, np.cos(angle)), np.where(straight, 0, np.sin(angle))
+    squares = ((q - x[:, None] * a - y[:, None] * b) ** 2).sum(axis=1)
+    means = stack.sums(np.minimum(stack.weights * squares, MISFIT**2)) / np.maximum(lengths, 1)
+    return np.where(curves.kinds == SPLINE, 0, means)

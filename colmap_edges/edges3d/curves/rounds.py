@@ -1,0 +1,155 @@
+"""Lines and circles by geometric least squares, robustly, for many stretches at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.core.arrays import FloatArray
+from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
+
+LINE_STEPS = 4
+CIRCLE_STEPS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """Lines of S stretches.
+
+    Attributes:
+        origins, directions: (S, 3) weighted mean of the points, and unit direction.
+        squares: (N,) squared distances of the stack's points.
+        middle_sigmas, direction_sigmas: (S,) deviations of the origin across, and of the angle.
+    """
+
+    origins: FloatArray
+    directions: FloatArray
+    squares: FloatArray
+    middle_sigmas: FloatArray
+    direction_sigmas: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Circles:
+    """Circles of S stretches.
+
+    Attributes:
+        centers: (S, 3).
+        axes: (S, 3, 3) unit rows: two in the plane, and its normal.
+        radii: (S,).
+        squares: (N,) squared distances of the stack's points.
+        sigmas: (S, 4) deviations: of the centre in the plane and off it, of the normal's angle,
+            and of the radius.
+    """
+
+    centers: FloatArray
+    axes: FloatArray
+    radii: FloatArray
+    squares: FloatArray
+    sigmas: FloatArray
+
+
+def fit_lines(stack: Stack) -> Lines:
+    """Fit a line to every stretch: total least squares, points far off with less weight."""
+    weights, owners = stack.weights, stack.owners
+    for _ in range(LINE_STEPS):
+        origins, vectors = principal_axes(stack, weights)
+        directions = vectors[:, 2]
+        q = stack.points - origins[owners]
+        along = np.einsum("ij,ij->i", q, directions[owners])
+        squares = np.maximum(0, np.einsum("ij,ij->i", q, q) - along**2)
+        used, weights = weights, softened(stack.weights, squares)
+    return Lines(
+        origins=origins,
+        directions=directions,
+        squares=squares,
+        middle_sigmas=1 / np.sqrt(stack.sums(used)),
+        direction_sigmas=1 / np.sqrt(np.maximum(stack.sums(used * along**2), 1e-300)),
+    )
+
+
+def principal_axes(stack: Stack, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(S, 3) weighted means and (S, 3, 3) unit rows, the direction of largest spread last."""
+    totals = stack.sums(weights)[:, None]
+    origins = stack.sums(weights[:, None] * stack.points) / totals
+    q = stack.points - origins[stack.owners]
+    spread = stack.sums(np.einsum("i,ij,ik->ijk", weights, q, q)) / totals[:, :, None]
+    return origins, np.swapaxes(np.linalg.eigh(spread)[1], 1, 2)
+
+
+def fit_circles(stack: Stack) -> Circles:
+    """Fit a circle to every stretch: distances in its plane and off it, by Gauss and Newton.
+
+    To first order the plane moves points off it alone, the centre and the radius those in it
+    alone, so that each step solves two systems of three unknowns.
+    """
+    weights, owners = stack.weights, stack.owners
+    centers, vectors = principal_axes(stack, weights)
+    axes = np.stack([vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])], axis=1)
+    centers, radii = algebraic_circles(stack, centers, axes)
+    for _ in range(CIRCLE_STEPS):
+        local = np.einsum("ijk,ik->ij", axes[owners], stack.points - centers[owners])
+        distance = np.hypot(local[:, 0], local[:, 1])
+        squares = (distance - radii[owners]) ** 2 + local[:, 2] ** 2
+        weights = softened(stack.weights, squares)
+        units = local[:, :2] / np.maximum(distance, 1e-300)[:, None]
+        rows = np.column_stack([units, np.ones(len(units))])
+        flat = np.column_stack([local[:, :2], np.ones(len(local))])
+        inside, inside_inverse = least_squares(stack, weights, rows, distance - radii[owners])
+        off, off_inverse = least_squares(stack, weights, flat, local[:, 2])
+        limit = 0.5 * radii
+        steps = np.clip(inside, -limit[:, None], limit[:, None])
+        moved = np.column_stack([steps[:, :2], off[:, 2]])
+        centers = centers + np.einsum("sji,sj->si", axes, moved)
+        radii = radii + steps[:, 2]
+        axes = tilted(axes, off[:, :2])
+    return Circles(
+        centers=centers,
+        axes=axes,
+        radii=radii,
+        squares=squares,
+        sigmas=circle_sigmas(inside_inverse, off_inverse),
+    )
+
+
+def circle_sigmas(inside: FloatArray, off: FloatArray) -> FloatArray:
+    """(S, 4) deviations from the (S, 3, 3) covariances of a fit in the plane and off it."""
+    inside, off = (np.einsum("sii->si", each) for each in (inside, off))
+    columns = (inside[:, :2].sum(axis=1) / 2, off[:, 2], off[:, :2].sum(axis=1) / 2, inside[:, 2])
+    return np.asarray(np.sqrt(np.maximum(np.column_stack(columns), 0)))
+
+
+def least_squares(
+    stack: Stack, weights: FloatArray, rows: FloatArray, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Solutions (S, 3) of (N, 3) rows against (N,) values in each stretch, and covariances."""
+    normal = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, rows))
+    return solved(normal, stack.sums((weights * values)[:, None] * rows))
+
+
+def algebraic_circles(
+    stack: Stack, origins: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Centres (S, 3) and radii (S,) from Kasa's linear fit in the planes at the origins."""
+    owners = stack.owners
+    local = np.einsum("ijk,ik->ij", axes[owners], stack.points - origins[owners])[:, :2]
+    size = np.sqrt(stack.sums(stack.weights * (local**2).sum(axis=1)) / stack.sums(stack.weights))
+    size = np.maximum(size, 1e-300)
+    local = local / size[owners][:, None]
+    rows = np.column_stack([2 * local, np.ones(len(local))])
+    found, _ = least_squares(stack, stack.weights, rows, (local**2).sum(axis=1))
+    radii = np.sqrt(np.maximum(found[:, 2] + (found[:, :2] ** 2).sum(axis=1), 1e-12))
+    moved = np.einsum("sji,sj->si", axes[:, :2], found[:, :2] * size[:, None])
+    return origins + moved, radii * size
+
+
+def tilted(axes: FloatArray, slopes: FloatArray) -> FloatArray:
+    """(S, 3, 3) axes of planes that rise by (S, 2) slopes along the first two axes."""
+    slopes = np.clip(slopes, -1, 1)
+    first = axes[:, 0] + slopes[:, :1] * axes[:, 2]
+    second = axes[:, 1] + slopes[:, 1:] * axes[:, 2]
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    normal = np.cross(first, second)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normal, first), normal], axis=1)

@@ -1,0 +1,380 @@
+"""Which pieces of curves are one edge, found twice, and which are neighbours.
+
+An edge is traced once for each pair of sides that views see beside it, since the views of one pair
+do not recognise it in those of another, and once more wherever light or blur moved it. How far two
+pieces are apart does not tell copies from neighbours. What views see does: of neighbours those that
+resolve them see both, of copies every view sees one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import norm
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, owners_of
+from colmap_edges.core.observations import ChainObservations
+from colmap_edges.core.polylines import curve_tangents
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import PipelineOptions
+
+MAX_OFFSET_PX = 6.0  # how far light and blur move an edge in an image
+MIN_COSINE = float(np.cos(np.radians(15.0)))  # of the angle between pieces that are parallel
+MAX_ALONG_SPACINGS = 0.75  # how far past a point of a piece that piece is still beside another
+SAMPLES = 3  # places along a pair of pieces at which views are asked
+CHANCE_RATE = 0.1  # of places beside an edge at which a view observes one that is not there
+MAX_COPY_SIGMAS = 3.0  # between copies of which either is as good
+WEAK_RATIO = 1.0  # of observations
+OUTLIER_RATE = 0.1  # of copies, those that lie farther away than noise tells
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pieces:
+    """Pieces of curves with where views observe them.
+
+    Attributes:
+        points: (N, 3) world points, those of one piece one after the other.
+        offsets: (E + 1,) CSR of the points by piece.
+        sigmas: (N,) standard deviation of a point, world units.
+        observations: places on chains where the N points are observed.
+        views: of the model.
+    """
+
+    points: FloatArray
+    offsets: IntArray
+    sigmas: FloatArray
+    observations: ChainObservations
+    views: Sequence[View]
+
+    @cached_property
+    def ids(self) -> IntArray:
+        """(N,) piece of each point."""
+        return owners_of(self.offsets)
+
+    @cached_property
+    def tangents(self) -> FloatArray:
+        """(N, 3) unit directions along the pieces."""
+        along = curve_tangents(self.points, self.offsets)
+        lengths = np.linalg.norm(along, axis=1, keepdims=True)
+        return np.asarray(along / (lengths + 1e-300), np.float64)
+
+    @cached_property
+    def spacings(self) -> FloatArray:
+        """(N,) distance to the next point of the piece, or the one before."""
+        apart = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        apart[np.diff(self.ids) != 0] = 0
+        return np.asarray(np.maximum(np.append(apart, 0), np.append(0, apart)), np.float64)
+
+    @cached_property
+    def pixel_sizes(self) -> FloatArray:
+        """(N,) length of a pixel in the nearest view that observes a point."""
+        sizes = np.full(len(self.points), np.inf)
+        for index, rows in self.observations.by_view():
+            view, points = self.views[index], self.observations.points[rows]
+            depths = view.cam_from_world(self.points[points])[:, 2]
+            sizes[points] = np.minimum(sizes[points], depths / view.focal_px)
+        return np.where(np.isfinite(sizes), sizes, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Points of pieces beside others.
+
+    Attributes:
+        points: (M,) the points.
+        others: (M,) of each another piece's point that is the nearest of that piece.
+        offsets: (M, 3) from the point straight across to the other piece.
+    """
+
+    points: IntArray
+    others: IntArray
+    offsets: FloatArray
+
+    def select(self, rows: IntArray | BoolArray) -> Matches:
+        """Some of them."""
+        return Matches(
+            points=self.points[rows], others=self.others[rows], offsets=self.offsets[rows]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merging:
+    """What becomes of pieces.
+
+    Attributes:
+        kept: (N,) the points that stay; the others are copies of these.
+        takers: (K,) points that stay and
+        givers: (K,) the copies of them, whose observations they take.
+    """
+
+    kept: BoolArray
+    takers: IntArray
+    givers: IntArray
+
+
+def merge_pieces(
+    pieces: Pieces, given: IndexedGraphs, options: PipelineOptions, num_threads: int
+) -> Merging:
+    """Tell copies from neighbours and choose, of copies, the points that stay.
+
+    Args:
+        pieces: pieces of curves with their observations.
+        given: the edge graphs of all views.
+        options: noise, how near a chain observes a point, how often an edge is seen.
+        num_threads: threads to use; the result does not depend on it.
+    """
+    matches = find_matches(pieces)
+    pairs = pairs_of(pieces, matches)
+    ratios = log_ratios(pieces, matches, pairs, given, options, num_threads)
+    same = ratios[pairs] <= 0
+    matches, pairs = matches.select(same), pairs[same]
+    apart = mean_of(pairs, offsets_in_noise(pieces, matches, options))[pairs] > MAX_COPY_SIGMAS
+    ghosts = weaker_points(pieces, matches.select(apart), pairs[apart])
+    return choose(pieces, ghosts, matches.select(~apart), options.tracing.min_curve_points)
+
+
+def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
+    """(M,) number of the pair of pieces of each match."""
+    ids = np.sort(pieces.ids[np.column_stack([matches.points, matches.others])], axis=1)
+    keys = ids[:, 0] * len(pieces.offsets) + ids[:, 1]
+    return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64)
+
+
+def mean_of(groups: IntArray, values: FloatArray) -> FloatArray:
+    """(G,) means of (M,) values by group."""
+    means: FloatArray = np.bincount(groups, values) / np.maximum(np.bincount(groups), 1)
+    return means
+
+
+def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
+    """(M,) how far the pieces are apart, in standard deviations of that."""
+    size = pieces.pixel_sizes[matches.points]
+    offset = np.linalg.norm(matches.offsets, axis=1) / size
+    known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
+    noise = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+    return np.asarray(offset / noise, np.float64)
+
+
+def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArray:
+    """(N,) the points of copies that lie off the edge: fewer views observe them."""
+    counts = pieces.observations.counts
+    first = pieces.ids[matches.points] < pieces.ids[matches.others]
+    # Of each pair the sums of the counts of the one piece and of the other, along both.
+    lower = np.where(first, counts[matches.points], counts[matches.others])
+    upper = np.where(first, counts[matches.others], counts[matches.points])
+    gain = mean_of(pairs, lower) / np.maximum(mean_of(pairs, upper), 1e-9)
+    ratio = np.where(first, gain[pairs], 1 / np.maximum(gain[pairs], 1e-9))
+    weaker = np.zeros(len(pieces.points), bool)
+    weaker[matches.points[ratio <= WEAK_RATIO]] = True
+    return weaker
+
+
+def find_matches(pieces: Pieces) -> Matches:
+    """Points beside other pieces that run parallel."""
+    radius = MAX_OFFSET_PX * pieces.pixel_sizes
+    tree = cKDTree(pieces.points)
+    reach = np.hypot(radius, pieces.spacings)
+    found = tree.query_ball_point(pieces.points, reach, return_sorted=False)
+    a = np.repeat(np.arange(len(found)), [len(row) for row in found])
+    b = np.concatenate([np.zeros(0, np.int64), *(np.array(r, np.int64) for r in found)])
+    keep = pieces.ids[a] != pieces.ids[b]
+    a, b = a[keep], b[keep]
+    away = pieces.points[b] - pieces.points[a]
+    order = np.lexsort((np.einsum("ij,ij->i", away, away), pieces.ids[b], a))
+    a, b, away = a[order], b[order], away[order]
+    nearest = np.ones(len(a), bool)
+    nearest[1:] = (np.diff(a) != 0) | (np.diff(pieces.ids[b]) != 0)
+    a, b, away = a[nearest], b[nearest], away[nearest]
+    along = np.einsum("ij,ij->i", away, pieces.tangents[b])
+    across = away - along[:, None] * pieces.tangents[b]
+    parallel = np.abs(np.einsum("ij,ij->i", pieces.tangents[a], pieces.tangents[b])) >= MIN_COSINE
+    beside = np.abs(along) <= MAX_ALONG_SPACINGS * pieces.spacings[b]
+    near = np.linalg.norm(across, axis=1) <= radius[a]
+    kept = parallel & beside & near
+    return Matches(points=a[kept], others=b[kept], offsets=across[kept])
+
+
+def log_ratios(
+    pieces: Pieces,
+    matches: Matches,
+    pairs: IntArray,
+    given: IndexedGraphs,
+    options: PipelineOptions,
+    num_threads: int,
+) -> FloatArray:
+    """(P,) log of how much likelier the pieces of each pair are two edges than one."""
+    ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
+    rows = spread(pairs, SAMPLES)
+    chosen = matches.select(rows)
+    seen = seen_by(pieces, chosen)
+    llr = view_ratios(pieces, chosen, seen, given, options, num_threads)
+    # A view's word on two pieces is the mean of what it says along them.
+    keys = pairs[rows][seen.matches] * len(pieces.views) + seen.views
+    each, place = np.unique(keys, return_inverse=True)
+    told = np.bincount(each // len(pieces.views), mean_of(place, llr), len(ratios))
+    return np.asarray(ratios + told, np.float64)
+
+
+def spread(groups: IntArray, count: int) -> IntArray:
+    """Rows of (M,) groups, of each group so many at most, evenly spread."""
+    order = np.argsort(groups, kind="stable")
+    sizes = np.bincount(groups)
+    ranks = np.arange(len(groups)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    own = sizes[groups[order]]
+    step = np.maximum(own / count, 1)
+    picked = np.floor((ranks + 1) / step) > np.floor(ranks / step)
+    return np.sort(order[picked])
+
+
+def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
+    """(M,) log of how much likelier offsets are between two edges than between two copies.
+
+    Neighbours lie at any distance, copies within noise, but for outliers.
+    """
+    size = pieces.pixel_sizes[matches.points]
+    offset = np.linalg.norm(matches.offsets, axis=1) / size
+    known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
+    scale = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+    anywhere = 1 / MAX_OFFSET_PX
+    copies = (1 - OUTLIER_RATE) * 2 * norm.pdf(offset, scale=scale) + OUTLIER_RATE * anywhere
+    ratio: FloatArray = np.log(anywhere / copies)
+    return ratio
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Views that observe one of the two points of matches at least, R rows.
+
+    Attributes:
+        matches: (R,) the match.
+        views: (R,) the view.
+        positions: (R, 2) where it observes the point and the other; -1 where it does not.
+    """
+
+    matches: IntArray
+    views: IntArray
+    positions: FloatArray
+
+
+def seen_by(pieces: Pieces, matches: Matches) -> Seen:
+    """The views that observe either point of matches."""
+    observed, num_views = pieces.observations, len(pieces.views)
+    parts = []
+    for side, points in enumerate((matches.points, matches.others)):
+        rows = entries_of(observed.offsets, points)
+        owners = np.repeat(np.arange(len(points)), observed.counts[points])
+        keys = owners * num_views + observed.views[rows]
+        parts.append((keys, np.full(len(rows), side), observed.positions[rows]))
+    keys, sides, positions = (np.concatenate(of) for of in zip(*parts, strict=True))
+    each, place = np.unique(keys, return_inverse=True)
+    table = np.full((len(each), 2), -1.0)
+    table[place, sides] = positions
+    return Seen(matches=each // num_views, views=each % num_views, positions=table)
+
+
+def view_ratios(
+    pieces: Pieces,
+    matches: Matches,
+    seen: Seen,
+    given: IndexedGraphs,
+    options: PipelineOptions,
+    num_threads: int,
+) -> FloatArray:
+    """(R,) log of how much likelier what a view sees at a match is of two edges than of one.
+
+    A view that sees two edges sees them as far apart as the pieces project; of copies it sees one
+    edge, or the same one at both. Where the pieces project to the same place it tells nothing.
+    """
+    radius = options.refinement.max_residual_px
+    cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
+    noise2 = 2 * options.refinement.noise_px**2
+    both, one = seen_ratios(options)
+    llr = np.zeros(len(seen.views))
+    order = np.argsort(seen.views, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1):
+        if len(rows) == 0:
+            continue
+        index, view = given.index(int(seen.views[rows[0]])), pieces.views[seen.views[rows[0]]]
+        of = seen.matches[rows]
+        start = pieces.points[matches.points[of]]
+        ends = np.stack([start, start + matches.offsets[of]], axis=1)
+        along = np.repeat(pieces.tangents[matches.points[of]][:, None], 2, axis=1)
+        near = positions_near(index, radius, num_threads, ends, along, cosine)
+        positions = np.where(seen.positions[rows] >= 0, seen.positions[rows], near)
+        pixels = view.project_ideal(ends.reshape(-1, 3))[0].reshape(-1, 2, 2)
+        step = pieces.spacings[matches.points[of]][:, None] * along[:, 0]
+        normals = across_in(view, start, step)
+        expected = np.einsum("ij,ij->i", pixels[:, 1] - pixels[:, 0], normals)
+        places = _kernels.chain_points(index, np.maximum(positions, 0).ravel())[0]
+        places = np.asarray(places).reshape(-1, 2, 2)
+        apart = np.einsum("ij,ij->i", places[:, 1] - places[:, 0], normals)
+        found = (positions >= 0).all(axis=1)
+        apart = np.where(found, apart, 0)
+        llr[rows] = np.clip(expected * (2 * apart - expected) / (2 * noise2), -one, both)
+    return np.nan_to_num(llr)
+
+
+def across_in(view: View, points: FloatArray, steps: FloatArray) -> FloatArray:
+    """(N, 2) unit normals in the image of curves through (N, 3) points in direction of steps."""
+    ends = [view.project_ideal(points + sign * steps / 2)[0] for sign in (-1, 1)]
+    chords = ends[1] - ends[0]
+    chords /= np.linalg.norm(chords, axis=1, keepdims=True) + 1e-300
+    return np.column_stack([-chords[:, 1], chords[:, 0]])
+
+
+def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
+    """Log likelihood ratios of a view that sees both: for two edges; and of one: against."""
+    rate = options.chain_depth.visibility_rate * options.chain_depth.detection_rate
+    return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
+
+
+def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) -> Merging:
+    """Of copies keep the points of the piece that is observed most.
+
+    Args:
+        pieces: the pieces.
+        ghosts: (N,) points that do not stay.
+        same: the matches between copies, in both directions.
+        min_points: shorter runs of points that remain of a piece are left out.
+    """
+    count = len(pieces.offsets) - 1
+    worth = np.bincount(pieces.ids, pieces.observations.counts, count)
+    order = np.argsort(-worth, kind="stable")
+    rank = np.empty(count, np.int64)
+    rank[order] = np.arange(count)
+    kept = ~ghosts
+    begins = np.searchsorted(same.points, pieces.offsets)
+    for piece in order.tolist():
+        rows = slice(begins[piece], begins[piece + 1])
+        points, others = same.points[rows], same.others[rows]
+        better = rank[pieces.ids[others]] < rank[piece]
+        first, last = pieces.offsets[piece : piece + 2]
+        kept[points[better & kept[others]]] = False
+        if not kept[first:last].all():
+            left = kept[first:last]
+            kept[first:last] = long_runs(grown(left) & ~ghosts[first:last], min_points)
+    gives = ~kept[same.others] & kept[same.points]
+    return Merging(kept=kept, takers=same.points[gives], givers=same.others[gives])
+
+
+def grown(mask: BoolArray) -> BoolArray:
+    """`mask` and the entry before and after each that is true."""
+    result = mask.copy()
+    result[1:] |= mask[:-1]
+    result[:-1] |= mask[1:]
+    return result
+
+
+def long_runs(mask: BoolArray, least: int) -> BoolArray:
+    """`mask` where it is true in runs of so many at least."""
+    begins = np.ones(len(mask), bool)
+    begins[1:] = mask[1:] != mask[:-1]
+    runs = np.cumsum(begins) - 1
+    result: BoolArray = mask & (np.bincount(runs)[runs] >= least)
+    return result

@@ -1,0 +1,301 @@
+"""3D edges as a graph: how often each true edge is found, what lies doubled, and corners."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import curve_tangents, end_points
+from colmap_edges.core.view import View
+from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, make_score, score
+from colmap_edges.evaluation.metrics.curves import sample
+from colmap_edges.evaluation.readers.curves import Curves
+
+MIN_CORNER_DEG = 20.0  # turn from which curves meet at an angle
+MAX_TWIN_ANGLE_DEG = 15.0  # between edges that are called parallel
+WELD_RATIO = 1e-4  # of the reference's size: nearer true points are one
+END_POINTS = 4  # from the end of an edge to the point that tells its direction there
+FOLD_RATIO = 4.0  # of a twin's largest distance: what is nearer along the same edge is no twin
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimesFound:
+    """How often each true edge is found.
+
+    Attributes:
+        threshold: Distance within which an edge is on a true curve, and this is found.
+        result_length: Length of the edges within the threshold of the true curves.
+        found_length: Length of the true curves within the threshold of the edges.
+        times: The former over the latter: 1 where each true edge comes once.
+    """
+
+    threshold: float
+    result_length: float
+    found_length: float
+    times: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwinShare:
+    """How much of the edges' length lies doubled.
+
+    Attributes:
+        limit_px: Largest distance of a twin, in pixels of the nearest view that observes the edge.
+        share: Share of the length beside which another edge runs parallel within that.
+    """
+
+    limit_px: float
+    share: float
+
+
+def times_found(
+    result: Curves, reference: Curves, thresholds: Sequence[float], unit: float = 1.0
+) -> list[TimesFound]:
+    """How often each true edge is found, at every threshold.
+
+    Args:
+        result: Reconstructed curves.
+        reference: True curves; of samples without segments each stands for the median distance
+            from one to the next.
+        thresholds: Distances in the unit of the comparison.
+        unit: World units of that unit.
+    """
+    spacing = unit * min(thresholds) / 5
+    found, true = sample(result, spacing), sample(reference, spacing)
+    found_weights, true_weights = (
+        sample_lengths(result, spacing),
+        sample_lengths(reference, spacing),
+    )
+    to_true, to_found = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
+    rows = []
+    for threshold in thresholds:
+        on_curves = float(found_weights[to_true < threshold * unit].sum())
+        length = float(true_weights[to_found < threshold * unit].sum())
+        times = on_curves / length if length > 0 else float("nan")
+        rows.append(
+            TimesFound(
+                threshold=threshold, result_length=on_curves, found_length=length, times=times
+            )
+        )
+    return rows
+
+
+def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
+    """(N,) length that each sample of `curves.sample` stands for."""
+    if not len(curves.segments):
+        # Where curves meet, or are listed twice, samples coincide.
+        size = float(np.ptp(curves.points, axis=0).max(initial=0.0)) if len(curves.points) else 0.0
+        if size == 0:
+            return np.zeros(len(curves.points))
+        points = curves.points / size
+        distinct = np.unique(points.round(9), axis=0)
+        step = float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
+        counts = cKDTree(points).query_ball_point(points, step / 4, return_length=True)
+        return np.asarray(size * step / counts, np.float64)
+    lengths = curves.lengths()
+    counts = sample_counts(lengths, spacing)
+    return np.repeat(lengths / np.maximum(counts, 1), counts)
+
+
+def sample_counts(lengths: FloatArray, spacing: FloatArray | float) -> IntArray:
+    """(S,) how many samples at most `spacing` apart segments get; those of no length get none."""
+    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
+    counts[lengths == 0] = 0
+    return counts
+
+
+def twin_shares(
+    result: Curves, pixel_sizes: FloatArray, limits_px: Sequence[float] = (0.5, 3.0, 6.0)
+) -> list[TwinShare]:
+    """Share of length beside which another edge, or another stretch of the same, runs parallel.
+
+    Edges that go on in each other end to end are no twins: the foot of the perpendicular must be
+    on the other one.
+
+    Args:
+        result: Reconstructed curves; those that share points are one edge.
+        pixel_sizes: (P,) length of a pixel at each point in the nearest view that observes it.
+        limits_px: Distances up to which edges are twins.
+    """
+    lengths = result.lengths()
+    sizes = pixel_sizes[result.segments].mean(axis=1) if len(lengths) else np.zeros(0)
+    counts = sample_counts(lengths, sizes)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    if not len(owner):
+        return [TwinShare(limit_px=limit, share=0.0) for limit in limits_px]
+    start, end = (result.points[result.segments[owner, side]] for side in (0, 1))
+    points = start + ((ranks_of(counts) + 0.5) / counts[owner])[:, None] * (end - start)
+    weights, tangents = lengths[owner] / counts[owner], (end - start) / lengths[owner, None]
+    nearest = nearest_twins(
+        points, tangents, weights, edges_of(result)[owner], sizes[owner], max(limits_px)
+    )
+    return [
+        TwinShare(limit_px=limit, share=float(weights[nearest <= limit].sum() / weights.sum()))
+        for limit in limits_px
+    ]
+
+
+def edges_of(curves: Curves) -> IntArray:
+    """(S,) edge of each segment: those that share points are of one."""
+    count = len(curves.points)
+    ends = curves.segments
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    labels = np.asarray(connected_components(graph, directed=False)[1], np.int64)
+    return labels[ends[:, 0]]
+
+
+def nearest_twins(
+    points: FloatArray,
+    tangents: FloatArray,
+    weights: FloatArray,
+    edges: IntArray,
+    sizes: FloatArray,
+    limit_px: float,
+) -> FloatArray:
+    """(N,) distance in pixels from each sample to the nearest parallel other edge; inf without.
+
+    Args:
+        points: (N, 3) samples along edges, in order.
+        tangents: (N, 3) unit directions there.
+        weights: (N,) length that each stands for.
+        edges: (N,) edge of each.
+        sizes: (N,) length of a pixel there.
+        limit_px: Largest distance looked at.
+    """
+    nearest = np.full(len(points), np.inf)
+    tree, along = cKDTree(points), np.cumsum(weights)
+    cosine = np.cos(np.radians(MAX_TWIN_ANGLE_DEG))
+    step = 20_000  # samples at once, for the memory's sake
+    for first in range(0, len(points), step):
+        rows = np.arange(first, min(first + step, len(points)))
+        found = tree.query_ball_point(points[rows], (limit_px + 1) * sizes[rows])
+        a = np.repeat(rows, [len(row) for row in found])
+        b = np.concatenate([np.asarray(row, np.int64) for row in found])
+        apart = np.abs(along[a] - along[b]) > FOLD_RATIO * limit_px * sizes[a]
+        keep = (edges[a] != edges[b]) | apart
+        a, b = a[keep], b[keep]
+        offset = points[a] - points[b]
+        beside = np.einsum("ij,ij->i", offset, tangents[b])
+        parallel = np.abs(np.einsum("ij,ij->i", tangents[a], tangents[b])) >= cosine
+        keep = parallel & (np.abs(beside) <= 0.51 * weights[b])
+        across = np.linalg.norm(offset - beside[:, None] * tangents[b], axis=1)
+        np.minimum.at(nearest, a[keep], (across / sizes[a])[keep])
+    return nearest
+
+
+def observed_pixel_sizes(edges: Edges3D, views: Sequence[View]) -> FloatArray:
+    """(N,) length of a pixel of the given images at each edge point, in the nearest observing view.
+
+    Infinite where no view observes the point.
+    """
+    sizes = np.full(edges.num_points, np.inf)
+    observed = edges.observations
+    for index, rows in observed.by_view():
+        view, points = views[index], observed.points[rows]
+        depths = view.cam_from_world(edges.points[points])[:, 2]
+        size = np.where(depths > 0, depths * view.scale / view.focal_px, np.inf)
+        np.minimum.at(sizes, points, size)
+    return sizes
+
+
+def true_corners(reference: Curves) -> FloatArray:
+    """(C, 3) where true curves meet at an angle: junctions of three and more, and sharp bends."""
+    size = float(np.ptp(reference.points, axis=0).max()) if len(reference.points) else 0.0
+    points, segments = welded(reference, WELD_RATIO * size)
+    chords = points[segments[:, 1]] - points[segments[:, 0]]
+    chords /= np.linalg.norm(chords, axis=1, keepdims=True)
+    return points[bent(np.concatenate(segments.T), np.concatenate([chords, -chords]), len(points))]
+
+
+def bent(places: IntArray, directions: FloatArray, count: int) -> IntArray:
+    """Which of `count` places two curves or more leave, not straight on in each other.
+
+    Args:
+        places: (M,) place that a curve leaves.
+        directions: (M, 3) unit direction in which it does.
+        count: Number of places.
+    """
+    degrees = np.bincount(places, minlength=count)
+    sums = np.column_stack([np.bincount(places, d, count) for d in directions.T])
+    # Of two unit vectors at an angle of 180 degrees less the turn the sum is 2 sin(turn / 2).
+    turned = np.linalg.norm(sums, axis=1) >= 2 * np.sin(np.radians(MIN_CORNER_DEG) / 2)
+    return np.flatnonzero((degrees > 2) | ((degrees == 2) & turned))
+
+
+def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
+    """Points nearer to each other than `distance` as one, and the segments that are left."""
+    pairs = cKDTree(curves.points).query_pairs(distance, output_type="ndarray")
+    count = len(curves.points)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    number, labels = connected_components(graph, directed=False)
+    sums = [np.bincount(labels, axis, number) for axis in curves.points.T]
+    points = np.column_stack(sums) / np.bincount(labels, minlength=number)[:, None]
+    segments = np.sort(labels[curves.segments], axis=1)
+    segments = np.unique(segments[segments[:, 0] != segments[:, 1]], axis=0).astype(np.int64)
+    return points, segments
+
+
+def found_corners(edges: Edges3D) -> FloatArray:
+    """(C, 3) nodes at which ends of edges meet each other, or an edge that goes on, at an angle."""
+    tips, inward = inward_directions(edges)
+    nodes = edges.end_nodes.ravel().astype(np.int64)
+    used = nodes >= 0
+    count = int(nodes.max(initial=-1)) + 1
+    passed = np.flatnonzero(edges.nodes.through_points >= 0)
+    onto = edges.nodes.through_points[passed]
+    along = unit(curve_tangents(edges.points, edges.edge_offsets)[onto])
+    places = np.concatenate([nodes[used], passed, passed])
+    corners = bent(places, np.concatenate([inward[used], along, -along]), count)
+    sums = [np.bincount(nodes[used], of, count) for of in edges.points[tips[used]].T]
+    counts = np.bincount(nodes[used], minlength=count)
+    return (np.column_stack(sums) / np.maximum(counts, 1)[:, None])[corners]
+
+
+def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
+    """(2E,) points at the ends of edges, and (2E, 3) unit directions of the edges from there.
+
+    Those of the parabolas through the last points: chords of small circles meet at angles, too.
+    """
+    tips, inner = end_points(edges.edge_offsets, END_POINTS)
+    points, middle = edges.points, (tips + inner) // 2
+    curved = (np.abs(tips - inner) == END_POINTS)[:, None]
+    chords = points[inner] - points[tips]
+    inward = np.where(curved, 4 * (points[middle] - points[tips]) - chords, chords)
+    return tips, unit(inward)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """(N, 3) vectors at length 1; those without length stay."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1)
+
+
+def compare_corners(
+    found: FloatArray, true: FloatArray, thresholds: Sequence[float]
+) -> list[Score]:
+    """Precision and recall of (N, 3) corners against (M, 3) true ones, in world units.
+
+    Each true corner is found once: of several corners nearest to the same one, only one counts.
+    """
+    if not len(true) or not len(found):
+        return [
+            score(np.full(len(found), np.inf), np.full(len(true), np.inf), t) for t in thresholds
+        ]
+    to_true, nearest = cKDTree(true).query(found)
+    to_found = cloud_to_cloud(true, found)
+    order = np.lexsort((to_true, nearest))
+    first = np.ones(len(order), bool)
+    first[1:] = np.diff(nearest[order]) != 0
+    to_true[order[~first]] = np.inf
+    rows = []
+    for threshold in thresholds:
+        precision = float(np.mean(to_true < threshold))
+        rows.append(make_score(threshold, precision, float(np.mean(to_found < threshold))))
+    return rows

@@ -1,0 +1,160 @@
+"""How well edges are told to be lines, arcs, ellipses or splines: against true curves by kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
+from colmap_edges.core.curves3d import (
+    ARC,
+    ELLIPTIC_ARC,
+    LINE,
+    SPLINE,
+    Curves3D,
+)
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.readers.arrays import read_arrays
+
+# An arc of a circle is right where the true curve is the circle: gaps are no error of kind.
+FAMILIES = np.array([LINE, ARC, ARC, ELLIPTIC_ARC, ELLIPTIC_ARC, SPLINE])
+SAMPLES = 5  # for each threshold
+MIN_SHARE = 0.5  # of a curve's samples that lie on the true curve whose radius it is asked for
+MAX_RADIUS_ERROR = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueCurves:
+    """True curves by kind.
+
+    Attributes:
+        points: (N, 3) samples.
+        curves: (N,) curve of each.
+        kinds: (C,) index into `KINDS`.
+        radii: (C, 2) larger and smaller radius; NaN where there is none.
+    """
+
+    points: FloatArray
+    curves: IntArray
+    kinds: IntArray
+    radii: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindErrors:
+    """How well kinds and radii are told.
+
+    Attributes:
+        num_true: Number of true curves that are found: on which a sample of a result lies.
+        num_found: Number of curves of the result that lie on any.
+        times_found: Their ratio.
+        right_kind: Share of the result's length, as far as it lies on true curves, whose kind is
+            that of the true curve; arcs count for circles.
+        right_radius: Share of the length of circles and ellipses and their arcs, of the right
+            kind, whose radii are within 1 %.
+        median_radius_error: Median of their relative errors of the radius by length.
+        on_true: Share of the result's length within the threshold of a true curve.
+    """
+
+    num_true: int
+    num_found: int
+    times_found: float
+    right_kind: float
+    right_radius: float
+    median_radius_error: float
+    on_true: float
+
+
+def true_curves(path: Path, spacing: float) -> TrueCurves | None:
+    """Read true curves of an .npz with `points`, `edges`, `curves`, `kinds` and `radii`.
+
+    Args:
+        path: the file, as scripts/make_cad_objects.py writes it.
+        spacing: largest distance between samples along a curve.
+
+    Returns:
+        The curves, None where the file does not tell their kinds.
+    """
+    data = read_arrays(path) if path.suffix == ".npz" else {}
+    if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
+        return None
+    ends = data["points"][data["edges"]]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
+    owners = np.repeat(np.arange(len(counts)), counts)
+    places = ((ranks_of(counts) + 0.5) / counts[owners])[:, None]
+    return TrueCurves(
+        points=ends[owners, 0] + places * (ends[owners, 1] - ends[owners, 0]),
+        curves=data["curves"][owners],
+        kinds=data["kinds"],
+        radii=data["radii"],
+    )
+
+
+def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindErrors:
+    """Judge the kinds and radii of curves by the true curves nearest to their samples.
+
+    Args:
+        result: Curves as fitted.
+        true: Samples of the true ones, nearer to each other than the threshold.
+        threshold: Distance within which a sample lies on a true curve, world units.
+
+    Raises:
+        ColmapEdgesError: There is no true curve.
+    """
+    if not len(true.points):
+        raise ColmapEdgesError("the reference holds no curve")
+    points, owners = result.sampled(threshold / SAMPLES)
+    counts = np.bincount(owners, minlength=result.num_curves)
+    weights = result.lengths()[owners] / counts[owners]
+    distances, nearest = cKDTree(true.points).query(points)
+    near = distances < threshold
+    of = true.curves[nearest]
+    right = FAMILIES[result.kinds[owners]] == FAMILIES[true.kinds[of]]
+    errors, lengths = radius_errors(result, true, owners[near], of[near], weights[near])
+    num_true = len(np.unique(of[near]))
+    num_found = int((np.bincount(owners[near], minlength=result.num_curves) > counts / 2).sum())
+    total = max(float(weights[near].sum()), 1e-300)
+    within = errors <= MAX_RADIUS_ERROR
+    return KindErrors(
+        num_true=num_true,
+        num_found=num_found,
+        times_found=num_found / max(num_true, 1),
+        right_kind=float((weights * right)[near].sum() / total),
+        right_radius=float(lengths[within].sum() / max(lengths.sum(), 1e-300)),
+        median_radius_error=weighted_median(errors, lengths),
+        on_true=float(total / max(weights.sum(), 1e-300)),
+    )
+
+
+def radius_errors(
+    result: Curves3D, true: TrueCurves, owners: IntArray, of: IntArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Largest relative errors of the radii of round curves of the right kind, and their lengths.
+
+    Samples are of the (n,) curves `owners`, lie on the true curves `of`, and stand for lengths.
+    """
+    lengths = np.bincount(owners, weights, result.num_curves)
+    errors, kept = [], []
+    round_ = np.isfinite(result.radii[:, 0]) & (lengths > 0)
+    for curve in np.flatnonzero(round_).tolist():
+        rows = owners == curve
+        shares = np.bincount(of[rows], weights[rows])
+        best = int(np.argmax(shares))
+        same = FAMILIES[result.kinds[curve]] == FAMILIES[true.kinds[best]]
+        if same and shares[best] >= MIN_SHARE * lengths[curve]:
+            errors.append(np.abs(result.radii[curve] / true.radii[best] - 1).max())
+            kept.append(lengths[curve])
+    return np.array(errors), np.array(kept)
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """The value below which half of the weights are; NaN of nothing."""
+    if not len(values):
+        return float("nan")
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(below, below[-1] / 2)])

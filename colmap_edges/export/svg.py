@@ -1,0 +1,105 @@
+"""Curves as one image sees them: SVG, a style a kind, dashed where the image does not see them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.curves3d import KINDS, LINE, Curves3D
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import View
+
+COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
+STEPS = 128  # parts in which a curve is drawn
+STEPS_OF_LINES = 32  # which lenses bend
+MAX_UNSEEN = 3  # points between seen ones that count as seen, too
+HEAD = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"
+ viewBox="0 0 {width} {height}">
+<title>{title}</title>
+<style>
+path {{ fill: none; stroke-width: {stroke:.3g}; stroke-linecap: round; stroke-linejoin: round }}
+.hidden {{ stroke-dasharray: {dash:.3g} {dash:.3g}; stroke-opacity: 0.45 }}
+{styles}
+</style>
+"""
+
+
+def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Path) -> None:
+    """Write what a view sees of curves: groups by kind, dashed where the view observes no edge.
+
+    Args:
+        edges: the edges.
+        curves: the curves that they consist of.
+        view: the view.
+        index: its place in the model, as observations name it.
+        path: file to write.
+    """
+    seen = points_seen(edges, index)
+    size = max(view.width, view.height)
+    styles = "\n".join(f".{kind} {{ stroke: {c} }}" for kind, c in zip(KINDS, COLORS, strict=True))
+    title = view.name.replace("&", "&amp;").replace("<", "&lt;")
+    lines = [
+        HEAD.format(
+            width=view.width,
+            height=view.height,
+            title=title,
+            stroke=size / 800,
+            dash=size / 200,
+            styles=styles,
+        )
+    ]
+    for kind, name in enumerate(KINDS):
+        lines.append(f'<g class="{name}">\n')
+        for curve in np.flatnonzero(curves.kinds == kind).tolist():
+            lines += paths_of(edges, curves, curve, seen, view)
+        lines.append("</g>\n")
+    path.write_text("".join(lines) + "</svg>\n", encoding="utf-8")
+
+
+def points_seen(edges: Edges3D, index: int) -> BoolArray:
+    """(N,) whether a view observes an edge point, or others near by on both sides of it."""
+    observed = np.zeros(edges.num_points, bool)
+    observed[edges.observations.points[edges.observations.views == index]] = True
+    where = np.arange(edges.num_points)
+    before = np.maximum.accumulate(np.where(observed, where, -edges.num_points))
+    after = np.minimum.accumulate(np.where(observed, where, 2 * edges.num_points)[::-1])[::-1]
+    first = edges.edge_offsets[:-1][edges.edge_ids]
+    last = edges.edge_offsets[1:][edges.edge_ids] - 1
+    between = (before >= first) & (after <= last) & (after - before <= MAX_UNSEEN + 1)
+    return np.asarray(observed | between)
+
+
+def paths_of(
+    edges: Edges3D, curves: Curves3D, curve: int, seen: BoolArray, view: View
+) -> list[str]:
+    """The paths of one curve: its stretches in the image, seen ones and others apart."""
+    steps = STEPS_OF_LINES if curves.kinds[curve] == LINE else STEPS
+    places = np.linspace(0, 1, steps + 1)
+    pixels, depths = view.project(curves.at(np.full(steps + 1, curve), places))
+    inside = view.holds(pixels, depths)
+    first, end = curves.ranges[curve].tolist()
+    start = int(edges.edge_offsets[curves.edges[curve]])
+    size = int(edges.edge_offsets[curves.edges[curve] + 1]) - start
+    rows = first + np.rint(places * (end - 1 - first)).astype(np.int64)
+    shown = seen[start + (rows - start) % size]
+    drawn = inside[:-1] & inside[1:]
+    states = np.where(drawn, np.where(shown[:-1] & shown[1:], 2, 1), 0)
+    return [
+        path_of(pixels[a : b + 1], state == 2) for a, b, state in stretches(states) if state > 0
+    ]
+
+
+def stretches(states: IntArray) -> list[tuple[int, int, int]]:
+    """First index, the one after the last, and the state of each stretch of equal (n,) states."""
+    cuts = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
+    return [(a, b, int(states[a])) for a, b in pairwise(cuts)]
+
+
+def path_of(pixels: FloatArray, is_seen: bool) -> str:
+    """One path through (n, 2) pixels."""
+    points = " ".join(f"{x:.2f},{y:.2f}" for x, y in pixels.tolist())
+    style = "" if is_seen else ' class="hidden"'
+    return f'<path{style} d="M {points}"/>\n'

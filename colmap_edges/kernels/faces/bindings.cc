@@ -1,0 +1,213 @@
+// Python face of what finds planar faces: support of planes, labels of views, graph cuts.
+#include "common/bindings.h"
+
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+
+#include "common/arrays.h"
+#include "common/parallel.h"
+#include "faces/labelling.h"
+
+namespace colmap_edges {
+namespace {
+
+using namespace nb::literals;
+using Pairs = InArray<int32_t, nb::shape<-1, 2>>;
+using Table = InArray<double, nb::ndim<2>>;
+
+std::vector<NodePair> ToPairs(const Pairs& edges, int64_t num_nodes) {
+  std::vector<NodePair> pairs(edges.shape(0));
+  for (size_t e = 0; e < pairs.size(); ++e) {
+    pairs[e] = {edges(e, 0), edges(e, 1)};
+    for (const int32_t node : pairs[e])
+      Require(node >= 0 && node < num_nodes, "edges hold a node that does not exist");
+  }
+  return pairs;
+}
+
+nb::tuple MinimumCutArrays(Longs terminals, Pairs edges, Longs along, Longs against) {
+  const size_t count = terminals.size();
+  const std::vector<NodePair> pairs = ToPairs(edges, int64_t(count));
+  Require(along.size() == pairs.size() && against.size() == pairs.size(),
+          "edges and capacities differ in number");
+  std::vector<uint8_t> sides(count);
+  int64_t flow;
+  {
+    nb::gil_scoped_release release;
+    MaxFlow solver(int32_t(count), pairs);
+    for (size_t i = 0; i < count; ++i) solver.SetTerminal(int32_t(i), terminals(i));
+    for (size_t e = 0; e < pairs.size(); ++e) {
+      Require(along(e) >= 0 && against(e) >= 0, "capacities must not be negative");
+      solver.SetEdge(int64_t(e), along(e), against(e));
+    }
+    flow = solver.Solve();
+    for (size_t i = 0; i < count; ++i) sides[i] = solver.IsSource(int32_t(i));
+  }
+  return nb::make_tuple(flow, ToArray(std::move(sides), {count}));
+}
+
+nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles weights,
+                             double crossing_factor, int max_sweeps) {
+  LabelProblem problem;
+  problem.num_nodes = int32_t(costs.shape(0)), problem.num_labels = int32_t(costs.shape(1));
+  Require(problem.num_labels > 0, "there are no labels");
+  Require(depths.shape(0) == costs.shape(0) && depths.shape(1) == costs.shape(1),
+          "costs and depths differ in shape");
+  problem.edges = ToPairs(edges, problem.num_nodes);
+  Require(weights.size() == problem.edges.size(), "edges and weights differ in number");
+  problem.costs = costs.data(), problem.depths = depths.data(), problem.weights = weights.data();
+  problem.crossing_factor = crossing_factor;
+  std::vector<int32_t> labels;
+  double energy;
+  {
+    nb::gil_scoped_release release;
+    labels = Expansion(problem).Run(max_sweeps);
+    energy = problem.Energy(labels);
+  }
+  const size_t count = labels.size();
+  return nb::make_tuple(ToArray(std::move(labels), {count}), energy);
+}
+
+using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
+
+class BoundFaceScene {
+ public:
+  BoundFaceScene(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
+                 Doubles focals, Points2D principals, Grays grays, Points3D normals,
+                 Doubles offsets, Points3D points, Longs plane_offsets, Ints planes_of_points,
+                 Longs observed_offsets, Ints observed, Longs neighbor_offsets, Ints neighbors,
+                 Points3D bounds, Points3D directions, Points2D extents, int num_threads)
+      : grays_(std::move(grays)) {
+    const size_t num_views = rotations.shape(0);
+    Require(translations.shape(0) == num_views && focals.size() == num_views &&
+                principals.shape(0) == num_views && grays_.size() == num_views,
+            "what is known of the views differs in number");
+    Require(offsets.size() == normals.shape(0), "normals and offsets differ in number");
+    for (size_t v = 0; v < num_views; ++v) {
+      const auto& gray = grays_[v];
+      Require(gray.shape(0) % FaceView::kCellPx == 0 && gray.shape(1) % FaceView::kCellPx == 0 &&
+                  gray.size() > 0,
+              "pictures must be of whole cells");
+      FaceView view;
+      view.pose = MakePinholeView(rotations.data() + 9 * v, translations.data() + 3 * v, focals(v));
+      view.principal = {principals(v, 0), principals(v, 1)};
+      view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
+      view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
+      view.gray = gray.data();
+      scene_.views.push_back(view);
+    }
+    for (size_t k = 0; k < offsets.size(); ++k)
+      scene_.planes.push_back({{normals(k, 0), normals(k, 1), normals(k, 2)}, offsets(k)});
+    for (size_t i = 0; i < points.shape(0); ++i)
+      scene_.points.points.push_back({points(i, 0), points(i, 1), points(i, 2)});
+    CheckOffsets(plane_offsets, points.shape(0), planes_of_points.size());
+    CheckViews(planes_of_points, scene_.planes.size());
+    scene_.points.plane_offsets = ToVector(plane_offsets);
+    scene_.points.planes = {planes_of_points.data(),
+                            planes_of_points.data() + planes_of_points.size()};
+    CheckOffsets(observed_offsets, num_views, observed.size());
+    CheckViews(observed, points.shape(0));
+    CheckOffsets(neighbor_offsets, num_views, neighbors.size());
+    CheckViews(neighbors, num_views);
+    for (size_t v = 0; v < num_views; ++v) {
+      scene_.observed.emplace_back(observed.data() + observed_offsets(v),
+                                   observed.data() + observed_offsets(v + 1));
+      scene_.neighbors.emplace_back(neighbors.data() + neighbor_offsets(v),
+                                    neighbors.data() + neighbor_offsets(v + 1));
+    }
+    Require(bounds.shape(0) == 2, "bounds are a centre and a reach");
+    scene_.center = {bounds(0, 0), bounds(0, 1), bounds(0, 2)};
+    scene_.reach = bounds(1, 0);
+    const size_t num_planes = scene_.planes.size(), num_sides = extents.shape(0);
+    Require(directions.shape(0) == num_sides && (num_planes == 0 || num_sides % num_planes == 0),
+            "extents must have as many directions on every plane");
+    scene_.extents.resize(num_planes);
+    for (size_t i = 0; i < num_sides; ++i) {
+      Extent& extent = scene_.extents[i / (num_sides / num_planes)];
+      extent.directions.push_back({directions(i, 0), directions(i, 1), directions(i, 2)});
+      extent.low.push_back(extents(i, 0)), extent.high.push_back(extents(i, 1));
+    }
+    nb::gil_scoped_release release;
+    scene_.Allocate();
+    ParallelFor(int64_t(num_views), num_threads,
+                [&](int64_t v, int) { scene_.Prepare(int32_t(v)); });
+  }
+
+  OutArray<int32_t> Label(Doubles w, Doubles b, int num_rounds, int max_sweeps, int num_threads) {
+    Require(w.size() == 13 && b.size() == 4, "weights are missing");
+    scene_.weights = {w(0), w(1), w(2), w(3),  w(4),  w(5), w(6),
+                      w(7), w(8), w(9), w(10), w(11), w(12)};
+    const BorderCosts borders{b(0), b(1), b(2), b(3)};
+    std::vector<int32_t> all;
+    {
+      nb::gil_scoped_release release;
+      for (const auto& labels : LabelViews(scene_, borders, num_rounds, max_sweeps, num_threads))
+        all.insert(all.end(), labels.begin(), labels.end());
+    }
+    const size_t count = all.size();
+    return ToArray(std::move(all), {count});
+  }
+
+  nb::tuple Support(Ints all, double tolerance, int num_threads) {
+    ViewLabels labels;
+    size_t first = 0;
+    for (const FaceView& view : scene_.views) {
+      Require(first + view.num_cells() <= all.size(), "labels are missing");
+      labels.emplace_back(all.data() + first, all.data() + first + view.num_cells());
+      first += view.num_cells();
+    }
+    std::vector<std::vector<CellSupport>> found(scene_.views.size());
+    std::vector<double> points;
+    std::vector<int32_t> rows, views;
+    std::vector<int64_t> offsets{0};
+    {
+      nb::gil_scoped_release release;
+      ParallelFor(int64_t(scene_.views.size()), num_threads, [&](int64_t v, int) {
+        found[v] = SupportOf(scene_, labels, int32_t(v), tolerance);
+      });
+      for (const auto& of_view : found) {
+        for (const CellSupport& s : of_view) {
+          points.insert(points.end(), {s.point.x, s.point.y, s.point.z});
+          rows.insert(rows.end(),
+                      {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
+          views.insert(views.end(), s.views.begin(), s.views.end());
+          offsets.push_back(int64_t(views.size()));
+        }
+      }
+    }
+    const size_t count = points.size() / 3, total = views.size(), size = offsets.size();
+    return nb::make_tuple(ToArray(std::move(points), {count, 3}),
+                          ToArray(std::move(rows), {count, 7}), ToArray(std::move(offsets), {size}),
+                          ToArray(std::move(views), {total}));
+  }
+
+ private:
+  Grays grays_;  // kept alive
+  FaceScene scene_;
+};
+
+}  // namespace
+
+void BindFaces(nb::module_& m) {
+  m.def("minimum_cut", &MinimumCutArrays, "terminals"_a, "edges"_a, "along"_a, "against"_a,
+        "Value of a minimum cut, and (N,) uint8 1 for nodes on the source's side.");
+  m.def("expand_labels", &ExpandLabelsArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a,
+        "crossing_factor"_a, "max_sweeps"_a,
+        "(N,) labels that alpha expansion finds, and what they cost.");
+  nb::class_<BoundFaceScene>(m, "FaceScene")
+      .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
+                    Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,
+                    Points3D, Points2D, int>(),
+           "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "normals"_a,
+           "offsets"_a, "points"_a, "plane_offsets"_a, "planes_of_points"_a, "observed_offsets"_a,
+           "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a, "directions"_a,
+           "extents"_a, "num_threads"_a)
+      .def("label", &BoundFaceScene::Label, "weights"_a, "borders"_a, "num_rounds"_a,
+           "max_sweeps"_a, "num_threads"_a, "Labels of the cells of all views; -1 is no plane.")
+      .def("support", &BoundFaceScene::Support, "labels"_a, "tolerance"_a, "num_threads"_a,
+           "Points of labelled cells; view, cell, plane, views that agree, that see through, that "
+           "are hidden from; the agreeing views in rows.");
+}
+
+}  // namespace colmap_edges

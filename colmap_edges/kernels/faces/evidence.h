@@ -1,0 +1,342 @@
+// What each cell of a view costs on each plane, by what is known of the scene.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "faces/grids.h"
+
+namespace colmap_edges {
+
+// Weights of what speaks for and against a plane; each saturates, see `Saturated`.
+struct EvidenceWeights {
+  double on, before, behind, seen_through, seen_there, unsupported, no_plane;
+  double agree, disagree, hidden;  // of what neighbouring views were labelled
+  double correlation;              // of the gray around the cell with that in neighbouring views
+  double inside;                   // where a plane's points lie around
+  double depth_tolerance;          // share of depth that tells one surface from another
+};
+
+inline double Saturated(double count, double scale) {
+  return count > 0 ? 1 - std::exp(-count / scale) : 0;
+}
+
+// Cells of a view that a plane has to explain as well as any to be looked for in it.
+constexpr int32_t kMinCells = 6;
+// What observed points say against a plane, beyond which nothing else is asked.
+constexpr double kHopeless = 0.8;
+
+struct ObservedPoint {
+  int32_t point;
+  int32_t cell;
+  double depth;
+};
+
+// Depths and costs of the labels of a view's cells: its planes, then none.
+struct ViewCosts {
+  std::vector<int32_t> planes;        // of the labels
+  std::vector<double> costs, depths;  // (cells, planes + 1)
+};
+
+struct NeighborVotes;
+
+class FaceScene {
+ public:
+  std::vector<FaceView> views;
+  std::vector<Plane> planes;
+  std::vector<Extent> extents;  // of the planes
+  FacePoints points;
+  std::vector<std::vector<int32_t>> observed;   // of each view: points
+  std::vector<std::vector<int32_t>> neighbors;  // of each view: views that look at the same
+  Vec3 center;                                  // of the scene
+  double reach = 0;                             // from it, within which surfaces may be
+  EvidenceWeights weights;
+
+  // Points as their views see them; the nearest depth in every cell.
+  void Prepare(int32_t v) {
+    const FaceView& view = views[v];
+    auto& seen = sights_[v];
+    auto& nearest = nearest_[v];
+    nearest.assign(view.num_cells(), NAN);
+    for (const int32_t p : observed[v]) {
+      Vec2 pixel;
+      double depth;
+      if (!view.Project(points.points[p], &pixel, &depth)) continue;
+      const int32_t cell = view.CellAt(pixel);
+      seen.push_back({p, cell, depth});
+      if (!(nearest[cell] <= depth)) nearest[cell] = depth;
+    }
+  }
+  void Allocate() {
+    sights_.assign(views.size(), {});
+    nearest_.assign(views.size(), {});
+  }
+
+  // The planes on which at least `min_cells` cells of a view have as many observed points as on
+  // any.
+  std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;
+
+  // `labels`: of all views, planes or -1, to agree with; empty at first.
+  ViewCosts Costs(int32_t v, const std::vector<std::vector<int32_t>>& labels) const;
+
+ private:
+  bool IsOn(int32_t point, int32_t plane) const {
+    const auto begin = points.planes.begin() + points.plane_offsets[point];
+    const auto end = points.planes.begin() + points.plane_offsets[point + 1];
+    return std::binary_search(begin, end, plane);
+  }
+  void AddPoints(int32_t v, ViewCosts* made) const;
+  void AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label, int32_t plane,
+                NeighborVotes* votes) const;
+  void AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
+                    ViewCosts* made) const;
+
+  std::vector<std::vector<ObservedPoint>> sights_;
+  std::vector<std::vector<double>> nearest_;
+};
+
+inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
+                                                std::vector<int32_t>* counts) const {
+  counts->assign(planes.size(), 0);
+  std::vector<int32_t> here(planes.size(), 0), won(planes.size(), 0), touched;
+  std::vector<std::pair<int32_t, int32_t>> by_cell;
+  for (const ObservedPoint& sight : sights_[v]) by_cell.emplace_back(sight.cell, sight.point);
+  std::sort(by_cell.begin(), by_cell.end());
+  for (size_t i = 0; i < by_cell.size();) {
+    const int32_t cell = by_cell[i].first;
+    for (; i < by_cell.size() && by_cell[i].first == cell; ++i) {
+      const int32_t point = by_cell[i].second;
+      for (int64_t k = points.plane_offsets[point]; k < points.plane_offsets[point + 1]; ++k) {
+        const int32_t plane = points.planes[k];
+        ++(*counts)[plane];
+        if (here[plane]++ == 0) touched.push_back(plane);
+      }
+    }
+    int32_t most = 0;
+    for (const int32_t plane : touched) most = std::max(most, here[plane]);
+    for (const int32_t plane : touched) won[plane] += here[plane] == most, here[plane] = 0;
+    touched.clear();
+  }
+  std::vector<int32_t> chosen;
+  for (int32_t p = 0; p < int32_t(planes.size()); ++p)
+    if (won[p] >= min_cells) chosen.push_back(p);
+  return chosen;
+}
+
+inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
+  const FaceView& view = views[v];
+  const int32_t num_planes = int32_t(made->planes.size());
+  const size_t size = size_t(view.num_cells()) * (num_planes + 1);
+  std::vector<float> on(size, 0), before(size, 0), behind(size, 0);
+  const double tolerance = weights.depth_tolerance;
+  std::vector<uint8_t> is_on(num_planes);
+  for (const ObservedPoint& sight : sights_[v]) {
+    for (int32_t k = 0; k < num_planes; ++k) is_on[k] = IsOn(sight.point, made->planes[k]);
+    const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
+    for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
+      for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
+        const float weight = i == x && j == y ? 1.f : 0.15f;
+        const size_t row = (size_t(j) * view.columns + i) * (num_planes + 1);
+        for (int32_t k = 0; k < num_planes; ++k) {
+          const double depth = made->depths[row + k];
+          if (is_on[k]) {
+            on[row + k] += weight;
+          } else if (depth < sight.depth * (1 - tolerance)) {
+            before[row + k] += weight;
+          } else if (depth > sight.depth * (1 + tolerance)) {
+            behind[row + k] += weight;
+          }
+        }
+      }
+    }
+  }
+  for (size_t i = 0; i < size; ++i)
+    made->costs[i] += -weights.on * Saturated(on[i], 3) + weights.before * Saturated(before[i], 2) +
+                      weights.behind * Saturated(behind[i], 2);
+}
+
+// The homography from pixels of a view to those of another by way of a plane.
+inline Mat3 PlaneHomography(const FaceView& view, const Plane& plane, const FaceView& other) {
+  const double f = view.pose.focal_px, g = other.pose.focal_px;
+  const Vec3 shift = other.pose.FromWorld(view.pose.center);
+  const double distance = plane.Distance(view.pose.center);
+  const Mat3 turn = MultiplyByTransposed(other.pose.R, view.pose.R);
+  const Vec3 normal = view.pose.Rotate(plane.normal);
+  Mat3 h;
+  for (int i = 0; i < 3; ++i) {
+    double row[3];
+    for (int j = 0; j < 3; ++j) row[j] = shift[i] * normal[j] - distance * turn[3 * i + j];
+    row[2] -= (row[0] * view.principal.x + row[1] * view.principal.y) / f;
+    h[3 * i] = row[0] / f, h[3 * i + 1] = row[1] / f, h[3 * i + 2] = row[2];
+  }
+  for (int j = 0; j < 3; ++j) {
+    h[j] = g * h[j] + other.principal.x * h[6 + j];
+    h[3 + j] = g * h[3 + j] + other.principal.y * h[6 + j];
+  }
+  return h;
+}
+
+// Variance of gray, in levels squared, that is no texture.
+constexpr double kGrayNoise = 4;
+constexpr int kPatchRadius = 4, kPatchStep = 2;  // pixels of the small pictures
+
+// The gray around a cell, and how much it varies there.
+struct Patch {
+  std::array<Vec2, 25> pixels;
+  std::array<double, 25> grays;
+  int count = 0;
+  double sum = 0, squares = 0;
+
+  Patch(const FaceView& view, int32_t cell) {
+    const Vec2 middle = view.CellCenter(cell);
+    for (int dy = -kPatchRadius; dy <= kPatchRadius; dy += kPatchStep) {
+      for (int dx = -kPatchRadius; dx <= kPatchRadius; dx += kPatchStep) {
+        const int64_t x = int64_t(middle.x) + dx, y = int64_t(middle.y) + dy;
+        if (x < 0 || y < 0 || x >= view.width() || y >= view.height()) continue;
+        const double gray = view.gray[y * view.width() + x];
+        pixels[count] = {x + 0.5, y + 0.5}, grays[count++] = gray;
+        sum += gray, squares += gray * gray;
+      }
+    }
+  }
+  double variance() const { return squares / count - sum * sum / count / count; }
+
+  // Share of the variance of both that they have not in common, from 0 to 1, each brightness apart;
+  // NaN where the other view does not see all of it.
+  double Difference(const Mat3& homography, const FaceView& other, double noise) const {
+    double sum_b = 0, squares_b = 0, products = 0;
+    for (int i = 0; i < count; ++i) {
+      const Vec3 p = Multiply(homography, {pixels[i].x, pixels[i].y, 1});
+      const double x = p.x / p.z - 0.5, y = p.y / p.z - 0.5;
+      if (!(x >= 0 && y >= 0 && x < other.width() - 1 && y < other.height() - 1)) return NAN;
+      const int32_t column = int32_t(x), row = int32_t(y);
+      const double s = x - column, t = y - row;
+      const uint8_t* at = other.gray + size_t(row) * other.width() + column;
+      const uint8_t* below = at + other.width();
+      const double b =
+          (1 - t) * ((1 - s) * at[0] + s * at[1]) + t * ((1 - s) * below[0] + s * below[1]);
+      sum_b += b, squares_b += b * b, products += grays[i] * b;
+    }
+    const double aa = variance(), bb = squares_b / count - sum_b * sum_b / count / count;
+    const double ab = products / count - sum * sum_b / count / count;
+    return std::min(1.0, (aa + bb - 2 * ab) / (aa + bb + 2 * noise));
+  }
+};
+
+// What neighbouring views say of a place on a plane.
+struct NeighborVotes {
+  double through = 0, there = 0;               // by the points they observe
+  double agree = 0, disagree = 0, hidden = 0;  // by the planes they were labelled
+  std::array<double, 3> differences;           // of gray
+  int tried = 0;
+
+  double Cost(const EvidenceWeights& weights) const {
+    double cost = weights.seen_through * Saturated(through, 2) -
+                  weights.seen_there * Saturated(there, 2) - weights.agree * Saturated(agree, 2) +
+                  weights.disagree * Saturated(disagree, 2);
+    cost += weights.hidden * hidden / (1 + hidden + agree + disagree);
+    if (tried == 0) return cost;
+    const auto end = differences.begin() + tried;
+    return cost + weights.correlation *
+                      (*std::min_element(differences.begin(), end) +
+                       *std::max_element(differences.begin(), end)) /
+                      2;
+  }
+};
+
+inline void FaceScene::AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label,
+                                int32_t plane, NeighborVotes* votes) const {
+  if (label < 0) return;
+  if (label == plane) {
+    ++votes->agree;
+    return;
+  }
+  const double theirs = planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
+  if (theirs > depth * (1 + weights.depth_tolerance)) {
+    ++votes->disagree;
+  } else if (theirs < depth * (1 - weights.depth_tolerance)) {
+    ++votes->hidden;
+  } else {
+    votes->agree += 0.5;
+  }
+}
+
+inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
+                                    ViewCosts* made) const {
+  const FaceView& view = views[v];
+  const int32_t num_planes = int32_t(made->planes.size());
+  const double tolerance = weights.depth_tolerance;
+  const size_t num_neighbors = neighbors[v].size();
+  std::vector<Mat3> homographies;
+  for (int32_t k = 0; k < num_planes; ++k)
+    for (const int32_t u : neighbors[v])
+      homographies.push_back(PlaneHomography(view, planes[made->planes[k]], views[u]));
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const Vec3 ray = view.RayOfCell(cell);
+    const Patch patch(view, cell);
+    const bool has_texture = weights.correlation > 0 && patch.variance() > kGrayNoise;
+    for (int32_t k = 0; k < num_planes; ++k) {
+      const size_t i = size_t(cell) * (num_planes + 1) + k;
+      if (std::isnan(made->depths[i]) || made->costs[i] > kHopeless) continue;
+      const Vec3 point = view.pose.center + made->depths[i] * ray;
+      NeighborVotes votes;
+      for (size_t j = 0; j < num_neighbors; ++j) {
+        const int32_t u = neighbors[v][j];
+        const FaceView& other = views[u];
+        Vec2 pixel;
+        double at;
+        if (!other.Project(point, &pixel, &at)) continue;
+        const int32_t c = other.CellAt(pixel);
+        const double nearest = nearest_[u][c];
+        votes.through += nearest > at * (1 + 2 * tolerance);
+        votes.there += std::abs(nearest - at) < tolerance / 2 * at;
+        if (has_texture && votes.tried < int(votes.differences.size())) {
+          const double d = patch.Difference(homographies[k * num_neighbors + j], other, kGrayNoise);
+          if (!std::isnan(d)) votes.differences[votes.tried++] = d;
+        }
+        if (!labels.empty()) AddLabel(other, pixel, at, labels[u][c], made->planes[k], &votes);
+      }
+      made->costs[i] += votes.Cost(weights);
+    }
+  }
+}
+
+inline ViewCosts FaceScene::Costs(int32_t v,
+                                  const std::vector<std::vector<int32_t>>& labels) const {
+  const FaceView& view = views[v];
+  ViewCosts made;
+  std::vector<int32_t> counts;
+  made.planes = PlanesOf(v, kMinCells, &counts);
+  const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
+  made.depths.assign(size_t(view.num_cells()) * num_labels, NAN);
+  made.costs.assign(size_t(view.num_cells()) * num_labels, 0);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const Vec3 ray = view.RayOfCell(cell);
+    for (int32_t k = 0; k < num_planes; ++k) {
+      const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);
+      const Vec3 point = view.pose.center + depth * ray;
+      if (!(Norm(point - center) <= reach)) continue;
+      made.depths[size_t(cell) * num_labels + k] = depth;
+      if (extents[made.planes[k]].Holds(point))
+        made.costs[size_t(cell) * num_labels + k] -= weights.inside;
+    }
+  }
+  AddPoints(v, &made);
+  AddNeighbors(v, labels, &made);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    double* costs = &made.costs[size_t(cell) * num_labels];
+    for (int32_t k = 0; k < num_planes; ++k) {
+      costs[k] += 1 + weights.unsupported * std::exp(-counts[made.planes[k]] / 15.0);
+      if (std::isnan(made.depths[size_t(cell) * num_labels + k]))
+        costs[k] = std::numeric_limits<double>::infinity();
+    }
+    costs[num_planes] = weights.no_plane;
+  }
+  return made;
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,123 @@
+// Labels of nodes by alpha expansion (Boykov, Veksler and Zabih, PAMI 2001).
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+#include <vector>
+
+#include "faces/max_flow.h"
+
+namespace colmap_edges {
+
+// What labels cost: at each node, and where they differ along an edge. There they cost the edge's
+// weight, and only a part of it where the two labels' surfaces cross between the nodes.
+struct LabelProblem {
+  int32_t num_nodes = 0, num_labels = 0;
+  std::vector<NodePair> edges;
+  const double* costs = nullptr;    // (num_nodes, num_labels); infinite where a label cannot be
+  const double* depths = nullptr;   // (num_nodes, num_labels); NaN of labels without a surface
+  const double* weights = nullptr;  // of the edges
+  double crossing_factor = 1;       // part of the weight where surfaces cross
+
+  double Cost(int32_t node, int32_t label) const {
+    return costs[size_t(node) * num_labels + label];
+  }
+  double Depth(int32_t node, int32_t label) const {
+    return depths[size_t(node) * num_labels + label];
+  }
+  // Whether the surfaces of two labels cross between the nodes of an edge.
+  bool Crosses(int64_t edge, int32_t p, int32_t q) const {
+    const auto& [a, b] = edges[edge];
+    const double at_a = Depth(a, p) - Depth(a, q), at_b = Depth(b, p) - Depth(b, q);
+    return at_a * at_b <= 0;  // false of NaN
+  }
+  double Between(int64_t edge, int32_t p, int32_t q) const {
+    if (p == q) return 0;
+    return weights[edge] * (Crosses(edge, p, q) ? crossing_factor : 1);
+  }
+  double Energy(const std::vector<int32_t>& labels) const {
+    double sum = 0;
+    for (int32_t i = 0; i < num_nodes; ++i) sum += Cost(i, labels[i]);
+    for (size_t e = 0; e < edges.size(); ++e)
+      sum += Between(int64_t(e), labels[edges[e][0]], labels[edges[e][1]]);
+    return sum;
+  }
+};
+
+class Expansion {
+ public:
+  explicit Expansion(const LabelProblem& problem)
+      : problem_(problem), flow_(problem.num_nodes, problem.edges) {
+    labels_.resize(problem.num_nodes);
+    for (int32_t i = 0; i < problem.num_nodes; ++i) {
+      const double* costs = problem.costs + size_t(i) * problem.num_labels;
+      labels_[i] = int32_t(std::min_element(costs, costs + problem.num_labels) - costs);
+    }
+  }
+
+  // Lets one label after the other take what lowers the sum, until none does or `max_sweeps`.
+  const std::vector<int32_t>& Run(int max_sweeps) {
+    double energy = problem_.Energy(labels_);
+    int32_t unchanged = 0;
+    for (int sweep = 0; sweep < max_sweeps; ++sweep) {
+      for (const int32_t label : ByFrequency()) {
+        if (unchanged == problem_.num_labels) return labels_;
+        std::vector<int32_t> expanded = Expanded(label);
+        const double lower = problem_.Energy(expanded);
+        const bool better = lower < energy - 1e-9 * std::abs(energy);
+        unchanged = better ? 1 : unchanged + 1;
+        if (better) labels_.swap(expanded), energy = lower;
+      }
+    }
+    return labels_;
+  }
+
+ private:
+  static constexpr double kUnit = 1 << 20;  // of whole-number capacities
+  static constexpr double kLargest = 1e6;   // cost that stands for infinity
+
+  static int64_t Whole(double cost) { return std::llround(kUnit * std::min(cost, kLargest)); }
+
+  std::vector<int32_t> ByFrequency() const {
+    std::vector<int32_t> counts(problem_.num_labels, 0), order(problem_.num_labels);
+    for (const int32_t label : labels_) ++counts[label];
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(),
+                     [&](int32_t a, int32_t b) { return counts[a] > counts[b]; });
+    return order;
+  }
+
+  // The best labels among those that are kept or become `label` (all but the best where pairs
+  // of labels break the triangle inequality; the caller checks).
+  std::vector<int32_t> Expanded(int32_t label) {
+    std::vector<int64_t> change(problem_.num_nodes);  // cost of changing less that of keeping
+    for (int32_t i = 0; i < problem_.num_nodes; ++i)
+      change[i] = Whole(problem_.Cost(i, label)) - Whole(problem_.Cost(i, labels_[i]));
+    for (size_t e = 0; e < problem_.edges.size(); ++e) {
+      const auto& [a, b] = problem_.edges[e];
+      const int32_t p = labels_[a], q = labels_[b];
+      const int64_t kept = Whole(problem_.Between(int64_t(e), p, q));
+      const int64_t only_b = Whole(problem_.Between(int64_t(e), p, label));
+      int64_t only_a = Whole(problem_.Between(int64_t(e), label, q));
+      only_a = std::max(only_a, kept - only_b);
+      // kept + (only_a - kept) x_a - only_a x_b + (only_a + only_b - kept) (1 - x_a) x_b
+      change[a] += only_a - kept, change[b] -= only_a;
+      flow_.SetEdge(int64_t(e), only_a + only_b - kept, 0);
+    }
+    // The source's side keeps, the sink's changes: an edge a -> b is cut where b alone changes.
+    for (int32_t i = 0; i < problem_.num_nodes; ++i) flow_.SetTerminal(i, change[i]);
+    flow_.Solve();
+    std::vector<int32_t> expanded = labels_;
+    for (int32_t i = 0; i < problem_.num_nodes; ++i)
+      if (!flow_.IsSource(i) && std::isfinite(problem_.Cost(i, label))) expanded[i] = label;
+    return expanded;
+  }
+
+  const LabelProblem& problem_;
+  MaxFlow flow_;
+  std::vector<int32_t> labels_;
+};
+
+}  // namespace colmap_edges

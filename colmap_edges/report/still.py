@@ -1,0 +1,115 @@
+"""A still picture of the scene: mesh and edges as the page's 3D view shows them first."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Picture
+from colmap_edges.images.files import encoded
+from colmap_edges.report.contents import Contents
+from colmap_edges.report.overlay import SHIFT
+from colmap_edges.report.scene3d import MAX_SFM_POINTS, coarser
+from colmap_edges.report.viewpoint import FOV, Viewpoint, viewpoint
+
+SIZE_PX = (1280, 800)  # width and height
+FINER = 2  # times that it is drawn larger, and then reduced
+MAX_STILL_FACES = 60_000
+EDGE_BGR = (40, 60, 225)
+LINE_PX = 2
+IN_FRONT = 0.995  # of its depth at which an edge is drawn, so that the surface it is on is behind
+WEBP = [cv2.IMWRITE_WEBP_QUALITY, 85]
+
+
+def still_picture(contents: Contents) -> bytes:
+    """The picture of a scene on white, WebP: its mesh, or its SfM points, and its 3D edges."""
+    width, height = (FINER * side for side in SIZE_PX)
+    canvas: Picture = np.full((height, width, 3), 255, np.uint8)
+    view = viewpoint(contents, width / height)
+    if contents.mesh is None:
+        draw_points(canvas, contents, view)
+    draw_faces_and_edges(canvas, contents, view)
+    return encoded(".webp", cv2.resize(canvas, SIZE_PX, interpolation=cv2.INTER_AREA), WEBP)
+
+
+def projected(
+    points: FloatArray, view: Viewpoint, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels (N, 2) and depths (N,) of points; NaN what is behind the eye or far out of sight."""
+    right, down, depth = ((points - view.eye) @ view.axes.T).T
+    near = 1e-3 * float(np.linalg.norm(view.focus - view.eye))
+    depth = np.where(depth > near, depth, np.nan)
+    focal = shape[0] / 2 / np.tan(FOV / 2)
+    pixels = focal * np.stack([right, down], axis=1) / depth[:, None]
+    pixels += np.array([shape[1], shape[0]]) / 2
+    pixels[(np.abs(pixels) > 20 * shape[1]).any(axis=1)] = np.nan  # no number OpenCV could take
+    return pixels, depth
+
+
+def draw_points(canvas: Picture, contents: Contents, view: Viewpoint) -> None:
+    """Draw SfM points as dots of their colours."""
+    model = contents.model
+    step = max(len(model.points3D_xyz) // MAX_SFM_POINTS, 1)
+    pixels, depths = projected(model.points3D_xyz[::step], view, canvas.shape)
+    colors = model.points3D_rgb[::step, ::-1]
+    for row in np.argsort(-depths)[: np.isfinite(pixels[:, 0]).sum()]:
+        center = tuple(int(x) for x in np.nan_to_num(pixels[row]))
+        cv2.circle(canvas, center, FINER, tuple(map(int, colors[row])), -1)
+
+
+def draw_faces_and_edges(canvas: Picture, contents: Contents, view: Viewpoint) -> None:
+    """Draw triangles and edge segments from the farthest to the nearest, each over the others."""
+    shapes, colors, depths = shaded_faces(contents, view, canvas.shape)
+    lines, line_depths = edge_segments(contents, view, canvas.shape)
+    order = np.argsort(-np.concatenate([depths, IN_FRONT * line_depths]), kind="stable")
+    fixed = [*fixed_point(shapes), *fixed_point(lines)]
+    for index in order.tolist():
+        if index < len(shapes):
+            cv2.fillConvexPoly(canvas, fixed[index], colors[index].tolist(), cv2.LINE_8, SHIFT)
+        else:
+            first, last = fixed[index]
+            width = LINE_PX * FINER
+            cv2.line(canvas, first.tolist(), last.tolist(), EDGE_BGR, width, cv2.LINE_8, SHIFT)
+
+
+def fixed_point(pixels: FloatArray) -> IntArray:
+    """Pixels in the fractions in which OpenCV draws."""
+    return np.rint(pixels * (1 << SHIFT)).astype(np.int32)
+
+
+def shaded_faces(
+    contents: Contents, view: Viewpoint, shape: tuple[int, ...]
+) -> tuple[FloatArray, ByteArray, FloatArray]:
+    """Triangles in sight: pixels (F, 3, 2), colours (F, 3) BGR in the light of the eye, depths."""
+    if contents.mesh is None or len(contents.mesh.faces) == 0:
+        return np.zeros((0, 3, 2)), np.zeros((0, 3), np.uint8), np.zeros(0)
+    vertices, faces, colors = coarser(contents.mesh, MAX_STILL_FACES)
+    pixels, depths = projected(vertices, view, shape)
+    faces = faces[in_sight(pixels[faces], shape)]
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    towards = view.eye - a
+    cosines = np.abs(np.einsum("ij,ij->i", normals, towards)) / (
+        np.linalg.norm(normals, axis=1) * np.linalg.norm(towards, axis=1) + 1e-300
+    )
+    lit = colors[faces].mean(axis=1) * (0.45 + 0.55 * cosines[:, None])
+    return pixels[faces], lit[:, ::-1].astype(np.uint8), depths[faces].mean(axis=1)
+
+
+def edge_segments(
+    contents: Contents, view: Viewpoint, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Segments of 3D edges in sight: pixels (S, 2, 2) and depths (S,)."""
+    if contents.edges is None or contents.edges.num_points == 0:
+        return np.zeros((0, 2, 2)), np.zeros(0)
+    pixels, depths = projected(contents.edges.points, view, shape)
+    segments = contents.edges.segments
+    segments = segments[in_sight(pixels[segments], shape)]
+    return pixels[segments], depths[segments].mean(axis=1)
+
+
+def in_sight(pixels: FloatArray, shape: tuple[int, ...]) -> BoolArray:
+    """Which triangles or segments (N, K, 2) may touch a picture of `shape`; NaN never does."""
+    low, high = pixels.min(axis=1), pixels.max(axis=1)
+    inside: BoolArray = ((high >= 0) & (low <= np.array([shape[1], shape[0]]))).all(axis=1)
+    return inside

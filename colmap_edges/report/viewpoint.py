@@ -1,0 +1,130 @@
+"""From where a scene is shown first: as the photograph that observes most of it shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.report.contents import Contents
+
+FOV = np.pi / 4  # over the height: that of plotly.js
+SHOWN_SHARE = 98  # per cent of what is observed that the first view holds, if it stands outside
+MAX_BEHIND = 0.1  # share of the scene behind a camera from which on it stands within the scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viewpoint:
+    """From where and whereto one looks.
+
+    Attributes:
+        eye: (3,) place of the eye, world units.
+        focus: (3,) what is in the middle, world units.
+        up: (3,) direction that is upwards in the picture.
+        is_inside: whether the eye is within the scene, such as in a room.
+    """
+
+    eye: FloatArray
+    focus: FloatArray
+    up: FloatArray
+    is_inside: bool = False
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) rows to the right, downwards and forwards, of length 1."""
+        forward = normalized(self.focus - self.eye)
+        right = normalized(np.cross(forward, self.up))
+        return np.stack([right, np.cross(forward, right), forward])
+
+
+def normalized(vector: FloatArray) -> FloatArray:
+    """The vector with length 1; (0, 0, 0) stays."""
+    unit: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-300)
+    return unit
+
+
+def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
+    """Corners of the box that is shown: cameras, edges, and SfM points but for the farthest."""
+    parts = [model.camera_centers]
+    for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
+        if len(points):
+            low, high = np.percentile(points, [2, 98], axis=0)
+            margin = 0.15 * (high - low)
+            parts.append(np.stack([low - margin, high + margin]))
+    corners = np.concatenate(parts)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.02 * float((high - low).max()) + 1e-9
+    return low - margin, high + margin
+
+
+def viewpoint(contents: Contents, aspect: float) -> Viewpoint:
+    """Look as the camera that observes most, from so far that all is seen where that is outside.
+
+    A camera with more than `MAX_BEHIND` of the scene behind it stands within a room or street;
+    what would be seen from farther back are the outer sides of walls, so it stays where it is.
+
+    Args:
+        contents: the scene.
+        aspect: width by height of the picture.
+    """
+    model = contents.model
+    points, views, owners = subject(contents)
+    if len(views) == 0:
+        return overview(model, points if len(points) else model.camera_centers)
+    best = int(np.bincount(views, minlength=len(model.views)).argmax())
+    view, eye = model.views[best], model.camera_centers[best]
+    own = points[owners[views == best]]
+    forward = view.rotation[2]
+    focus = eye + forward * max(float(np.median((own - eye) @ forward)), 1e-9)
+    start = Viewpoint(eye=eye, focus=focus, up=-view.rotation[1])
+    if is_within(points, start):
+        return replace(start, is_inside=True)
+    return fitted(own, start, aspect)
+
+
+def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]:
+    """What is looked at: points (N, 3), and view and point of every observation (T,) of them."""
+    model, edges = contents.model, contents.edges
+    if edges is not None and edges.num_points:
+        return edges.points, edges.observations.views, edges.observations.points
+    owners = np.repeat(np.arange(len(model.points3D_xyz)), np.diff(model.track_offsets))
+    return model.points3D_xyz, model.track_views, owners
+
+
+def is_within(points: FloatArray, view: Viewpoint) -> bool:
+    """Whether much of the scene is behind the eye."""
+    behind: BoolArray = (points - view.eye) @ view.axes[2] < 0
+    return bool(behind.mean() > MAX_BEHIND)
+
+
+def fitted(points: FloatArray, view: Viewpoint, aspect: float) -> Viewpoint:
+    """The same direction of sight, from where the picture holds all but the outermost points."""
+    local = (points - view.focus) @ view.axes.T
+    low, high = np.percentile(local, [100 - SHOWN_SHARE, SHOWN_SHARE], axis=0)
+    middle = (low + high) / 2 * np.array([1, 1, 0])
+    right, down, forward = (local - middle).T
+    half = np.tan(FOV / 2) * np.array([aspect, 1.0])
+    needed = np.maximum(np.abs(right) / half[0], np.abs(down) / half[1]) - forward
+    distance = 1.1 * max(float(np.percentile(needed, SHOWN_SHARE)), 1e-9)
+    focus = view.focus + middle @ view.axes
+    return Viewpoint(eye=focus - distance * view.axes[2], focus=focus, up=view.up)
+
+
+def overview(model: Model, points: FloatArray) -> Viewpoint:
+    """From the middle of all cameras, where nothing tells what they observe."""
+    focus = np.median(points, axis=0)
+    reach = float(np.linalg.norm(points - focus, axis=1).max()) + 1e-9
+    outward = normalized(model.camera_centers.mean(axis=0) - focus)
+    outward = outward if outward.any() else -model.views[0].rotation[2]
+    return Viewpoint(eye=focus + 2.6 * reach * outward, focus=focus, up=up_direction(model))
+
+
+def up_direction(model: Model) -> FloatArray:
+    """(3,) direction in the world that is upwards in the images on average."""
+    up: FloatArray = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
+    return up

@@ -1,0 +1,1 @@
+"""Planar faces between 3D edges, and points on them for the mesher."""

@@ -1,0 +1,130 @@
+"""What is known of a scene's surfaces before faces are looked for: points of edges and of SfM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    joined_offsets,
+    owners_of,
+)
+from colmap_edges.core.edges3d import Edges3D
+
+TANGENT_REACH = 8  # points to both sides of an edge point whose chord is its tangent
+MAX_BEND = 0.05  # of that chord's length, by which an edge with a tangent leaves it
+SFM_WEIGHT_PX = 4.0  # length of edge that an SfM point is worth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """Points of surfaces, with how sure they are, and the views that observe them.
+
+    Attributes:
+        points: (N, 3) world units; first the SfM points, then those of edges.
+        tangents: (N, 3) unit directions of straight edges; 0 of other points.
+        rays: (N, 3) unit directions in which the points are seen, from the middle of their views.
+        sigmas: (N,) standard deviations across the rays, world units.
+        ray_sigmas: (N,) standard deviations along the rays, world units.
+        weights: (N,) lengths of edges in pixels.
+        offsets: (N + 1,) of the tracks.
+        views: (T,) int32 views of the tracks.
+    """
+
+    points: FloatArray
+    tangents: FloatArray
+    rays: FloatArray
+    sigmas: FloatArray
+    ray_sigmas: FloatArray
+    weights: FloatArray
+    offsets: IntArray
+    views: Int32Array
+
+
+def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
+    """What SfM points and edges say of surfaces."""
+    points = np.concatenate([model.points3D_xyz, edges.points])
+    offsets = joined_offsets([model.track_offsets, edges.observations.offsets])
+    views = np.concatenate([model.track_views, edges.observations.views]).astype(np.int32)
+    rays, pixels, spread = sight_of(points, offsets, views, model)
+    num_sfm = len(model.points3D_xyz)
+    ray_sigmas = pixels / spread
+    known = np.isfinite(edges.sigmas)
+    ray_sigmas[num_sfm:][known] = edges.sigmas[known]
+    lengths = edge_lengths(edges) / pixels[num_sfm:]
+    return Evidence(
+        points=points,
+        tangents=np.concatenate([np.zeros((num_sfm, 3)), tangents_of(edges)]),
+        rays=rays,
+        sigmas=pixels,
+        ray_sigmas=ray_sigmas,
+        weights=np.concatenate([np.full(num_sfm, SFM_WEIGHT_PX), lengths]),
+        offsets=offsets,
+        views=views,
+    )
+
+
+def sight_of(
+    points: FloatArray, offsets: IntArray, views: Int32Array, model: Model
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How points are seen.
+
+    Returns:
+        (N, 3) unit directions to them, (N,) size of a pixel at their place in the views that see
+        them from near by, and (N,) spread of the directions, radians.
+    """
+    owners, counts = owners_of(offsets), np.maximum(np.diff(offsets), 1)
+    away = points[owners] - model.camera_centers[views]
+    distances = np.linalg.norm(away, axis=1) + 1e-300
+    away /= distances[:, None]
+    sums = np.column_stack([np.bincount(owners, axis, len(points)) for axis in away.T])
+    length = np.linalg.norm(sums, axis=1) + 1e-300
+    spread = np.sqrt(np.maximum(1 - (length / counts) ** 2, 1e-12)) * np.sqrt(counts)
+    focals = np.array([view.focal_px / view.scale for view in model.views])
+    sizes = distances / focals[views]
+    order = np.lexsort((sizes, owners))
+    first = offsets[:-1] + (counts - 1) // 4
+    pixels = np.full(len(points), np.median(sizes) if len(sizes) else 1.0)
+    seen = np.diff(offsets) > 0
+    pixels[seen] = sizes[order[first[seen]]]
+    return sums / length[:, None], pixels, spread
+
+
+def tangents_of(edges: Edges3D) -> FloatArray:
+    """(N, 3) unit tangents of edge points; 0 where the edge is bent."""
+    index = np.arange(edges.num_points)
+    owners = edges.edge_ids
+    before = np.maximum(index - TANGENT_REACH, edges.edge_offsets[owners])
+    after = np.minimum(index + TANGENT_REACH, edges.edge_offsets[owners + 1] - 1)
+    chords = edges.points[after] - edges.points[before]
+    lengths = np.linalg.norm(chords, axis=1)
+    tangents = chords / (lengths[:, None] + 1e-300)
+    from_start = edges.points - edges.points[before]
+    off = from_start - np.einsum("ij,ij->i", from_start, tangents)[:, None] * tangents
+    bent = np.linalg.norm(off, axis=1) > MAX_BEND * lengths
+    tangents[bent | (lengths == 0)] = 0
+    return np.asarray(tangents, np.float64)
+
+
+def edge_lengths(edges: Edges3D) -> FloatArray:
+    """(N,) length of edge that belongs to each point, world units."""
+    segments = edges.segments
+    lengths = np.linalg.norm(edges.points[segments[:, 0]] - edges.points[segments[:, 1]], axis=1)
+    halves = np.repeat(lengths / 2, 2)
+    lengths_of_points = np.bincount(segments.ravel(), halves, edges.num_points)
+    return np.asarray(lengths_of_points, np.float64)
+
+
+def joined(one: Evidence, other: Evidence) -> Evidence:
+    """The evidence of both."""
+    arrays = {
+        name: np.concatenate([getattr(one, name), getattr(other, name)])
+        for name in vars(one)
+        if name != "offsets"
+    }
+    return Evidence(offsets=joined_offsets([one.offsets, other.offsets]), **arrays)

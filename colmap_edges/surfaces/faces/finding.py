@@ -1,0 +1,90 @@
+"""Planar faces of a scene: planes from edges, labels in views, what views agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.surfaces.faces.decision import (
+    are_alone,
+    are_believed,
+    sample_cells,
+    seen_points,
+    thinned,
+)
+from colmap_edges.surfaces.faces.evidence import gather_evidence, joined
+from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
+from colmap_edges.surfaces.faces.hypotheses import find_planes
+from colmap_edges.surfaces.faces.labelling import (
+    EvidenceWeights,
+    label_cells,
+    make_scene,
+    split_by_view,
+)
+from colmap_edges.surfaces.faces.outlines import Face, outline_faces
+from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
+
+NUM_ROUNDS = 2  # of labelling: each view by itself, then in agreement
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faces:
+    """Planar faces of a scene.
+
+    Attributes:
+        faces: as they are reported.
+        points: on them, where the mesher has no points of its own, with the views that show them.
+        num_planes: planes that were tried.
+        labelled: share of all cells that show a plane.
+    """
+
+    faces: list[Face]
+    points: SeenPoints
+    num_planes: int
+    labelled: float
+
+
+NO_FACES = Faces(faces=[], points=NO_POINTS, num_planes=0, labelled=0.0)
+
+
+def find_faces(
+    model: Model, edges: Edges3D, grids: Mapping[int, Grid], seed: int, num_threads: int
+) -> Faces:
+    """Find the planar faces between 3D edges and SfM points.
+
+    Args:
+        model: gives the V views and the SfM points.
+        edges: its 3D edges.
+        grids: small pictures of the views by their index; views without one show nothing.
+        seed: of the random choice of hypotheses.
+        num_threads: threads; the result does not depend on them.
+    """
+    pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
+    evidence = gather_evidence(model, edges)
+    planes = find_planes(evidence, np.random.default_rng(seed))
+    if not len(planes.offsets):
+        return NO_FACES
+    scene = make_scene(model, pictures, evidence, planes, num_threads)
+    # Gray is not compared yet, which takes the most time: any plane near the true one will do.
+    weights = EvidenceWeights(correlation=0.0)
+    first = split_by_view(label_cells(scene, 1, num_threads, weights), pictures)
+    evidence = joined(evidence, find_faint_lines(model, pictures, first, planes))
+    planes = find_planes(evidence, np.random.default_rng(seed))
+    scene = make_scene(model, pictures, evidence, planes, num_threads)
+    labels = label_cells(scene, NUM_ROUNDS, num_threads)
+    angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
+    samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
+    believed = are_believed(samples)
+    known = np.concatenate([model.points3D_xyz, edges.points])
+    added = thinned(samples, np.flatnonzero(believed & are_alone(samples, known)))
+    return Faces(
+        faces=outline_faces(samples, np.flatnonzero(believed), planes, model.camera_centers),
+        points=seen_points(samples, added),
+        num_planes=len(planes.offsets),
+        labelled=float(np.mean(labels >= 0)),
+    )

@@ -1,0 +1,83 @@
+"""Views as small undistorted pictures in gray, in which faces are labelled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from colmap_edges.core.arrays import ByteArray, FloatArray, Picture
+from colmap_edges.core.view import View
+from colmap_edges.images.files import gray_of
+
+CELL_PX = 4  # side of a cell in pixels of the small picture
+NUM_COLUMNS = 80  # cells along the longer side of an image
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A view as a small undistorted picture.
+
+    Attributes:
+        gray: (h, w) uint8, whole cells.
+        focal_px: its focal length.
+        principal: (2,) its principal point, the corner of the picture is (0, 0).
+    """
+
+    gray: ByteArray
+    focal_px: float
+    principal: FloatArray
+
+
+def size_of(view: View) -> tuple[int, int, float]:
+    """Width and height of a view's small picture, and its size over the image's."""
+    factor = NUM_COLUMNS * CELL_PX / max(view.width, view.height)
+    width, height = (
+        CELL_PX * max(2, round(side * factor / CELL_PX)) for side in (view.width, view.height)
+    )
+    return width, height, factor
+
+
+def make_grid(view: View, image: Picture) -> Grid:
+    """The small undistorted picture of a view's image (H, W, 3)."""
+    blank = blank_grid(view)
+    height, width = blank.gray.shape
+    small = gray_of(image)
+    while min(small.shape) > 4 * min(width, height):  # halving is quick
+        half = small.shape[1] // 2, small.shape[0] // 2
+        small = np.asarray(cv2.resize(small, half, interpolation=cv2.INTER_AREA), np.uint8)
+    small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    ideal = (np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal) / blank.focal_px
+    pixels = view.image_from_ideal(ideal * view.focal_px)
+    scale = np.array([width / view.width, height / view.height])
+    at = (pixels * scale - 0.5).astype(np.float32).reshape(height, width, 2)
+    gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return replace(blank, gray=np.ascontiguousarray(gray, np.uint8))
+
+
+def blank_grid(view: View) -> Grid:
+    """The picture of a view whose image shows nothing."""
+    width, height, factor = size_of(view)
+    camera = view.camera
+    principal = np.array([camera.principal_point_x, camera.principal_point_y]) * factor
+    gray = np.zeros((height, width), np.uint8)
+    return Grid(gray=gray, focal_px=view.focal_px / view.scale * factor, principal=principal)
+
+
+class GridTaker:
+    """Takes the small pictures of all views while their images are in memory."""
+
+    def __init__(self) -> None:
+        """Hold none yet."""
+        self.grids: dict[int, Grid] = {}
+
+    def visit(self, index: int, view: View, read: Callable[[], Picture], found: object) -> Grid:
+        """Take the picture of a view."""
+        return make_grid(view, read())
+
+    def collect(self, index: int, kept: Grid) -> None:
+        """Keep a picture."""
+        self.grids[index] = kept

@@ -1,0 +1,175 @@
+"""Which plane each cell of each view shows: graph cuts in every view, in agreement with others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    order_of,
+    owners_of,
+)
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
+from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
+
+NUM_NEIGHBORS = 12  # views that see the most of the same points, which a view agrees with
+ON_TOLERANCE = 2.0  # standard deviations of a point's distance from a plane on which it lies
+ON_SLOPE = 3 * MAX_SLOPE  # sine between a short piece of edge and such a plane
+REACH = 2.0  # times the distance of the farthest points from their middle: where planes may be
+NUM_SIDES = 16  # of the polygon around a plane's points
+INNER = 0.995  # share of the points that is within each side
+MAX_SWEEPS = 2  # of alpha expansion over all planes; more change next to nothing
+
+
+class EvidenceWeights(NamedTuple):
+    """What speaks for and against a plane in a cell, in units of a border of half a cell.
+
+    Set by trial on corridor and rooms (docs/experiments.md). Counts of points and of views saturate
+    at two to three.
+    """
+
+    on: float = 1.6  # observed points that lie on the plane
+    before: float = 1.5  # observed points behind the plane, which it would hide
+    behind: float = 0.3  # observed points before the plane
+    seen_through: float = 1.0  # views that see a point behind the plane there
+    seen_there: float = 0.4  # views that see a point at the plane's depth there
+    unsupported: float = 0.6  # a plane on which the view observes few points
+    no_plane: float = 1.1  # no plane; a plane without evidence costs 1
+    agree: float = 1.0  # views that took the same plane there
+    disagree: float = 1.0  # views that took a plane farther away
+    hidden: float = 0.5  # share of views that took a nearer plane
+    correlation: float = 1.0  # gray that differs from that in other views
+    inside: float = 0.15  # a place that the plane's points lie around
+    depth_tolerance: float = 0.02  # share of depth by which surfaces are told apart
+
+
+class BorderCosts(NamedTuple):
+    """What a border between the planes of two cells costs; set by trial, as above."""
+
+    weight: float = 2.0  # where the picture is plain
+    least: float = 0.06  # part of it that is left where gray changes much
+    slope_scale: float = 2.0  # gray levels a pixel at which a third of it is left
+    crossing_factor: float = 0.35  # part of it where the two planes meet
+
+
+def make_scene(
+    model: Model, grids: Sequence[Grid], evidence: Evidence, planes: Planes, num_threads: int
+) -> Any:
+    """The kernel's scene: views with their pictures, planes, points, and who observes what."""
+    num_views = len(model.views)
+    plane_offsets, plane_rows = planes_of_points(evidence, planes)
+    order = order_of(evidence.views, num_views)
+    neighbors = neighbors_of(num_views, evidence)
+    middle = np.median(evidence.points, axis=0)
+    far = np.quantile(np.linalg.norm(evidence.points - middle, axis=1), 0.99)
+    return _kernels.FaceScene(
+        np.array([view.rotation for view in model.views]),
+        np.array([view.translation for view in model.views]),
+        np.array([grid.focal_px for grid in grids]),
+        np.array([grid.principal for grid in grids]),
+        [grid.gray for grid in grids],
+        np.ascontiguousarray(planes.normals),
+        planes.offsets,
+        evidence.points,
+        plane_offsets,
+        plane_rows,
+        offsets_of(np.bincount(evidence.views, minlength=num_views)),
+        owners_of(evidence.offsets)[order].astype(np.int32),
+        offsets_of(np.array([len(row) for row in neighbors])),
+        np.concatenate(neighbors).astype(np.int32),
+        np.array([middle, [REACH * far, 0, 0]]),
+        *extents_of(evidence, planes, plane_offsets, plane_rows),
+        num_threads,
+    )
+
+
+def label_cells(
+    scene: Any, num_rounds: int, num_threads: int, weights: EvidenceWeights | None = None
+) -> Int32Array:
+    """Planes of the cells of all views, view by view and row by row; -1 where there is none.
+
+    Args:
+        scene: of `make_scene`.
+        num_rounds: 1: each view by itself; afterwards in agreement with its neighbours.
+        num_threads: threads; the result does not depend on them.
+        weights: of what speaks for planes.
+    """
+    labels: Int32Array = scene.label(
+        np.array(weights or EvidenceWeights()),
+        np.array(BorderCosts()),
+        num_rounds,
+        MAX_SWEEPS,
+        num_threads,
+    )
+    return labels
+
+
+def split_by_view(labels: Int32Array, grids: Sequence[Grid]) -> list[Int32Array]:
+    """(rows, columns) labels of each view."""
+    shapes = [(grid.gray.shape[0] // CELL_PX, grid.gray.shape[1] // CELL_PX) for grid in grids]
+    ends = np.cumsum([rows * columns for rows, columns in shapes])
+    parts = np.split(labels, ends[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int32Array]:
+    """Offsets (N + 1,) and planes, row by row, that each point lies on."""
+    distances = np.abs(evidence.points @ planes.normals.T - planes.offsets)
+    along = (evidence.rays @ planes.normals.T) * evidence.ray_sigmas[:, None]
+    near = distances <= ON_TOLERANCE * np.hypot(along, evidence.sigmas[:, None])
+    near &= np.abs(evidence.tangents @ planes.normals.T) <= ON_SLOPE
+    rows, columns = np.nonzero(near)
+    return offsets_of(np.bincount(rows, minlength=len(near))), columns.astype(np.int32)
+
+
+def extents_of(
+    evidence: Evidence, planes: Planes, offsets: IntArray, rows: Int32Array
+) -> tuple[FloatArray, FloatArray]:
+    """Where on planes the points lie that are on them.
+
+    A border that all of a plane's points lie on one side of is an end of it: walls do not go on
+    above the ceiling, though nothing is seen to contradict it.
+
+    Returns:
+        (K * D, 3) directions on the planes, and (K * D, 2) least and largest components of the
+        points in them.
+    """
+    owners = owners_of(offsets)
+    angles = np.arange(NUM_SIDES // 2) * np.pi / (NUM_SIDES // 2)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    directions, extents = [], []
+    for plane, normal in enumerate(planes.normals):
+        directions.append(circle @ np.linalg.svd(normal[None])[2][1:])
+        own = owners[rows == plane]
+        at = evidence.points[own] @ directions[-1].T
+        margin = np.median(evidence.sigmas[own]) if len(own) else 0.0
+        low, high = np.quantile(at, (1 - INNER, INNER), axis=0) if len(own) else np.zeros((2, 1))
+        sides = np.column_stack([low - margin, high + margin])
+        extents.append(np.broadcast_to(sides, (len(circle), 2)))
+    return np.concatenate(directions), np.ascontiguousarray(np.concatenate(extents))
+
+
+def neighbors_of(num_views: int, evidence: Evidence) -> list[IntArray]:
+    """Of each view the views that see the most of the same points, the most first."""
+    owners = owners_of(evidence.offsets)
+    ones = np.ones(len(owners), np.int64)
+    shape = (num_views, len(evidence.points))
+    seen = sparse.csr_matrix((ones, (evidence.views, owners)), shape)
+    shared = (seen @ seen.T).tocsr()
+    rows = []
+    for view in range(num_views):
+        part = slice(shared.indptr[view], shared.indptr[view + 1])
+        others, counts = shared.indices[part].astype(np.int64), shared.data[part]
+        others, counts = others[others != view], counts[others != view]
+        rows.append(others[np.lexsort((others, -counts))[:NUM_NEIGHBORS]])
+    return rows

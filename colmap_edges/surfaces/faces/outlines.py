@@ -1,0 +1,103 @@
+"""Faces as they are reported: plane, outlines, area and the views that show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_of
+from colmap_edges.surfaces.faces.decision import Samples
+from colmap_edges.surfaces.faces.hypotheses import Planes
+
+MIN_CELLS = 8  # of the raster on a face that is reported
+MAX_SIDE = 2000  # cells of that raster
+
+
+@dataclass(frozen=True, kw_only=True)
+class Face:
+    """One connected piece of a plane that views show.
+
+    Attributes:
+        normal: (3,) unit normal, towards the views.
+        offset: normal . x = offset, world units.
+        area: square world units, holes left out.
+        outline: (P, 3) closed polygon around it.
+        holes: closed polygons (P, 3) of what is left out within it.
+        views: (V,) indices of the views that show it.
+        plane: index of its plane; faces of one plane have the same.
+    """
+
+    normal: FloatArray
+    offset: float
+    area: float
+    outline: FloatArray
+    holes: tuple[FloatArray, ...]
+    views: IntArray
+    plane: int
+
+
+def outline_faces(
+    samples: Samples, believed: IntArray, planes: Planes, centers: FloatArray
+) -> list[Face]:
+    """The faces that the believed (B,) samples lie on, plane by plane."""
+    faces: list[Face] = []
+    for plane in range(len(planes.offsets)):
+        own = believed[samples.planes[believed] == plane]
+        if len(own) >= MIN_CELLS:
+            faces += faces_of_plane(samples, own, planes, plane, centers)
+    return faces
+
+
+def faces_of_plane(
+    samples: Samples, own: IntArray, planes: Planes, plane: int, centers: FloatArray
+) -> list[Face]:
+    """The connected pieces of one plane, on a raster as fine as its samples' cells."""
+    normal, offset = planes.normals[plane], float(planes.offsets[plane])
+    basis = np.linalg.svd(normal[None])[2][1:]
+    at = samples.points[own] @ basis.T
+    low = at.min(axis=0)
+    cell = max(float(np.median(samples.sizes[own])), float(np.ptp(at, axis=0).max()) / MAX_SIDE)
+    columns, rows = np.floor((at - low) / cell).astype(np.int64).T + 2
+    mask = np.zeros((rows.max() + 3, columns.max() + 3), np.uint8)
+    mask[rows, columns] = 1
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
+    num_pieces, pieces = cv2.connectedComponents(mask, connectivity=4)
+    faces = []
+    for piece in range(1, num_pieces):
+        inside = (pieces == piece).astype(np.uint8)
+        if inside.sum() < MIN_CELLS:
+            continue
+        outline, holes = rings(inside)
+        world = [(ring - 1.5) * cell + low for ring in (outline, *holes)]
+        polygons = [ring @ basis + offset * normal for ring in world]
+        members = own[pieces[rows, columns] == piece]
+        views = np.unique(samples.views[entries_of(samples.offsets, members)]).astype(np.int64)
+        away = float(np.mean(centers[views] @ normal - offset))
+        sign = 1.0 if away >= 0 else -1.0
+        faces.append(
+            Face(
+                normal=sign * normal,
+                offset=sign * offset,
+                area=float(inside.sum()) * cell**2,
+                outline=polygons[0],
+                holes=tuple(polygons[1:]),
+                views=views,
+                plane=plane,
+            )
+        )
+    return faces
+
+
+def rings(inside: Int32Array) -> tuple[FloatArray, list[FloatArray]]:
+    """Outline and holes (P, 2) of a connected piece of a raster, in (column, row) of its cells."""
+    contours, tree = cv2.findContours(inside, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    outer, holes = np.zeros((0, 2)), []
+    for contour, (_, _, _, parent) in zip(contours, tree[0], strict=True):
+        ring = contour[:, 0].astype(np.float64)
+        if parent < 0 and len(ring) >= len(outer):
+            outer = ring
+        elif parent >= 0:
+            holes.append(ring)
+    return outer, holes

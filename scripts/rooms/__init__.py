@@ -1,0 +1,1 @@
+"""Furnished rooms, mostly plain, seen from inside: with their true surface, curves and poses."""

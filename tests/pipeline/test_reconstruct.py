@@ -1,0 +1,43 @@
+"""The pipeline as a function: of paths, of objects, and of neither."""
+
+import numpy as np
+import pycolmap
+import pytest
+
+import colmap_edges
+from colmap_edges.colmap.model import model_from_reconstruction
+from colmap_edges.errors import ColmapEdgesError
+
+
+@pytest.mark.pipeline
+def test_paths_give_what_objects_give(small):
+    image_path, input_path = small
+    by_paths = colmap_edges.reconstruct(str(input_path), str(image_path))
+    by_objects = colmap_edges.reconstruct(pycolmap.Reconstruction(str(input_path)), image_path)
+    assert by_paths.edges.num_edges > 0
+    np.testing.assert_array_equal(by_paths.edges.points, by_objects.edges.points)
+    assert by_paths.reconstruction.num_points3D() == by_objects.reconstruction.num_points3D()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((42, "images"), "reconstruction is of type int; give pycolmap.Reconstruction or"),
+        (("sparse", None), "image_path is of type NoneType; give str or os.PathLike"),
+        (("sparse", "images", "high"), "options is of type str; give colmap_edges.PipelineOptions"),
+        (("sparse", "images", None, 3), "cache_path is of type int; give str"),
+        (("sparse", "images", None, None, [1]), "mask_path is of type list; give str"),
+        (("no such folder", "images"), "no such folder"),
+    ],
+)
+def test_other_types_are_told_in_one_line(arguments, message):
+    with pytest.raises(ColmapEdgesError, match=message) as caught:
+        colmap_edges.reconstruct(*arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_models_are_made_of_reconstructions_only():
+    with pytest.raises(ColmapEdgesError, match="reconstruction is of type dict"):
+        model_from_reconstruction({})
+    with pytest.raises(ColmapEdgesError, match="reconstruction is of type list"):
+        colmap_edges.mesh([])

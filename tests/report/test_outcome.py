@@ -1,0 +1,80 @@
+import pytest
+
+from colmap_edges.report.charts import decades, histogram, nice_ticks, shortened
+from colmap_edges.report.outcome import headline, outcome, scene_name
+
+READ = {"images_with_poses": 24, "images_without_poses": 0, "points3D": 11878}
+DETECT = {"images_without_edges": 0, "polylines": 8018, "edge_pixels": 673074}
+WRITE = {"edges": 270, "edge_points": 10756, "length": 285.1007, "median_residual_px": 0.0644}
+MESH = {"faces": 54309, "vertices": 27207}
+
+
+def record(**counts):
+    return {"stages": [{"name": name, "counts": found} for name, found in counts.items()]}
+
+
+def test_outcome_of_each_command():
+    whole = outcome(record(read=READ, detect=DETECT, write=WRITE, mesh=MESH))
+    assert whole == {
+        "Images": "24 with poses",
+        "Edges": "270 in 3D, 285.1 scene units long together, 0.064 px from where images show "
+        "them (median)",
+        "Points": "11,878 SfM points and 10,756 edge points in the written model",
+        "Mesh": "54,309 triangles with 27,207 corners",
+    }
+    detected = outcome(record(read=READ, detect=DETECT))
+    assert detected["Edges"] == "8,018 2D polylines of 673,074 pixels"
+    assert "Mesh" not in detected
+    assert list(outcome(record(read=READ, mesh=MESH))) == ["Images", "Points", "Mesh"]
+
+
+def test_outcome_says_what_did_not_come_out():
+    read = {**READ, "images_without_poses": 3}
+    nothing = {"edges": 0, "edge_points": 0, "length": 0.0, "median_residual_px": None}
+    detect = {**DETECT, "images_without_edges": 2}
+    said = outcome(
+        record(read=read, detect=detect, write=nothing, mesh={"faces": 0, "vertices": 0})
+    )
+    assert said["Images"] == "24 with poses, 3 without (not used), 2 in which no edge was detected"
+    assert said["Edges"] == "no 3D edge came out"
+    assert said["Mesh"] == "none: it came out empty"
+
+
+def test_headline():
+    assert headline(record(read=READ, write=WRITE, mesh=MESH)) == (
+        "270 3D edges, 285.1 scene units long together and a mesh of 54,309 triangles, "
+        "from 24 images."
+    )
+    assert headline(record(read=READ, mesh=MESH)).startswith("A mesh of 54,309 triangles")
+
+
+@pytest.mark.parametrize(
+    ("image_path", "name"),
+    [
+        ("/data/fountain/images", "fountain"),
+        ("/data/castle/dense/0/images", "castle"),
+        ("/home/me/kitchen", "kitchen"),
+        ("/images", "scene"),
+    ],
+)
+def test_scene_is_named_by_its_folder(image_path, name):
+    assert scene_name({"image_path": image_path, "input_path": "/sparse/0"}) == name
+
+
+def test_ticks_are_round_and_few():
+    assert nice_ticks(0, 23000) == [0, 5000, 10000, 15000, 20000]
+    assert nice_ticks(2.5, 24.5) == [5, 10, 15, 20]
+    assert decades(-1.2, 1.1) == [0.1, 1, 10]
+    assert decades(-0.9, 0.9) == [0.2, 0.5, 1, 2, 5]
+    assert [shortened(v) for v in (0.25, 20000, 3e6)] == ["0.25", "20,000", "3 M"]
+
+
+def test_bars_are_as_high_as_their_counts():
+    import re
+
+    import numpy as np
+
+    figure = histogram("T", "x", "things", np.array([0.5, 0.5, 1.5]), np.array([0.0, 1, 2]))
+    heights = [float(h) for h in re.findall(r'rect [^>]*height="([\d.]+)"', figure)]
+    assert heights[0] == pytest.approx(2 * heights[1], abs=0.2)
+    assert "0 to 1: 2 things" in figure

@@ -1,0 +1,58 @@
+"""Edges sampled from known curves, with noise."""
+
+import numpy as np
+
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
+
+
+def edges_of(polylines, closed=None, sigma=1e-3, seed=0):
+    """Edges of exact (n, 3) polylines, with normal noise of `sigma`, and none where it is 0."""
+    random = np.random.default_rng(seed)
+    counts = [len(polyline) for polyline in polylines]
+    points = np.concatenate(polylines)
+    points = points + sigma * random.normal(size=points.shape)
+    return Edges3D(
+        points=points,
+        edge_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        closed=np.array(closed if closed is not None else [False] * len(counts)),
+        observations=Observations.of_pixels(
+            np.zeros(len(points) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
+        ),
+        sigmas=np.full(len(points), sigma if sigma else np.nan),
+        end_nodes=np.full((len(counts), 2), -1, np.int32),
+        colors=np.full((len(points), 3), 128, np.uint8),
+    )
+
+
+def frame(seed):
+    """A random rotation, whose rows are axes."""
+    q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return q * np.sign(np.linalg.det(q))
+
+
+def segment(start, end, count):
+    """(count, 3) points from one to the other."""
+    return np.linspace(start, end, count)
+
+
+def arc(center, axes, radii, start_deg, end_deg, count):
+    """(count, 3) points of an ellipse around a centre, on the first two axes."""
+    t = np.radians(np.linspace(start_deg, end_deg, count))
+    return (
+        center + radii[0] * np.outer(np.cos(t), axes[0]) + radii[1] * np.outer(np.sin(t), axes[1])
+    )
+
+
+def rounded_rectangle(width, height, radius, step):
+    """Points about `step` apart on four lines and four arcs, in the plane z = 0, closed."""
+    corners = [(width, 0, -90), (width, height, 0), (0, height, 90), (0, 0, 180)]
+    points = []
+    for x, y, angle in corners:
+        turns = np.radians(np.linspace(angle, angle + 90, max(4, round(radius * 1.57 / step))))
+        points.append(np.column_stack([x + radius * np.cos(turns), y + radius * np.sin(turns)]))
+    outline = np.concatenate([*points, points[0][:1]])
+    lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
+    places = np.arange(0, lengths[-1] - step / 2, step)
+    plane = [np.interp(places, lengths, column) for column in outline.T]
+    return np.column_stack([*plane, np.zeros(len(places))])
