@@ -72,8 +72,8 @@ class MeshingOptions(Options):
     )
     background_weight: float = option(
         16.0,
-        "Weight of a line of sight to a plain backdrop (with masks_are_background: to what masks "
-        "hide) against one to a point; 0 uses none",
+        "Weight of a ray to the background (a plain backdrop, or masked pixels with "
+        "masks_are_background) against a ray to a point; 0 disables",
         within=(0, 1000),
         basic=True,
     )

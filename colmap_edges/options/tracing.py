@@ -249,7 +249,9 @@ class TracingOptions(Options):
         given_px=True,
     )
     max_false_edges: float = option(
-        1.0, "Number of 3D edges that chance may make in the whole scene", within=(1e-6, 1e6)
+        1.0,
+        "Expected number of accidental 3D edges in the whole scene (a-contrario test)",
+        within=(1e-6, 1e6),
     )
 
 

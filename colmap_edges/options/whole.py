@@ -55,14 +55,14 @@ class PipelineOptions(Options):
     )
     masks_are_background: bool = option(
         False,
-        "What masks hide is behind all there is, as the sky is: lines of sight to it meet nothing",
+        "Treat masked pixels as background: their rays are free space",
     )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
     mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
-    num_threads: int = option(-1, "Threads of work; -1 takes every core", within=(-1, 100_000))
+    num_threads: int = option(-1, "Number of threads; -1 uses all cores", within=(-1, 100_000))
     max_graph_memory_gb: float = option(
         4.0,
-        "Memory for 2D edge graphs, in gigabytes; those beyond it wait on disk (TMPDIR)",
+        "Memory for 2D edge graphs, in gigabytes; further ones are kept on disk (TMPDIR)",
         within=(0.001, 100_000),
     )
     random_seed: int = option(0, "Seed of every random choice", within=(0, 4_294_967_295))
