@@ -11,7 +11,7 @@ from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
@@ -98,7 +98,7 @@ def reconstruct(
     model = as_model(reconstruction_or_path)
     check_model(model, "the reconstruction")
     check_pictures(model, image_path, mask_path, edge_path, options)
-    model = upsampled(model, image_path, options.detection)
+    model = at_working_scale(model, image_path, options.detection)
     with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         detection = detect_stage(
             model, image_path, options, stages, None, workers, mask_path, edge_path
