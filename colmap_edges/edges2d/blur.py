@@ -36,7 +36,7 @@ def blur_of_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> flo
 
 
 def blur_of_wide_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> float:
-    """How much the edges of an image are blurred, in pixels; as `blur_of_edges`, but not too little.
+    """How much the edges of an image are blurred, in pixels, where that is much.
 
     By the share of the contrast that lies within a pixel of the steepest place, which tells the
     Gaussian of a step. Over a pixel noise and the waves of interpolation average out, which
@@ -55,11 +55,12 @@ def strongest_profiles(
     gray: Picture, points: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, S) grays across the edges of most contrast, dark to bright, and (N,) their contrasts."""
+    if len(points) == 0:
+        return np.zeros((0, 2 * PLATEAU)), np.zeros(0)
     every = np.arange(0, len(points), max(1, len(points) // NUM_PROFILES))
     profiles = profiles_across(gray, points[every], normals[every])
     contrasts = profiles[:, -PLATEAU:].mean(axis=1) - profiles[:, :PLATEAU].mean(axis=1)
-    least = np.quantile(contrasts, 1 - STRONGEST) if len(contrasts) else 0
-    strong = (contrasts >= least) & (contrasts > 0)
+    strong = (contrasts >= np.quantile(contrasts, 1 - STRONGEST)) & (contrasts > 0)
     return profiles[strong], contrasts[strong]
 
 

@@ -69,7 +69,7 @@ def detect_chains(
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
-        scale: how many times the image is upsampled.
+        scale: how many times the image is upsampled; below 1 it is reduced.
         pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the upsampled
             image (OpenCV's origin) and (C + 1,) offsets.
 

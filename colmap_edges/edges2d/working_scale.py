@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
 MAX_SIZE_PX = 3200  # of an upsampled image, as large as COLMAP looks at images by itself
 SCALE_STEP = 0.25  # images are upsampled and reduced by multiples of it
-SOFT_BLUR_PX = 1.3  # that reduced images keep at least; those up to 1.6 px stay as they are
+SOFT_BLUR_PX = 1.4  # that reduced images keep at least: as sharp lenses give in all pixels
 NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
 SMALLEST_PX = 64  # side of an image that is halved to measure it
@@ -88,9 +88,7 @@ def blurs_until_decided(
     return blurs
 
 
-def blurs_of(
-    views: Sequence[View], image_path: Path, options: DetectionOptions
-) -> Iterator[float]:
+def blurs_of(views: Sequence[View], image_path: Path, options: DetectionOptions) -> Iterator[float]:
     """Blurs of the images of these views that show edges, in pixels."""
     for view in views:
         try:

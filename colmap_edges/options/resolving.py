@@ -10,18 +10,18 @@ from colmap_edges.options.whole import PipelineOptions
 
 
 def resolved(options: PipelineOptions, scale: float) -> PipelineOptions:
-    """The settings of a run whose images are upsampled, in the stages' pixels.
+    """The settings of a run whose images are upsampled or reduced, in the stages' pixels.
 
     Poses and distortion are off by pixels of the images as they are given, so what users say of
-    them is in these pixels. Stages work on upsampled images and measure in theirs. This is the
+    them is in these pixels. Stages work on scaled images and measure in their pixels. This is the
     only place that converts; it is called once a run. The settings are not to be converted again.
 
     Args:
         options: as given, every length of them as it was declared.
-        scale: how many times the images are upsampled, 1 at least.
+        scale: how many times the images are upsampled; below 1 where they are reduced.
 
     Returns:
-        The same, with what was declared in pixels of the given images in those of the upsampled.
+        The same, with what was declared in pixels of the given images in those of the scaled.
     """
     groups: dict[str, Any] = {}
     for entry in fields(options):
