@@ -299,6 +299,7 @@ def test_tolerances_are_in_pixels_of_the_given_images():
     assert used.visibility.max_error_px == 1.5 * given.visibility.max_error_px
     assert used.detection == given.detection
     assert resolved(given, 1.0) == given
+    assert resolved(given, 0.5) == given  # soft images place features no better
 
 
 def test_a_report_has_options_as_given_and_settings_as_used(scene_paths, tmp_path):
