@@ -30,6 +30,7 @@ MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
 MAX_SIZE_PX = 3200  # of an upsampled image, as large as COLMAP looks at images by itself
 SCALE_STEP = 0.25  # images are upsampled and reduced by multiples of it
 SOFT_BLUR_PX = 1.4  # that reduced images keep at least: as sharp lenses give in all pixels
+MIN_REDUCTION = 2.0  # reducing by less loses edges and saves little (docs/experiments.md)
 NUM_IMAGES = 5  # that are measured
 CROP_PX = 1024  # side of the middle of an image that is measured
 SMALLEST_PX = 64  # side of an image that is halved to measure it
@@ -65,7 +66,7 @@ def scale_for(blurs: Sequence[float], limit: float, options: DetectionOptions) -
     if not blurs:
         return 1.0
     times = int(min(blurs) / max(SOFT_BLUR_PX, options.min_blur_px) / SCALE_STEP) * SCALE_STEP
-    if times > 1:
+    if times >= MIN_REDUCTION:
         return 1 / times
     wanted = options.min_blur_px / float(np.median(blurs))
     steps = int(min(wanted + SCALE_STEP / 2, limit) / SCALE_STEP)
@@ -83,7 +84,7 @@ def blurs_until_decided(
     blurs = []
     for blur_px in blurs_of([views[i] for i in every], image_path, options):
         blurs.append(blur_px)
-        if not may_enlarge and blur_px <= SOFT_BLUR_PX * (1 + SCALE_STEP):
+        if not may_enlarge and blur_px < SOFT_BLUR_PX * MIN_REDUCTION:
             break
     return blurs
 

@@ -33,7 +33,7 @@ class DetectionOptions(Options):
         0.8,
         "Upsample images whose edges are blurred less than this standard deviation, in pixels of "
         "the given images (at most 1.5 times, up to 3200 px), and reduce those blurred more "
-        "than 1.75 px; 0 works on images as they are",
+        "than 2.8 px; 0 works on images as they are",
         within=(0, 5),
         basic=True,
     )
