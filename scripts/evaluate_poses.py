@@ -10,7 +10,7 @@ import click
 import pycolmap
 
 from colmap_edges.colmap.model import model_from_reconstruction
-from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation.metrics.poses import (
     TruePoses,
@@ -66,7 +66,7 @@ def main(
         starts = [("COLMAP's own", pycolmap.Reconstruction(input_path), (0.0,))]
     rows: list[list[Any]] = []
     for name, source, levels in starts:
-        model = upsampled(model_from_reconstruction(source), images, options.detection)
+        model = at_working_scale(model_from_reconstruction(source), images, options.detection)
         graphs = detect_stage(model, images, options, Stages())
         for noise_px in levels:
             for seed in seeds if noise_px else (0,):

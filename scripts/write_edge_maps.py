@@ -16,7 +16,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import load_model
 from colmap_edges.edges2d.detection import detect_pixel_chains, resized
-from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import exit_on_error
 from colmap_edges.images.files import (
     check_images_exist,
@@ -84,7 +84,7 @@ def main(
     detect: Detector = canny(low, high)
     if detector == "edgedrawing":
         options = DetectionOptions(min_blur_px=min_blur_px)
-        detect, model = edge_drawing, upsampled(model, image_path, options)
+        detect, model = edge_drawing, at_working_scale(model, image_path, options)
     for view in model.views:
         edges = detect(gray_of(read_image(view, image_path)), view.scale)
         path = path_of_image(output_path, f"{view.name}.png")

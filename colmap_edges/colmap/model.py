@@ -69,7 +69,7 @@ class Model:
 
     @property
     def scale(self) -> float:
-        """How many times its images are upsampled before their edges are detected; the most."""
+        """By which its images are enlarged, or below 1 reduced, for detection; the largest."""
         return max(view.scale for view in self.views)
 
     def at_scale(self, scale: float) -> Model:

@@ -41,7 +41,7 @@ class View:
     camera: Any  # pycolmap.Camera
     rotation: FloatArray  # (3, 3) of cam_from_world
     translation: FloatArray  # (3,) of cam_from_world
-    scale: float = 1.0  # how many times the image is upsampled before its edges are detected
+    scale: float = 1.0  # by which the image is enlarged, or below 1 reduced, for detection
 
     @cached_property
     def focal_px(self) -> float:

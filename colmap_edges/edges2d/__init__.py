@@ -1,1 +1,1 @@
-"""Images -> 2D edge graphs: detection, upsampling, corners, joining; and their index and store."""
+"""Images -> 2D edge graphs: scale, detection, corners, joining; and their index and store."""

@@ -69,7 +69,7 @@ def detect_chains(
     Args:
         image: (H, W) uint8 grayscale.
         options: shortest chain, tone curve and blur.
-        scale: how many times the image is upsampled.
+        scale: how many times the image is upsampled; below 1 it is reduced.
         pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the upsampled
             image (OpenCV's origin) and (C + 1,) offsets.
 
@@ -110,11 +110,16 @@ def followed_further(
 
 
 def resized(picture: _Picture, scale: float) -> _Picture:
-    """The picture (H, W) upsampled `scale` times: pixel (x, y) goes to `scale` times (x, y)."""
+    """The picture (H, W) at `scale` times its size: pixel (x, y) goes to `scale` times (x, y).
+
+    Pixels of a reduced picture are means of those that they cover, so that noise averages out.
+    """
     if scale == 1:
         return picture
-    larger = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    return np.asarray(larger, picture.dtype)
+    method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
+    return np.asarray(
+        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=method), picture.dtype
+    )
 
 
 def light_of(image: Picture, gamma: float) -> Float32Array:

@@ -105,15 +105,16 @@ def decode_edge_map(file: EdgeMapFile, view: View) -> EdgeMap:
     """Decode a view's edge image; the rarer of dark and bright are its edges.
 
     Raises:
-        ColmapEdgesError: when that cannot be done, or it is not of its camera's size or an
-            enlargement of it.
+        ColmapEdgesError: when that cannot be done, or it is not of its camera's size, an
+            enlargement of it, or as small as the view's image is worked on.
     """
     picture = cv2.imdecode(file.data, GRAY) if len(file.data) else None
     if picture is None or picture.dtype.kind != "u":  # not even whole numbers
         raise unreadable_edge_map(file.path, view.name)
     height, width = picture.shape
     scale = width / view.width
-    if scale < 1 or abs(height - scale * view.height) > scale:
+    is_too_small = width < int(min(1.0, view.scale) * view.width)
+    if is_too_small or abs(height - scale * view.height) > max(1.0, scale):
         raise ColmapEdgesError(
             f"edge image {file.path} is {width}x{height}, the camera of image {view.name} "
             f"{view.width}x{view.height}; edge images need the size of their images, or that size "

@@ -12,7 +12,7 @@ METHODS = ("chains", "paper")
 # What --quality sets; medium is the defaults.
 QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
-        "detection": {"min_blur_px": 0.0},
+        "detection": {"min_blur_px": 0.1},  # no image is as sharp; soft ones are reduced
         "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_observing_views": 20},
         "chain_depth": {"sample_step_points": 36},
         "tracing": {"curve_step_points": 6},

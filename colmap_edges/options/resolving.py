@@ -10,26 +10,29 @@ from colmap_edges.options.whole import PipelineOptions
 
 
 def resolved(options: PipelineOptions, scale: float) -> PipelineOptions:
-    """The settings of a run whose images are upsampled, in the stages' pixels.
+    """The settings of a run whose images are upsampled or reduced, in the stages' pixels.
 
     Poses and distortion are off by pixels of the images as they are given, so what users say of
-    them is in these pixels. Stages work on upsampled images and measure in theirs. This is the
+    them is in these pixels. Stages work on scaled images and measure in their pixels. Where images
+    are reduced because they are soft, features are placed no better than in the reduced images,
+    and poses with them: lengths are then so many pixels of the reduced images. This is the
     only place that converts; it is called once a run. The settings are not to be converted again.
 
     Args:
         options: as given, every length of them as it was declared.
-        scale: how many times the images are upsampled, 1 at least.
+        scale: how many times the images are upsampled; below 1 where they are reduced.
 
     Returns:
-        The same, with what was declared in pixels of the given images in those of the upsampled.
+        The same, with what was declared in pixels of the given images in those of the scaled ones.
     """
     groups: dict[str, Any] = {}
+    times = max(1.0, scale)
     for entry in fields(options):
         group = getattr(options, entry.name)
         if isinstance(group, Options):
             declared = fields(group)  # type: ignore[arg-type]
             given = [inner.name for inner in declared if inner.metadata["given_px"]]
-            groups[entry.name] = derived(group, **{n: scale * getattr(group, n) for n in given})
+            groups[entry.name] = derived(group, **{n: times * getattr(group, n) for n in given})
     return replace(options, **groups)
 
 

@@ -11,7 +11,7 @@ from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
-from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import Detection, detect_stage
@@ -93,7 +93,7 @@ def reconstruct(
     model = as_model(reconstruction_or_path)
     check_model(model, "the reconstruction")
     check_pictures(model, images, masks, maps, options)
-    model = upsampled(model, images, options.detection)
+    model = at_working_scale(model, images, options.detection)
     with open_workers(options, cache) as workers:
         detection = detect_stage(model, images, options, stages, None, workers, masks, maps)
         settings = resolved(options, model.scale)

@@ -9,7 +9,7 @@ from typing import Any
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
 from colmap_edges.edges2d.image_graphs import Visitors
-from colmap_edges.edges2d.upsampling import upsampled
+from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
@@ -100,7 +100,7 @@ def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOp
     check_pictures(model, image_folder(paths), paths.mask_path, paths.edge_path, options)
     if command != "detect" and options.output_type == "TXT":
         check_text_names(model)
-    return upsampled(model, image_folder(paths), options.detection)
+    return at_working_scale(model, image_folder(paths), options.detection)
 
 
 def run_edges(

@@ -1,17 +1,19 @@
-"""Images are enlarged as far as their sharpness asks for, and what is found lies where it is."""
+"""Images are enlarged or reduced as their sharpness asks for; what is found lies where it is."""
 
 import json
 from dataclasses import asdict, replace
+from functools import cache
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial import cKDTree
 
-from colmap_edges.colmap.model import load_model
+from colmap_edges.colmap.model import load_model, model_from_reconstruction
 from colmap_edges.colmap.writing import moved_model
-from colmap_edges.edges2d.detection import detect_chains
-from colmap_edges.edges2d.upsampling import measure_blur, upsampled
+from colmap_edges.edges2d.detection import detect_chains, detect_pixel_chains, resized
+from colmap_edges.edges2d.working_scale import at_working_scale, measure_blur
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import gray_of, read_image
 from colmap_edges.options import DetectionOptions, PipelineOptions, recorded, resolved
@@ -25,8 +27,10 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 OPTIONS = DetectionOptions(gamma=1.0)  # what is drawn here is light
 SIZE = (320, 240)
+SOFTENING_PX = 2.0  # of images that are then given twice as large
 
 
+@cache
 def shapes(blur_px, oversampling=16):
     """(H, W) grays of a disc and a turned square, their edges blurred by a Gaussian."""
     width, height = (side * oversampling for side in SIZE)
@@ -47,9 +51,10 @@ def bars(width_px, pitch_px):
     return np.tile(np.round(line).astype(np.uint8), (SIZE[1], 1))
 
 
-@pytest.mark.parametrize("blur_px", [0.5, 0.8, 1.2])
+@pytest.mark.parametrize("blur_px", [0.4, 0.5, 0.8, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0])
 def test_blur_of_known_edges(blur_px):
-    assert measure_blur(shapes(blur_px), OPTIONS) == pytest.approx(blur_px, rel=0.2)
+    rel = 0.2 if blur_px < 0.8 else 0.1  # pixels are about as wide as sharper edges
+    assert measure_blur(shapes(blur_px), OPTIONS) == pytest.approx(blur_px, rel=rel)
 
 
 @pytest.mark.parametrize("noise", [2, 6])
@@ -76,15 +81,25 @@ def scene_of(model, folder, images):
 
 def scale_of(model, folder, **options):
     """The one scale of all views."""
-    found = upsampled(model, folder, DetectionOptions(**options))
+    found = at_working_scale(model, folder, DetectionOptions(**options))
     [scale] = {view.scale for view in found.views}
     return scale
 
 
 @pytest.mark.parametrize(
-    ("blur_px", "scale"), [(0.2, 1.5), (0.47, 1.5), (0.6, 1.25), (0.9, 1.0), (1.5, 1.0)]
+    ("blur_px", "scale"),
+    [
+        (0.2, 1.5),
+        (0.47, 1.5),
+        (0.6, 1.25),
+        (0.9, 1.0),
+        (1.5, 1.0),
+        (2.4, 1.0),
+        (3.2, 0.5),
+        (4.0, 0.4),
+    ],
 )
-def test_sharp_images_are_enlarged(scene_model, tmp_path, blur_px, scale):
+def test_images_are_enlarged_or_reduced(scene_model, tmp_path, blur_px, scale):
     model = scene_of(scene_model, tmp_path, [shapes(blur_px)] * 3)
     assert scale_of(model, tmp_path) == scale
     assert scale_of(model, tmp_path, min_blur_px=0) == 1
@@ -101,19 +116,42 @@ def test_the_usual_image_decides(scene_model, tmp_path):
     assert scale_of(model, tmp_path) == 1
 
 
-def test_large_images_stay_as_they_are(scene_model, tmp_path):
+def test_the_sharpest_image_decides_how_far_all_are_reduced(scene_model, tmp_path):
+    soft = [shapes(4.0)] * 4
+    assert scale_of(scene_of(scene_model, tmp_path, [*soft, shapes(3.2)]), tmp_path) == 0.5
+    assert scale_of(scene_of(scene_model, tmp_path, [*soft, shapes(1.0)]), tmp_path) == 1
+    assert scale_of(scene_of(scene_model, tmp_path, soft), tmp_path, min_blur_px=0) == 1
+
+
+def test_large_sharp_images_stay_as_they_are(scene_model, tmp_path):
     large = cv2.copyMakeBorder(shapes(0.5), 900, 900, 800, 800, cv2.BORDER_REPLICATE)
     model = scene_of(scene_model, tmp_path, [large[:, :1920]] * 2)
     assert scale_of(model, tmp_path) == 1.5  # 2880 px
-    views = tuple(replace(view, width=2700) for view in model.views)
-    assert scale_of(replace(model, views=views), tmp_path) == 1  # not even read
+    large = cv2.copyMakeBorder(shapes(0.5), 900, 900, 1200, 1200, cv2.BORDER_REPLICATE)
+    model = scene_of(scene_model, tmp_path, [large] * 2)
+    views = (model.views[0], replace(model.views[1], width=2700))
+    assert scale_of(replace(model, views=views), tmp_path) == 1  # the second is not even read
 
 
 def test_an_image_of_another_size_is_told(scene_model, tmp_path):
     model = scene_of(scene_model, tmp_path, [shapes(0.5)] * 2)
     views = (model.views[0], replace(model.views[1], width=SIZE[0] + 1))
     with pytest.raises(ColmapEdgesError, match="its camera 321x240"):
-        upsampled(replace(model, views=views), tmp_path, OPTIONS)
+        at_working_scale(replace(model, views=views), tmp_path, OPTIONS)
+
+
+@pytest.mark.parametrize("scale", [1 / 1.5, 1 / 2, 1 / 2.25])
+def test_chains_of_reduced_images_lie_where_they_are(scale):
+    points = detect_chains(shapes(2.0), OPTIONS, scale).points / scale
+    center, radius = np.array([SIZE[0] / 4, SIZE[1] / 2]), SIZE[1] / 4
+    distances = np.linalg.norm(points - center, axis=1) - radius
+    on_disc = np.abs(distances) < 2
+    assert on_disc.sum() > 0.95 * scale * 2 * np.pi * radius / np.sqrt(2)
+    inward = (2.0**2 + (OPTIONS.sigma_px / scale) ** 2) / (2 * radius)  # as blur moves a circle
+    assert np.median(distances[on_disc]) == pytest.approx(-inward, abs=0.03)
+    low, high = points[on_disc].min(axis=0), points[on_disc].max(axis=0)
+    np.testing.assert_allclose((low + high) / 2, center, atol=0.1)
+    assert np.abs(distances[on_disc]).max() < 0.35
 
 
 @pytest.mark.parametrize("scale", [1.25, 1.5, 2.0])
@@ -195,6 +233,71 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
     assert errors[1.5] < 1.1 * errors[1.0]
 
 
+def test_edges_of_images_given_twice_as_large_end_to_end(scene, scene_paths, tmp_path):
+    """They are worked on at half that size; tracks are in pixels of the large images."""
+    images, _ = scene_paths
+    large = pycolmap.Reconstruction(scene.reconstruction)
+    for camera in large.cameras.values():
+        camera.rescale(2.0)
+    for image in large.images.values():
+        for point in image.points2D:
+            point.xy = 2 * point.xy
+        picture = cv2.GaussianBlur(cv2.imread(str(images / image.name)), (0, 0), SOFTENING_PX)
+        twice = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(tmp_path / image.name), twice)
+    result = reconstruct(large, tmp_path, PipelineOptions())
+    scale = result.stages[0]["counts"]["image_scale"]
+    assert 1 / 3.5 < scale <= 0.5
+    edges, views = result.edges, model_from_reconstruction(large).views
+    observed = edges.observations
+    projected = np.array(
+        [
+            views[view].project(edges.points[point : point + 1])[0][0]
+            for point, view in zip(observed.points, observed.views, strict=True)
+        ]
+    )
+    distances = np.linalg.norm(projected - observed.pixels, axis=1)
+    np.testing.assert_allclose(distances, result.residuals_px, atol=1e-6)
+    assert np.quantile(distances, 0.95) < 0.75 / scale  # of these soft images
+    assert observed.pixels.max() > max(camera.width for camera in large.cameras.values()) / 2
+    assert np.median(scene.distances(edges.points)) < 0.01
+    seen = scene.samples[scene.sample_views >= 3]
+    assert np.mean(cKDTree(edges.points).query(seen)[0] < 0.03) > 0.7
+
+
+def test_masks_and_edge_images_of_reduced_views(scene_model, scene_paths, tmp_path):
+    """A mask hides what it hides in the given image; edge images may be of either size."""
+    view = replace(scene_model.views[0], scale=1 / 1.5)
+    one = replace(scene_model, views=(view,))
+    masks, maps = tmp_path / "masks", tmp_path / "maps"
+    masks.mkdir(), maps.mkdir()
+    mask = np.full((view.height, view.width), 255, np.uint8)
+    mask[:, : view.width // 2] = 0
+    cv2.imwrite(str(masks / f"{view.name}.png"), mask)
+    options, images = PipelineOptions(), scene_paths[0]
+
+    def points_of(**folders):
+        stages = Stages()
+        return detect_stage(one, images, options, stages, **folders).graphs.load(0).points
+
+    whole, masked = points_of(), points_of(mask_path=masks)
+    assert whole[:, 0].min() < view.width / 3
+    bridged_px = 1.5 * PipelineOptions().edge_graph.max_gap_points
+    assert view.width // 2 - bridged_px <= masked[:, 0].min() < masked[:, 0].max() < view.width
+    gray = gray_of(read_image(view, images))
+    for scale in (1.0, view.scale):
+        drawn = np.zeros_like(resized(gray, scale))
+        pixels, _ = detect_pixel_chains(resized(gray, scale), 12)
+        drawn[tuple(pixels.astype(int).T[::-1])] = 255
+        cv2.imwrite(str(maps / f"{view.name}.png"), drawn)
+        given = points_of(edge_path=maps)
+        assert len(given) > 0.6 * len(whole)
+        assert np.median(cKDTree(whole).query(given)[0]) < 0.6
+    cv2.imwrite(str(maps / f"{view.name}.png"), drawn[::2, ::2])
+    with pytest.raises(ColmapEdgesError, match="edge images need the size"):
+        points_of(edge_path=maps)
+
+
 def test_tolerances_are_in_pixels_of_the_given_images():
     given = PipelineOptions()
     used = resolved(given, 1.5)
@@ -205,6 +308,7 @@ def test_tolerances_are_in_pixels_of_the_given_images():
     assert used.visibility.max_error_px == 1.5 * given.visibility.max_error_px
     assert used.detection == given.detection
     assert resolved(given, 1.0) == given
+    assert resolved(given, 0.5) == given  # soft images place features no better
 
 
 def test_a_report_has_options_as_given_and_settings_as_used(scene_paths, tmp_path):
