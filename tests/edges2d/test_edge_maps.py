@@ -37,7 +37,7 @@ def distances():
 
 def decoded(picture):
     data = cv2.imencode(".png", picture)[1].ravel()
-    view = SimpleNamespace(name="a.jpg", width=WIDTH, height=HEIGHT)
+    view = SimpleNamespace(name="a.jpg", width=WIDTH, height=HEIGHT, scale=1.0)
     return decode_edge_map(EdgeMapFile(Path("a.jpg.png"), data), view)
 
 
