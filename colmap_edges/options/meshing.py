@@ -75,7 +75,6 @@ class MeshingOptions(Options):
         "Weight of a ray to the background (a plain backdrop, or masked pixels with "
         "masks_are_background) against a ray to a point; 0 disables",
         within=(0, 1000),
-        basic=True,
     )
     vote_crossed: float = constant(
         1.0,
