@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import norm
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, owners_of
 from colmap_edges.core.observations import ChainObservations
@@ -242,7 +241,8 @@ def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) 
     known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
     scale = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
     anywhere = 1 / MAX_OFFSET_PX
-    copies = (1 - OUTLIER_RATE) * 2 * norm.pdf(offset, scale=scale) + OUTLIER_RATE * anywhere
+    half_normal = np.sqrt(2 / np.pi) / scale * np.exp(-0.5 * (offset / scale) ** 2)
+    copies = (1 - OUTLIER_RATE) * half_normal + OUTLIER_RATE * anywhere
     ratio: FloatArray = np.log(anywhere / copies)
     return ratio
 
