@@ -182,7 +182,7 @@ def test_a_run_with_masks(small, tmp_path):
         return counts["trace"]["edge_points"], counts["detect"]["images_reused"]
 
     free, masked = points(None), points(masks)
-    assert masked == (found.edges.num_points, 0)
+    assert masked == (found.edges.num_distinct, 0)
     assert masked[0] < free[0]
     assert points(None) == (free[0], 6)
     assert points(masks) == (masked[0], 6)

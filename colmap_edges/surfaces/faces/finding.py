@@ -53,7 +53,7 @@ NO_FACES = Faces(faces=[], points=NO_POINTS, num_planes=0, labelled=0.0)
 
 
 def find_faces(
-    model: Model, edges: Edges3D, grids: Mapping[int, Grid], seed: int, num_threads: int
+    model: Model, edges: Edges3D, grids: Mapping[int, Grid], random_seed: int, num_threads: int
 ) -> Faces:
     """Find the planar faces between 3D edges and SfM points.
 
@@ -61,12 +61,12 @@ def find_faces(
         model: gives the V views and the SfM points.
         edges: its 3D edges.
         grids: small pictures of the views by their index; views without one show nothing.
-        seed: of the random choice of hypotheses.
+        random_seed: of the random choice of hypotheses.
         num_threads: threads; the result does not depend on them.
     """
     pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
     evidence = gather_evidence(model, edges)
-    planes = find_planes(evidence, np.random.default_rng(seed))
+    planes = find_planes(evidence, np.random.default_rng(random_seed))
     if not len(planes.offsets):
         return NO_FACES
     scene = make_scene(model, pictures, evidence, planes, num_threads)
@@ -74,7 +74,7 @@ def find_faces(
     weights = EvidenceWeights(correlation=0.0)
     first = split_by_view(label_cells(scene, 1, num_threads, weights), pictures)
     evidence = joined(evidence, find_faint_lines(model, pictures, first, planes))
-    planes = find_planes(evidence, np.random.default_rng(seed))
+    planes = find_planes(evidence, np.random.default_rng(random_seed))
     scene = make_scene(model, pictures, evidence, planes, num_threads)
     labels = label_cells(scene, NUM_ROUNDS, num_threads)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
