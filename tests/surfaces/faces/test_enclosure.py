@@ -12,7 +12,7 @@ def steps_that_meet(shown, touched, inside, row, column):
         at = np.array([row, column])
         while True:
             here = tuple(at)
-            at = at + (down, right)
+            at += (down, right)
             if (at < 0).any() or (at >= shown.shape).any():
                 met.append(inside[here])
                 break
