@@ -17,7 +17,7 @@ from colmap_edges.surfaces.faces.finding import NO_FACES, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
-from colmap_edges.surfaces.silhouettes import find_background
+from colmap_edges.surfaces.silhouettes import Body, find_background, spread_bodies
 
 
 def check_mesher() -> None:
@@ -50,7 +50,11 @@ def mesh_stage(
         threads = thread_count(options)
         faces = NO_FACES
         if traced and grids is not None:
-            faces = find_faces(model, traced.edges, grids, options.random_seed, threads)
+            bodies: Mapping[int, Body] = {}
+            if background:
+                bodies = spread_bodies(model.views, background_masks, traced.edges.points)
+            seen = list(bodies.values())
+            faces = find_faces(model, traced.edges, grids, options.random_seed, threads, seen)
             write_faces(faces.faces, model, folder / "faces.json")
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
         mesh = finished(mesh, extended, options.meshing)

@@ -22,7 +22,7 @@ from colmap_edges.surfaces.silhouettes import SeenPoints
 AGREEING_SHARE = 1 / 3  # of the views that hold the place
 MAX_THROUGH = 0.1  # views that show a plane behind it, for each that agrees
 MAX_HIDDEN = 0.0  # views that show a plane before it, for each that agrees: none may
-NEAR_CELLS = 1.5  # within which the mesher has no two points of its own
+NEAR_CELLS = 3.0  # within which the mesher has no two points of its own
 SPACING_CELLS = 1.2  # between points of a face
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from colmap_edges.surfaces.faces.decision import (
     seen_points,
     thinned,
 )
+from colmap_edges.surfaces.faces.enclosure import are_enclosed
 from colmap_edges.surfaces.faces.evidence import gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
@@ -27,7 +28,7 @@ from colmap_edges.surfaces.faces.labelling import (
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
-from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Body, SeenPoints, within
 
 NUM_ROUNDS = 2  # of labelling: each view by itself, then in agreement
 
@@ -53,7 +54,12 @@ NO_FACES = Faces(faces=[], points=NO_POINTS, num_planes=0, labelled=0.0)
 
 
 def find_faces(
-    model: Model, edges: Edges3D, grids: Mapping[int, Grid], random_seed: int, num_threads: int
+    model: Model,
+    edges: Edges3D,
+    grids: Mapping[int, Grid],
+    random_seed: int,
+    num_threads: int,
+    bodies: Sequence[Body] = (),
 ) -> Faces:
     """Find the planar faces between 3D edges and SfM points.
 
@@ -63,6 +69,7 @@ def find_faces(
         grids: small pictures of the views by their index; views without one show nothing.
         random_seed: of the random choice of hypotheses.
         num_threads: threads; the result does not depend on them.
+        bodies: what views see that is not background; there are no faces before it.
     """
     pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
     evidence = gather_evidence(model, edges)
@@ -79,7 +86,8 @@ def find_faces(
     labels = label_cells(scene, NUM_ROUNDS, num_threads)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
-    believed = are_believed(samples)
+    believed = are_believed(samples) & within(bodies, samples.points)
+    believed &= are_enclosed(samples, labels, model, pictures, evidence, planes)
     known = np.concatenate([model.points3D_xyz, edges.points])
     added = thinned(samples, np.flatnonzero(believed & are_alone(samples, known)))
     return Faces(

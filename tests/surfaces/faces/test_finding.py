@@ -11,6 +11,7 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.faces import write_faces
 from colmap_edges.surfaces.faces.finding import find_faces
 from colmap_edges.surfaces.faces.grids import make_grid
+from colmap_edges.surfaces.silhouettes import Body
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +84,12 @@ def test_faces_are_told_with_their_outlines(room, tmp_path):
         on = face.outline @ face.normal - face.offset
         assert np.abs(on).max() < 1e-9
         assert record["area"] > 0
+
+
+def test_no_point_lies_where_a_view_sees_the_background(room):
+    bodies = [Body(room.model.views[0], np.zeros((12, 16), bool))]
+    points = room.faces.points.points
+    assert not bodies[0].holds(points).all()
+    found = find_faces(room.model, room.edges, room.grids, 0, 1, bodies).points.points
+    assert 100 < len(found) < len(points)
+    assert bodies[0].holds(found).all()

@@ -1,0 +1,75 @@
+"""Labels are believed between the points of their plane, and not beyond the last of them."""
+
+import numpy as np
+
+from colmap_edges.surfaces.faces.enclosure import DIRECTIONS, enclosed_cells, whole_pieces
+
+
+def steps_that_meet(shown, touched, inside, row, column):
+    """Walk from one cell, step by step."""
+    met = []
+    for right, down in DIRECTIONS:
+        at = np.array([row, column])
+        while True:
+            here = tuple(at)
+            at += (down, right)
+            if (at < 0).any() or (at >= shown.shape).any():
+                met.append(inside[here])
+                break
+            if touched[(*at, shown[row, column])]:
+                met.append(True)
+                break
+            if shown[tuple(at)] != shown[row, column]:
+                met.append(False)
+                break
+    return met
+
+
+def is_enclosed(met):
+    """Whether no eight directions in a row are open."""
+    around = "".join("x" if hit else "." for hit in [*met, *met])
+    return "." * 8 not in around
+
+
+def wall(touched_columns):
+    """A plain wall of 20 x 30 cells with vertical edges, before nothing else."""
+    shown = np.zeros((20, 30), np.int32)
+    touched = np.zeros((20, 30, 2), bool)
+    touched[:, touched_columns, 0] = True
+    return shown, touched, np.zeros((20, 30), bool)
+
+
+def test_cells_are_enclosed_as_walking_says():
+    rng = np.random.default_rng(1)
+    shown = np.repeat(np.repeat(rng.integers(-1, 3, (4, 5)), 5, 0), 5, 1).astype(np.int32)
+    touched = rng.random((*shown.shape, 4)) < 0.08
+    touched[..., -1] = False
+    inside = rng.random(shown.shape) < 0.5
+    enclosed = enclosed_cells(shown, touched, inside)
+    assert 0.1 < enclosed.mean() < 0.9
+    for row in range(shown.shape[0]):
+        for column in range(shown.shape[1]):
+            met = steps_that_meet(shown, touched, inside, row, column)
+            expected = shown[row, column] >= 0 and is_enclosed(met)
+            assert enclosed[row, column] == expected
+
+
+def test_a_wall_is_enclosed_between_its_edges_and_not_beyond():
+    enclosed = enclosed_cells(*wall([5, 15]))
+    assert enclosed[8:12, 7:14].all()
+    assert not enclosed[:, 16:].any()
+    assert not enclosed[:, :5].any()
+
+
+def test_the_end_of_the_picture_encloses_where_the_plane_is_known_to_go_on():
+    shown, touched, inside = wall([5])
+    assert not enclosed_cells(shown, touched, inside)[:, 6:].any()
+    inside[:, -2:] = True
+    assert enclosed_cells(shown, touched, inside)[8:12, 10:20].all()
+
+
+def test_pieces_are_believed_as_most_of_their_cells_are():
+    shown = np.array([[0, 0, 0, 1, 1, -1, 0, 0, 0]], np.int32)
+    enclosed = np.array([[1, 1, 0, 0, 1, 0, 1, 0, 0]], bool)
+    held = whole_pieces(shown, enclosed)
+    assert held.tolist() == [[True, True, True, True, True, False, True, False, False]]
