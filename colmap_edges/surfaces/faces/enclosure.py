@@ -157,7 +157,8 @@ def met_cells(
     ahead = np.where(goes_on, next_rows * width + next_columns, own).ravel()
     for _ in range(int(np.ceil(np.log2(max(shown.shape))))):
         ahead = ahead[ahead]
-    return met.ravel()[ahead].reshape(shown.shape)
+    reached: BoolArray = met.ravel()[ahead].reshape(shown.shape)
+    return reached
 
 
 def whole_pieces(shown: Int32Array, enclosed: BoolArray) -> BoolArray:
