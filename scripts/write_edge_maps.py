@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Write edge images (PNG, white on black) of a detector, for --edge_path.
 
-EdgeDrawing's are of the size at which a run of colmap-edges detects, which may be an enlargement of
-the photographs; Canny's are of the photographs' size.
+The edges of EdgeDrawing, with the faint straight ones that a run adds to them, have the working
+scale of a run of colmap-edges, at which images may be upsampled; Canny's have the photographs' size.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import load_model
-from colmap_edges.edges2d.detection import detect_pixel_chains, resized
+from colmap_edges.edges2d.detection import own_pixel_chains, resized
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import exit_on_error
 from colmap_edges.images.files import (
@@ -30,19 +30,19 @@ from colmap_edges.options import DetectionOptions
 Detector = Callable[[np.ndarray, float], np.ndarray]
 
 
-def edge_drawing(gray: np.ndarray, scale: float) -> np.ndarray:
-    """The pixels of EdgeDrawing's chains in the image as it is enlarged."""
-    enlarged = resized(gray, scale)
-    pixels, _ = detect_pixel_chains(enlarged, DetectionOptions().min_chain_points)
-    columns, rows = pixels.astype(int).T
-    edges = np.zeros(enlarged.shape, np.uint8)
+def own_edges(gray: np.ndarray, scale: float) -> np.ndarray:
+    """The pixels of a run's own chains in the upsampled image."""
+    upsampled = resized(gray, scale)
+    pixels, _ = own_pixel_chains(gray, upsampled, scale, DetectionOptions())
+    edges = np.zeros(upsampled.shape, np.uint8)
+    columns, rows = np.rint(pixels).astype(int).clip(0, np.array(edges.shape[::-1]) - 1).T
     edges[rows, columns] = 255
     return edges
 
 
 def canny(low: float, high: float) -> Detector:
-    """Canny's edges, of gradients of so many gray levels a pixel, after a blur of 1 px."""
-    sobel = 8  # times the gradient that Sobel's filter gives
+    """Canny's edges, with thresholds in intensity levels per pixel, after a blur of 1 px."""
+    sobel = 8  # scale of Sobel's filter relative to the gradient
 
     def detect(gray: np.ndarray, _scale: float) -> np.ndarray:
         blurred = cv2.GaussianBlur(gray, (0, 0), 1.0)
@@ -67,7 +67,9 @@ def canny(low: float, high: float) -> Detector:
     show_default=True,
     help="EdgeDrawing's: --Detection.min_blur_px of the run, which is 0 with --method paper.",
 )
-@click.option("--low", default=3.0, show_default=True, help="Canny's lower threshold, grays a px.")
+@click.option(
+    "--low", default=3.0, show_default=True, help="Canny's lower threshold, levels per px."
+)
 @click.option("--high", default=6.0, show_default=True, help="Canny's upper threshold.")
 @exit_on_error()
 def main(
@@ -84,7 +86,7 @@ def main(
     detect: Detector = canny(low, high)
     if detector == "edgedrawing":
         options = DetectionOptions(min_blur_px=min_blur_px)
-        detect, model = edge_drawing, at_working_scale(model, image_path, options)
+        detect, model = own_edges, at_working_scale(model, image_path, options)
     for view in model.views:
         edges = detect(gray_of(read_image(view, image_path)), view.scale)
         path = path_of_image(output_path, f"{view.name}.png")

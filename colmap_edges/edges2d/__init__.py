@@ -1,1 +1,1 @@
-"""Images -> 2D edge graphs: scale, detection, corners, joining; and their index and store."""
+"""2D edge graphs of images: working scale, detection, corners, joining, index and storage."""

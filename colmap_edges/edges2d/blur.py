@@ -1,4 +1,4 @@
-"""Measures the blur of an image's edges."""
+"""Measurement of the blur of an image's edges."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from scipy.special import ndtri
 
 from colmap_edges.core.arrays import FloatArray, Picture
 
-NUM_PROFILES = 4000  # across the edges of an image
-REACH_PX, STEP_PX = 4.0, 0.25  # of a profile to both sides, and between its samples
-PLATEAU = 5  # samples at each end of a profile whose mean is the gray of that side
+NUM_PROFILES = 4000  # number of intensity profiles measured across the edges of an image
+REACH_PX, STEP_PX = 4.0, 0.25  # half length of a profile, and distance of its samples
+PLATEAU = 5  # samples averaged at each end of a profile as the intensity of that side
 SAMPLES_PER_PX = round(1 / STEP_PX)
-MAX_SHARE = 1 - 1e-6  # of a step within a pixel
-WIDEST_PX = 1.6  # blur that is found up to which profiles reach far enough
-STRONGEST = 0.25  # share of the profiles, by contrast, whose widths count
+MAX_SHARE = 1 - 1e-6  # maximum share of a step's contrast within one pixel
+WIDEST_PX = 1.6  # largest measured blur for which profiles are long enough
+STRONGEST = 0.25  # share of the profiles, by contrast, that are used
 
 
 def blur_of_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> float:
-    """How much the edges of an image are blurred, in pixels.
+    """The blur of an image's edges, in pixels.
 
     Args:
         gray: (H, W) uint8.
-        points: (N, 2) on edges, image pixels, COLMAP's origin.
-        normals: (N, 2) unit vectors across them, dark to bright.
+        points: (N, 2) points on edges, image pixels, COLMAP's origin.
+        normals: (N, 2) unit normals of the edges, dark to bright.
 
     Returns:
-        The standard deviation of the Gaussian that makes steps as steep as the strongest of the
-        edges are; 0 where there are none.
+        The standard deviation of the Gaussian that blurs a step as much as the strongest edges; 0
+        without edges.
     """
     profiles, contrasts = strongest_profiles(gray, points, normals)
     slopes = np.diff(profiles, axis=1).max(axis=1, initial=0) / STEP_PX
@@ -36,12 +36,12 @@ def blur_of_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> flo
 
 
 def blur_of_wide_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> float:
-    """How much the edges of an image are blurred, in pixels, where that is much.
+    """The blur of an image's edges, in pixels, for blurred images.
 
-    By the share of the contrast that lies within a pixel of the steepest place, which tells the
-    Gaussian of a step. Over a pixel noise and the waves of interpolation average out, which
-    the steepest slope alone takes for steepness. Of edges blurred by more than `WIDEST_PX` the
-    profiles' ends are no plateaus, and what is found is too little: by 3 % at 1.5 px, 11 % at 2 px.
+    The blur follows from the share of the contrast within one pixel around the steepest position.
+    Unlike the maximum slope, this average is robust to noise and interpolation ripples. Beyond
+    `WIDEST_PX` profiles do not reach the plateaus, and the blur is underestimated: by 3 % at
+    1.5 px, 11 % at 2 px.
     """
     profiles, contrasts = strongest_profiles(gray, points, normals)
     if len(profiles) == 0:
@@ -54,7 +54,7 @@ def blur_of_wide_edges(gray: Picture, points: FloatArray, normals: FloatArray) -
 def strongest_profiles(
     gray: Picture, points: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, S) grays across the edges of most contrast, dark to bright, and (N,) their contrasts."""
+    """(N, S) intensity profiles across the edges of highest contrast, and (N,) contrasts."""
     if len(points) == 0:
         return np.zeros((0, 2 * PLATEAU)), np.zeros(0)
     every = np.arange(0, len(points), max(1, len(points) // NUM_PROFILES))
@@ -65,7 +65,7 @@ def strongest_profiles(
 
 
 def profiles_across(gray: Picture, points: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N, S) grays along the normals (N, 2), dark to bright, of (N, 2) image pixels."""
+    """(N, S) intensities along (N, 2) normals, dark to bright, through (N, 2) image pixels."""
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     places = points[:, None] - 0.5 + offsets[None, :, None] * normals[:, None]
     x, y = np.moveaxis(places.astype(np.float32), -1, 0)

@@ -1,9 +1,9 @@
-"""Corners of chains: sharpened, and the chains cut there.
+"""Sharpening of corners of chains, where chains are then cut.
 
-Blur rounds a corner off: a chain passes it on the inside, by a pixel or more. Where the lines
-through a chain before and after a bend meet within the blur's reach, the chain is led through
-their crossing and ends there, and another begins. So directions, depths and 3D edges are not
-smoothed across corners.
+Blur rounds corners: a chain passes inside of a corner by a pixel or more. If the lines through a
+chain before and after a bend intersect within the reach of the blur, the chain is moved to the
+intersection and cut there. Directions, depths and 3D edges are therefore not smoothed across
+corners.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of,
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
-ROUNDED = 3  # points to each side of a corner that blur may have moved
-ARM = 6  # points beyond these that tell the direction
-NOISE_DEG = 10.0  # by which the chord of an arm may differ from the line through it
-MAX_SCATTER_PX = 0.35  # root mean square of an arm's points around its line
-MAX_RADIUS_PX = 4.0  # of the arc that blur makes of a corner; a larger one is a bend of the edge
-SLACK_PX = 0.5  # of the distance between the chain and the corner
-MAX_CUT_PX = 5.0  # that blur may have cut off, however sharp the corner
+ROUNDED = 3  # points on each side of a corner that may be displaced by blur
+ARM = 6  # points beyond these to which a line is fitted
+NOISE_DEG = 10.0  # tolerance between the chord of an arm and the line fitted to it
+MAX_SCATTER_PX = 0.35  # maximum root mean square distance of an arm's points to its line
+MAX_RADIUS_PX = 4.0  # maximum radius of a blurred corner; larger arcs are bends of the edge
+SLACK_PX = 0.5  # tolerance of the distance between a chain and its corner
+MAX_CUT_PX = 5.0  # maximum distance between a chain and its corner
 
 
 def cut_at_corners(
     chains: Chains, closed: BoolArray, min_angle_deg: float
 ) -> tuple[Chains, BoolArray]:
-    """Lead chains through their corners and cut them there.
+    """Move chains to their corners and cut them there.
 
     Args:
-        chains: of C chains with points about 1 px apart.
+        chains: C chains with points about 1 px apart.
         closed: (C,) whether the last point of each connects to its first.
-        min_angle_deg: smallest turn of a corner.
+        min_angle_deg: minimum turn of a corner.
 
     Returns:
-        The pieces, which share the point at a corner, in the order of the chains; a closed chain
-        with corners begins and ends at its first one. And whether each piece is closed.
+        The pieces in the order of the chains, and whether each piece is closed. Pieces share the
+        point at a corner; a closed chain with corners begins and ends at its first corner.
     """
     corners, crossings = find_corners(chains, closed, min_angle_deg)
     if len(corners) == 0:
@@ -48,7 +48,7 @@ def cut_at_corners(
 def find_corners(
     chains: Chains, closed: BoolArray, min_angle_deg: float
 ) -> tuple[IntArray, FloatArray]:
-    """(K,) points at corners, ascending, and (K, 2) where the lines along them cross."""
+    """(K,) indices of corner points, ascending, and (K, 2) intersections of the fitted lines."""
     corners, crossings = _kernels.find_corners(
         chains.points,
         chains.offsets,
@@ -66,7 +66,7 @@ def find_corners(
 
 
 def sharpened(chains: Chains, corners: IntArray, crossings: FloatArray) -> Chains:
-    """The chains led straight to their corners."""
+    """The chains with points near corners moved to the lines through the corner."""
     ids = np.searchsorted(chains.offsets, corners, "right") - 1
     starts, lengths = chains.offsets[ids], np.diff(chains.offsets)[ids]
 
@@ -83,14 +83,14 @@ def sharpened(chains: Chains, corners: IntArray, crossings: FloatArray) -> Chain
 
 
 def cut(chains: Chains, closed: BoolArray, corners: IntArray) -> tuple[Chains, BoolArray]:
-    """Cut chains at some of their points, which are then in both pieces."""
+    """Cut chains at some of their points, which then belong to both pieces."""
     ids, starts, lengths = owners_of(chains.offsets), chains.offsets[:-1], np.diff(chains.offsets)
-    first = chains.offsets[1:].copy()  # corner of each chain; its end when it has none
+    first = chains.offsets[1:].copy()  # first corner of each chain, or its end
     np.minimum.at(first, ids[corners], corners)
     opened = closed & (first < chains.offsets[1:])
     begins = np.sort(np.concatenate([starts[~opened], corners]))
     own = ids[begins]
-    # The last piece of a chain ends with it, that of an opened one with the corner it begins with.
+    # The last piece ends where the chain ends; for an opened closed chain, at its first corner.
     ends = np.where(opened, first + lengths + 1, chains.offsets[1:])[own]
     goes_on = np.flatnonzero(own[1:] == own[:-1])
     ends[goes_on] = begins[goes_on + 1] + 1
@@ -98,7 +98,7 @@ def cut(chains: Chains, closed: BoolArray, corners: IntArray) -> tuple[Chains, B
     ranks = np.repeat(begins - starts[own], counts) + ranks_of(counts)
     order = np.repeat(starts[own], counts) + ranks % np.repeat(lengths[own], counts)
     pieces = chains.select(order, counts)
-    # The corner's normal and sides are those of the piece before it; the next has its own.
+    # A corner has the normal and sides of the piece before it; the next piece has its own.
     new = pieces.offsets[:-1][np.isin(begins, corners)]
     pieces.normals[new], pieces.sides[new] = pieces.normals[new + 1], pieces.sides[new + 1]
     return pieces, (closed & ~opened)[own]

@@ -1,7 +1,8 @@
-"""Image -> sub-pixel edge chains (paper: 2D Edge-Graphs).
+"""Detection of sub-pixel edge chains in an image (paper: 2D Edge-Graphs).
 
-Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free); each pixel is then
-moved along its normal to where light changes most, where the accuracy of all that follows starts.
+Pixel chains come from EdgeDrawing (Topal and Akinlar 2012, parameter free) and, where edges are
+faint but straight, from `faint_chains`. Each pixel is then moved along its normal to the steepest
+position of the linearised intensity.
 """
 
 from __future__ import annotations
@@ -22,14 +23,17 @@ from colmap_edges.core.arrays import (
     offsets_of,
 )
 from colmap_edges.edges2d.blur import blur_of_edges
+from colmap_edges.edges2d.faint_chains import faint_pixel_chains
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
 _Picture = TypeVar("_Picture", Picture, Float32Array)
-MAX_BLUR_PX = 2.0  # of an image that edges nearby are told from each other by
-REFINEMENT_PX, TOLERANCE_PX = 1.0, 1e-6  # by which a refinement moves a point at most
-SIDE_DISTANCE_PX = 3.0  # from the edge to where the gray of its sides is taken
-LIGHT_STEPS = 1 << 16  # so fine that dark grays come back, too
+MAX_BLUR_PX = (
+    2.0  # upper limit of the measured blur when displacements by nearby edges are corrected
+)
+REFINEMENT_PX, TOLERANCE_PX = 1.0, 1e-6  # maximum displacement of a point by a refinement
+SIDE_DISTANCE_PX = 3.0  # distance from the edge at which the intensities of its sides are sampled
+LIGHT_STEPS = 1 << 16  # fine enough to restore dark intensities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +43,7 @@ class Chains:
     Attributes:
         points: (N, 2) float64 image pixels, COLMAP's origin; one chain's are contiguous.
         normals: (N, 2) float64 unit gradient directions, dark to bright.
-        sides: (N, 2) uint8 gray on the dark and on the bright side of the edge.
+        sides: (N, 2) uint8 intensity on the dark and on the bright side of the edge.
         offsets: (C + 1,) int64; chain c is points[offsets[c]:offsets[c + 1]].
     """
 
@@ -49,7 +53,7 @@ class Chains:
     offsets: IntArray
 
     def select(self, rows: IntArray, lengths: IntArray) -> Chains:
-        """The points of these rows, cut into chains of these lengths."""
+        """The points of the given rows, cut into chains of the given lengths."""
         return Chains(
             points=self.points.take(rows, axis=0),
             normals=self.normals.take(rows, axis=0),
@@ -68,17 +72,17 @@ def detect_chains(
 
     Args:
         image: (H, W) uint8 grayscale.
-        options: shortest chain, tone curve and blur.
-        scale: how many times the image is upsampled; below 1 it is reduced.
-        pixel_chains: of another detector in place of EdgeDrawing's: (N, 2) pixels of the upsampled
-            image (OpenCV's origin) and (C + 1,) offsets.
+        options: minimum chain length, gamma and blur.
+        scale: upsampling factor; below 1 the image is downsampled.
+        pixel_chains: chains of another detector to use instead of these: (N, 2) pixels of
+            the upsampled image (OpenCV's origin) and (C + 1,) offsets.
 
     Returns:
         Chains at sub-pixel positions of the upsampled image, in the detector's order.
     """
     light = resized(light_of(image, options.gamma), scale)
-    image = resized(image, scale)
-    pixels, offsets = pixel_chains or detect_pixel_chains(image, options.min_chain_points)
+    given, image = image, resized(image, scale)
+    pixels, offsets = pixel_chains or own_pixel_chains(given, image, scale, options)
     cv2.GaussianBlur(light, (0, 0), options.sigma_px, dst=light)
     points, normals = _kernels.refine_subpixel(light, pixels)
     if pixel_chains:
@@ -99,10 +103,10 @@ def detect_chains(
 def followed_further(
     light: Float32Array, pixels: FloatArray, points: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points and normals, refined again where the edge lies farther from its pixel than a pixel.
+    """Points and normals, refined again where the edge is more than a pixel from its pixel.
 
-    EdgeDrawing's pixels lie on the image's own gradient; other detectors, learned ones above all,
-    are off by more.
+    EdgeDrawing's pixels are maxima of the image's gradient; those of other detectors, learned ones
+    in particular, can be farther off.
     """
     far = np.linalg.norm(points - pixels, axis=1) > REFINEMENT_PX - TOLERANCE_PX
     points[far], normals[far] = _kernels.refine_subpixel(light, points[far])
@@ -110,9 +114,9 @@ def followed_further(
 
 
 def resized(picture: _Picture, scale: float) -> _Picture:
-    """The picture (H, W) at `scale` times its size: pixel (x, y) goes to `scale` times (x, y).
+    """The picture (H, W) resized: pixel (x, y) moves to `scale` times (x, y).
 
-    Pixels of a reduced picture are means of those that they cover, so that noise averages out.
+    Pixels of a downsampled picture are means of those that they cover, which reduces noise.
     """
     if scale == 1:
         return picture
@@ -123,25 +127,43 @@ def resized(picture: _Picture, scale: float) -> _Picture:
 
 
 def light_of(image: Picture, gamma: float) -> Float32Array:
-    """(H, W) light, 0 to 1, of (H, W) uint8 gray.
+    """(H, W) linear intensity, 0 to 1, of a uint8 image (H, W).
 
-    A pixel adds up light, and the sum is encoded: of a pixel half bright and half dark the gray is
-    far above the middle, so that in grays an edge lies up to 0.2 px on the dark side.
+    Pixels integrate light, which is then gamma encoded. The encoded value of a pixel half bright
+    and half dark is far above the mean, so encoded edges are displaced up to 0.2 px to the dark.
     """
     return np.asarray(cv2.LUT(image, light_table(gamma)), np.float32)
 
 
 @cache
 def light_table(gamma: float) -> Float32Array:
-    """(256,) light of each gray."""
+    """(256,) linear intensity of each encoded value."""
     return ((np.arange(256) / 255) ** gamma).astype(np.float32)
 
 
 @cache
 def gray_table(gamma: float) -> ByteArray:
-    """(LIGHT_STEPS + 1,) uint8 gray of light from 0 to 1, the reverse of `light_table`."""
+    """(LIGHT_STEPS + 1,) uint8 encoded value of linear intensity; inverse of `light_table`."""
     steps = np.arange(LIGHT_STEPS + 1) / LIGHT_STEPS
     return np.asarray(np.round(255 * steps ** (1 / gamma)), np.uint8)
+
+
+def own_pixel_chains(
+    image: Picture, upsampled: Picture, scale: float, options: DetectionOptions
+) -> tuple[FloatArray, IntArray]:
+    """EdgeDrawing's chains and faint straight ones, as `detect_pixel_chains` returns them.
+
+    Args:
+        image: (H, W) uint8 grayscale, as given.
+        upsampled: the same at the working scale, whose pixels the chains have.
+        scale: how many times it is upsampled.
+        options: minimum chain length, and slope of faint edges.
+    """
+    pixels, offsets = detect_pixel_chains(upsampled, options.min_chain_points)
+    if not options.faint_noises:
+        return pixels, offsets
+    faint, of_faint = faint_pixel_chains(image, scale, pixels, options.faint_noises)
+    return np.concatenate([pixels, faint]), np.concatenate([offsets, offsets[-1] + of_faint[1:]])
 
 
 def detect_pixel_chains(image: Picture, min_length_px: int) -> tuple[FloatArray, IntArray]:

@@ -1,4 +1,4 @@
-"""Chains -> 2D edge graph: joining, smoothing, regular-length filter (paper: 2D Edge-Graphs)."""
+"""2D edge graph of chains: joining, smoothing, regular-length filter (paper: 2D Edge-Graphs)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from colmap_edges.edges2d.detection import Chains
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import EdgeGraphOptions
 
-NODE_RADIUS_PX = 2.0  # ends this near to another edge pixel (8-neighbours, sub-pixel) touch it
-DIRECTION_STEP = 5  # points between which the direction of a chain at its end is measured
+NODE_RADIUS_PX = 2.0  # distance at which an end touches another edge (8-neighbours, sub-pixel)
+DIRECTION_STEP = 5  # points over which the direction of a chain's end is measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +37,10 @@ class EdgeGraph:
     Attributes:
         points: (N, 2) float64 dense chain points, image pixels, COLMAP's origin; those of one
             polyline are contiguous, and about a pixel of the upsampled image apart.
-        ideal: (N, 2) float64 the same points in the view's ideal (undistorted) pixels.
-        normals: (N, 2) float64 unit vectors across the edge, dark to bright, in ideal pixels.
-        sides: (N, 2) uint8 gray on the dark and on the bright side.
-        colors: (N, 3) uint8 RGB of the image there; black where it is not looked at.
+        undistorted: (N, 2) float64 the same points in undistorted pixels.
+        normals: (N, 2) float64 unit normals of the edge, dark to bright, in undistorted pixels.
+        sides: (N, 2) uint8 intensity on the dark and on the bright side.
+        colors: (N, 3) uint8 RGB of the image there; black if not sampled.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
         closed: (P,) bool; the last point of a closed polyline connects to its first.
         end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
@@ -51,7 +51,7 @@ class EdgeGraph:
     """
 
     points: FloatArray
-    ideal: FloatArray
+    undistorted: FloatArray
     normals: FloatArray
     sides: ByteArray
     colors: ByteArray
@@ -81,14 +81,14 @@ def build_edge_graph(
 
     Args:
         chains: sub-pixel chains of the view's image, upsampled `view.scale` times.
-        view: gives the undistortion; points it cannot undistort are left out with their chain.
+        view: the view; chains with points that cannot be undistorted are left out.
         options: joining, corners, smoothing and filter.
 
     Returns:
-        The edge graph, filtered by regular length when the options say so, and (K, 2) the points
-        of chains that it has not, both in pixels of the image as it is.
+        The edge graph, filtered by regular length if the options say so, and the (K, 2) points of
+        dropped chains, both in pixels of the given image.
     """
-    finite = np.isfinite(view.ideal_from_image(chains.points / view.scale))
+    finite = np.isfinite(view.undistorted_from_image(chains.points / view.scale))
     chains, dropped = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_points, options.max_join_angle_deg)
     pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
@@ -102,7 +102,7 @@ def build_edge_graph(
 
 
 def drop_chains(chains: Chains, usable: BoolArray) -> tuple[Chains, FloatArray]:
-    """Leave out every chain with a point that is not usable; and the (K, 2) points left out."""
+    """Drop every chain with an unusable point; also returns the (K, 2) dropped points."""
     if usable.all():
         return chains, np.zeros((0, 2))
     ids = owners_of(chains.offsets)
@@ -117,8 +117,8 @@ def join_chains(
 ) -> tuple[Chains, BoolArray]:
     """Join chains whose ends face each other across a small gap and agree in direction.
 
-    A contour comes as several chains, broken at corners, junctions and where contrast fades.
-    Ends are matched best first; a chain matched with itself is closed.
+    Detected chains are broken at corners, junctions and low contrast. Ends are matched best first;
+    a chain matched with itself is closed.
 
     Returns:
         The joined chains and (C,) whether each is closed.
@@ -132,8 +132,8 @@ def join_chains(
 def match_ends(chains: Chains, max_gap_points: float, max_angle_deg: float) -> IntArray:
     """(2C,) partner of each chain end or -1; end 2c is the first point of chain c, 2c + 1 its last.
 
-    Two ends may join when they touch, or when the direction goes on across a small gap; the
-    bright side must stay on the same side.
+    Two ends can be joined if they touch, or if the direction continues across a small gap, and
+    the bright side stays on the same side.
     """
     positions, outward, side = chain_ends(chains)
     if len(positions) == 0:
@@ -145,7 +145,7 @@ def match_ends(chains: Chains, max_gap_points: float, max_angle_deg: float) -> I
     turn = -np.einsum("ij,ij->i", outward[a], outward[b])
     along = (np.einsum("ij,ij->i", outward[a], gap) - np.einsum("ij,ij->i", outward[b], gap)) / 2
     cos_limit = np.cos(np.radians(max_angle_deg))
-    touching = distance < NODE_RADIUS_PX  # a corner of the contour: turns as it likes
+    touching = distance < NODE_RADIUS_PX  # at a corner any turn is allowed
     straight = (turn >= cos_limit) & (along >= cos_limit * distance)
     allowed = (touching | straight) & (side[a] == -side[b])
     cost = distance + (1 - turn) * max_gap_points
@@ -153,9 +153,9 @@ def match_ends(chains: Chains, max_gap_points: float, max_angle_deg: float) -> I
 
 
 def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Of the 2C chain ends: positions (2C, 2), unit directions outward (2C, 2), bright sides (2C,).
+    """Positions (2C, 2), outward directions (2C, 2) and bright sides (2C,) of 2C chain ends.
 
-    The bright side is +1 when the normal is to the left of the outward direction, else -1.
+    The bright side is +1 if the normal is to the left of the outward direction, else -1.
     """
     tips, inner = end_points(chains.offsets, DIRECTION_STEP)
     outward = chains.points[tips] - chains.points[inner]
@@ -168,8 +168,8 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
 def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOptions) -> EdgeGraph:
     """Undistort and smooth joined chains and find their nodes."""
     points = chains.points / view.scale
-    ideal = view.ideal_from_image(points)
-    across = view.ideal_from_image(points + 0.5 * chains.normals) - ideal
+    undistorted = view.undistorted_from_image(points)
+    across = view.undistorted_from_image(points + 0.5 * chains.normals) - undistorted
     size = np.ceil(np.array([view.width, view.height]) * view.scale).astype(int)
     end_nodes, node_polylines = find_nodes(chains, closed, *size.tolist())
     smoothed, smoothed_offsets = _kernels.douglas_peucker(
@@ -177,10 +177,10 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
     )
     return EdgeGraph(
         points=points,
-        ideal=ideal,
+        undistorted=undistorted,
         normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
         sides=chains.sides,
-        colors=np.zeros((len(ideal), 3), np.uint8),
+        colors=np.zeros((len(undistorted), 3), np.uint8),
         polyline_offsets=chains.offsets,
         closed=closed,
         end_nodes=end_nodes,
@@ -193,7 +193,7 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
 def find_nodes(
     chains: Chains, closed: BoolArray, width: int, height: int
 ) -> tuple[Int32Array, Int32Array]:
-    """Nodes of the polyline ends: ends that touch share one.
+    """Nodes of the polyline ends; ends that touch share a node.
 
     An end that touches the inside of another polyline makes a T junction.
 
@@ -241,7 +241,7 @@ def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
 
 
 def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> BoolArray:
-    """(P,) whether a polyline's component holds one of at least the threshold's regular length.
+    """(P,) whether a polyline's component has one of at least the threshold's regular length.
 
     The threshold is the shortest regular length among the top share of polylines (paper: l_R*).
     """
@@ -279,7 +279,7 @@ def keep_polylines(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
     through = graph.node_polylines
     return EdgeGraph(
         points=graph.points[points],
-        ideal=graph.ideal[points],
+        undistorted=graph.undistorted[points],
         normals=graph.normals[points],
         sides=graph.sides[points],
         colors=graph.colors[points],
@@ -293,9 +293,9 @@ def keep_polylines(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
 
 
 def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
-    """The graph of the points where `keep` (N,) is true: polylines are cut where others were.
+    """The graph of the points where `keep` (N,) is true; polylines are cut at dropped points.
 
-    The pieces meet nowhere: each end is a node of its own.
+    The pieces share no nodes: each end is a node of its own.
     """
     kept = np.flatnonzero(keep)
     ids = graph.polyline_ids[kept]
@@ -314,7 +314,7 @@ def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
     count = len(starts)
     return EdgeGraph(
         points=graph.points.take(kept, axis=0),
-        ideal=graph.ideal.take(kept, axis=0),
+        undistorted=graph.undistorted.take(kept, axis=0),
         normals=graph.normals.take(kept, axis=0),
         sides=graph.sides.take(kept, axis=0),
         colors=graph.colors.take(kept, axis=0),

@@ -1,4 +1,4 @@
-"""One view's edge graph as the kernels search it: positions on its chains, what is there."""
+"""Search index of a view's edge graph, and lookup of positions on its chains."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
 def make_edge_index(graph: EdgeGraph, view: View) -> _kernels.EdgeIndex:
-    """The kernels' form of a view's edge graph."""
+    """The search index of a view's edge graph."""
     return _kernels.EdgeIndex(
-        graph.ideal,
+        graph.undistorted,
         graph.normals,
         graph.sides,
         graph.polyline_offsets,
@@ -28,7 +28,7 @@ def make_edge_index(graph: EdgeGraph, view: View) -> _kernels.EdgeIndex:
 
 
 class IndexedGraphs(Protocol):
-    """Edge graphs of all views, and the same as the kernels search them."""
+    """Edge graphs of all views, with their search indices."""
 
     @property
     def num_views(self) -> int:
@@ -38,15 +38,15 @@ class IndexedGraphs(Protocol):
         """The edge graph of a view."""
 
     def index(self, view: int) -> _kernels.EdgeIndex:
-        """The same as the kernels search it."""
+        """The search index of a view's edge graph."""
 
 
 def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observations, FloatArray]:
-    """What is seen at places on chains: pixels and normals, and (T, 3) colours.
+    """Look up pixels, normals and (T, 3) colours of observations on chains.
 
     Args:
         given: the edge graphs of all views.
-        observed: the places.
+        observed: positions on their chains.
     """
     count = len(observed.views)
     chains, pixels, colors = np.zeros(count, np.int32), np.zeros((count, 2)), np.zeros((count, 3))
@@ -80,7 +80,7 @@ def across(tangents: FloatArray) -> FloatArray:
 def at_positions(
     graph: EdgeGraph, positions: FloatArray, *values: FloatArray | ByteArray
 ) -> list[FloatArray]:
-    """What (N, k) values of a graph's points are at (M,) fractional positions: (M, k) of each."""
+    """(M, k) interpolation of the (N, k) values of a graph's points at (M,) positions."""
     low = positions.astype(np.int64)
     high = next_points(graph, low)
     weight = (positions - low)[:, None]
@@ -88,7 +88,7 @@ def at_positions(
 
 
 def next_points(graph: EdgeGraph, points: IntArray) -> IntArray:
-    """(M,) the point after each of (M,) points on its chain; the last of an open one itself."""
+    """(M,) next point on the chain of each of (M,) points; the last of an open chain itself."""
     polyline = graph.polyline_ids[points]
     last = graph.polyline_offsets[polyline + 1] - 1
     wrapped = np.where(graph.closed[polyline], graph.polyline_offsets[polyline], last)
@@ -104,15 +104,15 @@ def positions_near(
     directions: FloatArray,
     min_cosine: float,
 ) -> FloatArray:
-    """(n, k) positions on one view's chains that observe (n, k, 3) world points; -1 where none.
+    """(n, k) positions on one view's chains that observe (n, k, 3) world points; -1 for none.
 
     Args:
-        index: the chains.
-        radius_px: how near a chain must be to the point's projection.
-        num_threads: threads to use; the result does not depend on it.
+        index: search index of the chains.
+        radius_px: maximum distance between a chain and the projected point.
+        num_threads: number of threads; does not affect the result.
         points: the points.
-        directions: (n, k, 3) directions of the edge there.
-        min_cosine: of the angle between edge and chain in the image.
+        directions: (n, k, 3) directions of the 3D edge at the points.
+        min_cosine: minimum cosine of the angle between edge and chain in the image.
     """
     positions: FloatArray = _kernels.associate(
         [index],

@@ -1,8 +1,8 @@
-"""Edge images of another detector -> pixel chains, in place of EdgeDrawing's.
+"""Pixel chains from the edge images of another detector, instead of EdgeDrawing's.
 
-Binary maps are thinned to lines of single pixels. Of maps that say how likely edges are, the crests
-across which they are largest are taken (non-maximum suppression), and of these what is linked to a
-crest above Otsu's threshold by crests above half of it (hysteresis, as in Canny 1986).
+Binary maps are thinned to lines of single pixels. Probability maps are reduced to their crests
+(non-maximum suppression); crests above Otsu's threshold are kept, with connected crests above half
+of it (hysteresis, as in Canny 1986).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, IntArr
 from colmap_edges.images.edge_maps import EdgeMap
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
-CREST_SIGMA_PX = 1.0  # blur that gives a plateau its middle as its crest
-DIRECTION_SIGMA_PX = 2.0  # blur under which the direction across a crest is measured
-HYSTERESIS = 0.5  # of the threshold for crests linked to one above it; Canny: a half to a third
-BRANCH_PX = 6  # of the branches of a junction, along which their directions are measured
-GRAYS = 255  # steps of the histogram that is split
+CREST_SIGMA_PX = 1.0  # blur that moves the crest of a plateau to its middle
+DIRECTION_SIGMA_PX = 2.0  # blur for measuring the direction across a crest
+HYSTERESIS = 0.5  # ratio of the lower threshold to the upper one; Canny: 1/2 to 1/3
+BRANCH_PX = 6  # length over which directions of the branches of a junction are measured
+GRAYS = 255  # bins of the histogram for Otsu's threshold
 
 
 def pixel_chains_of(
@@ -28,34 +28,34 @@ def pixel_chains_of(
     """Link the pixels of an edge image to chains.
 
     Args:
-        edge_map: of an image, or of the image upsampled.
+        edge_map: edge strengths of an image, or of the upsampled image.
         size: width and height of the image.
-        scale: how many times the image is upsampled where the chains are used.
-        min_points: shortest chain kept.
+        scale: upsampling factor of the image for detection.
+        min_points: minimum number of points of a chain.
 
     Returns:
-        (N, 2) points in pixels of the image upsampled `scale` times (OpenCV's origin), a point for
-        each of its pixels, and their (C + 1,) offsets. They are whole where the edge image is of
-        that size.
+        (N, 2) points in pixels of the image upsampled `scale` times (OpenCV's origin), one for
+        each of its pixels, and their (C + 1,) offsets. Coordinates are integers if the edge image
+        has that size.
     """
     edges = edge_map.strengths > 0 if edge_map.is_binary else crests_of(edge_map.strengths)
     pixels, offsets = _kernels.link_pixels(thinned(edges), BRANCH_PX)
     height, width = edges.shape
     ratio = scale * size[0] / width
-    if abs(ratio - 1) * max(width, height) >= 1:  # more than rounding of the size
+    if abs(ratio - 1) * max(width, height) >= 1:  # larger than the rounding of the size
         pixels, offsets = rescaled(pixels, offsets, ratio)
     return long_enough(pixels, offsets, min_points)
 
 
 def thinned(edges: BoolArray) -> BoolArray:
-    """Lines a pixel wide, (H, W) uint8, in the middle of what is set in (H, W)."""
-    padded = np.pad(edges.astype(np.uint8) * 255, 1)  # OpenCV leaves the border as it is
+    """(H, W) uint8 lines one pixel wide, the skeleton of the mask (H, W)."""
+    padded = np.pad(edges.astype(np.uint8) * 255, 1)  # OpenCV does not thin the border
     thin = cv2.ximgproc.thinning(padded, thinningType=cv2.ximgproc.THINNING_GUOHALL)
     return np.ascontiguousarray(thin[1:-1, 1:-1])
 
 
 def crests_of(strengths: Float32Array) -> BoolArray:
-    """(H, W) where an edge is likelier than to both sides of it, and likely enough."""
+    """(H, W) mask of pixels with locally maximal edge strength above the threshold."""
     smooth = cv2.GaussianBlur(strengths, (0, 0), CREST_SIGMA_PX)
     broad = cv2.GaussianBlur(strengths, (0, 0), DIRECTION_SIGMA_PX)
     xx, xy, yy = (cv2.Sobel(broad, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
@@ -72,7 +72,7 @@ def crests_of(strengths: Float32Array) -> BoolArray:
 
 
 def linked_crests(heights: Float32Array) -> BoolArray:
-    """(H, W) crests above a threshold that splits their heights best, and those linked to them."""
+    """(H, W) mask of crests above Otsu's threshold, and of crests connected to them."""
     grays = np.rint(GRAYS * heights / max(float(heights.max()), 1e-12)).astype(np.uint8)
     found = grays[grays > 0]
     if len(found) == 0:
@@ -87,7 +87,9 @@ def linked_crests(heights: Float32Array) -> BoolArray:
 
 
 def rescaled(pixels: FloatArray, offsets: IntArray, ratio: float) -> tuple[FloatArray, IntArray]:
-    """The chains in pixels `ratio` times as small, with a point for each of them."""
+    """The chains in pixels `ratio` times as small, with one point per pixel."""
+    if len(pixels) == 0:
+        return pixels, offsets
     lengths = np.diff(offsets)
     counts = np.where(lengths > 1, np.rint((lengths - 1) * ratio).astype(np.int64) + 1, 1)
     moved = offsets_of(counts)
@@ -102,7 +104,7 @@ def rescaled(pixels: FloatArray, offsets: IntArray, ratio: float) -> tuple[Float
 def long_enough(
     pixels: FloatArray, offsets: IntArray, min_points: int
 ) -> tuple[FloatArray, IntArray]:
-    """The chains of at least this many points."""
+    """The chains with at least `min_points` points."""
     lengths = np.diff(offsets)
     kept = lengths >= min_points
     return pixels[np.repeat(kept, lengths)], offsets_of(lengths[kept])

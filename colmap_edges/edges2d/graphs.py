@@ -1,4 +1,4 @@
-"""The 2D edge graphs of all views: loaded when asked for, those not used lately wait elsewhere."""
+"""Storage of the 2D edge graphs of all views: recently used ones in memory, others in a backend."""
 
 from __future__ import annotations
 
@@ -22,39 +22,39 @@ from colmap_edges.runtime.memory import return_freed_memory
 
 T = TypeVar("T")
 
-TRIM_EVERY = 64  # graphs released from memory
+TRIM_EVERY = 64  # number of released graphs after which freed memory is returned to the system
 
 
 class Backend(Protocol):
-    """Where graphs wait that are not in memory."""
+    """Storage for graphs that are not in memory."""
 
     def write(self, view: int, graph: EdgeGraph) -> None:
-        """Keep the graph of a view, unless it is there already."""
+        """Store the graph of a view unless it is already stored."""
 
     def read(self, view: int) -> EdgeGraph:
-        """Give the graph of a view."""
+        """Read the graph of a view."""
 
 
 class DiskBackend:
-    """A temporary folder (in TMPDIR), made when first written to; it goes with this object."""
+    """A temporary folder (in TMPDIR), created at the first write and removed with this object."""
 
     def __init__(self) -> None:
-        """Make nothing yet."""
+        """Start without a folder."""
         self.folder: Path | None = None
         self.written: set[int] = set()
 
     def path(self, view: int) -> Path:
-        """Where the graph of a view waits."""
+        """The file of the graph of a view."""
         if self.folder is None:
             self.folder = Path(tempfile.mkdtemp(prefix="colmap-edges-"))
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
         return self.folder / f"{view}.npy"
 
     def write(self, view: int, graph: EdgeGraph) -> None:
-        """Write the arrays of a graph one after the other.
+        """Write the arrays of a graph to one file.
 
         Raises:
-            ColmapEdgesError: when the disk is full.
+            ColmapEdgesError: if the disk is full.
         """
         if view in self.written:
             return
@@ -71,14 +71,14 @@ class DiskBackend:
         self.written.add(view)
 
     def read(self, view: int) -> EdgeGraph:
-        """Read what was written."""
+        """Read the graph of a view."""
         with self.path(view).open("rb") as file:
             return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
 
 
 @dataclass(frozen=True)
 class CacheBackend:
-    """The cache, which has all graphs already; the workers of a cluster read it, too.
+    """The cache, which already holds all graphs; workers of a cluster read it, too.
 
     Attributes:
         cache: the cache.
@@ -89,29 +89,26 @@ class CacheBackend:
     keys: Mapping[int, str]
 
     def write(self, view: int, graph: EdgeGraph) -> None:
-        """Nothing is to be done."""
+        """Do nothing: the cache has the graph."""
 
     def read(self, view: int) -> EdgeGraph:
-        """Read a graph that an image's task has left."""
+        """Read a graph written by the task of its image."""
         return load_graph(self.cache, self.keys[view])
 
     def part(self, views: Iterable[int]) -> CacheBackend:
-        """The same for some views only, to be sent to a worker."""
+        """The backend restricted to some views, to be sent to a worker."""
         return CacheBackend(self.cache, {view: self.keys[view] for view in views})
 
 
 class Graphs:
-    """The edge graphs of all views; at most so many bytes of them are held in memory.
-
-    Any thread may put graphs and load them.
-    """
+    """The edge graphs of all views, with limited memory; thread-safe."""
 
     def __init__(self, max_bytes: float = np.inf, backend: Backend | None = None) -> None:
-        """Hold nothing yet.
+        """Start empty.
 
         Args:
-            max_bytes: of graphs that stay in memory.
-            backend: where the others wait; a temporary folder when not given.
+            max_bytes: maximum size of the graphs in memory.
+            backend: storage of the others; a temporary folder by default.
         """
         self.max_bytes, self.backend = max_bytes, backend or DiskBackend()
         self.num_bytes = 0
@@ -120,12 +117,12 @@ class Graphs:
         self.lock = Lock()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How graphs go to another process: by their backend."""
+        """Pickle the backend only."""
         return Graphs, (self.max_bytes, self.backend)
 
     @classmethod
     def of(cls, graphs: Sequence[EdgeGraph], max_bytes: float = np.inf) -> Graphs:
-        """The given graphs, one a view."""
+        """The given graphs, one per view."""
         made = cls(max_bytes)
         for view, graph in enumerate(graphs):
             made.put(view, graph)
@@ -133,11 +130,11 @@ class Graphs:
 
     @property
     def num_kept(self) -> int:
-        """Number of graphs in memory; all when they fit."""
+        """Number of graphs that fit in memory."""
         return len(self.kept)
 
     def put(self, view: int, graph: EdgeGraph) -> None:
-        """Take the graph of a view."""
+        """Store the graph of a view."""
         with self.lock:
             self._keep(view, graph)
 
@@ -150,13 +147,13 @@ class Graphs:
             return self.kept[view]
 
     def release(self) -> None:
-        """Forget all graphs, in memory and on disk: nothing loads them any more."""
+        """Drop all graphs in memory and on disk; none can be loaded afterwards."""
         with self.lock:
             self.kept.clear()
             self.num_bytes, self.backend = 0, DiskBackend()
 
     def _keep(self, view: int, graph: EdgeGraph) -> None:
-        # Those longest not used make room; one stays whatever its size.
+        # The least recently used are dropped; the last stays, whatever its size.
         self.kept[view] = graph
         self.num_bytes += graph_bytes(graph)
         while self.num_bytes > self.max_bytes and len(self.kept) > 1:
@@ -175,24 +172,24 @@ class Graphs:
 
 
 def graph_bytes(graph: EdgeGraph) -> int:
-    """Bytes of a graph's arrays, with the polyline of each point, which is made when asked for."""
+    """Size of a graph's arrays in bytes, including `polyline_ids`."""
     return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph)) + 4 * len(graph.points)
 
 
 class Kept(Generic[T]):
-    """What was made lately, by key; sent to another process it arrives empty."""
+    """A cache of recently used values by key; pickled without its content."""
 
     def __init__(self, num_kept: int) -> None:
-        """Keep nothing yet, and `num_kept` things at most."""
+        """Start empty; keep at most `num_kept` values."""
         self.num_kept = num_kept
         self.things: OrderedDict[Hashable, T] = OrderedDict()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How it is sent."""
+        """Pickle the size only."""
         return Kept, (self.num_kept,)
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What belongs to `key`; `make` makes it, the same each time."""
+        """The value of `key`, made by `make` if it is not kept."""
         if key not in self.things:
             self.things[key] = make()
             if len(self.things) > self.num_kept:

@@ -1,4 +1,4 @@
-"""Image file -> 2D edge graph: the work on one image, unless an earlier run has done it."""
+"""The 2D edge graph of an image file, detected or loaded from the cache."""
 
 from __future__ import annotations
 
@@ -22,13 +22,20 @@ from colmap_edges.images.background import (
     masked_background,
     plain_background,
 )
-from colmap_edges.images.edge_maps import EdgeMapFile, decode_edge_map, read_edge_map
-from colmap_edges.images.files import colors_at, decode_image, gray_of, path_of_image, read_bytes
-from colmap_edges.images.masks import MaskFile, decode_mask, read_mask
+from colmap_edges.images.edge_maps import decode_edge_map, read_edge_map
+from colmap_edges.images.files import (
+    CompanionFile,
+    colors_at,
+    decode_image,
+    gray_of,
+    path_of_image,
+    read_bytes,
+)
+from colmap_edges.images.masks import decode_mask, read_mask
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
 from colmap_edges.runtime.cache import Arrays, Cache, key_of
 
-KIND = "edge_graphs"  # of cache entries
+KIND = "edge_graphs"  # kind of the cache entries
 NO_CHAINS = Chains(
     points=np.zeros((0, 2)),
     normals=np.zeros((0, 2)),
@@ -39,14 +46,14 @@ NO_CHAINS = Chains(
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedEdges:
-    """What was detected in one image.
+    """The edges detected in one image.
 
     Attributes:
         graph: the 2D edge graph.
         dropped: (K, 2) points of chains that are not in the graph, image pixels.
-        num_chains: chains of the detector, before they are joined.
-        num_chain_pixels: their points.
-        background_mask: the plain backdrop, where the image has one.
+        num_chains: number of detected chains, before joining.
+        num_chain_pixels: number of their points.
+        background_mask: the plain backdrop, if the image has one.
     """
 
     graph: EdgeGraph
@@ -57,61 +64,61 @@ class DetectedEdges:
 
 
 class Visitor(Protocol):
-    """Makes something of every image while it is at hand."""
+    """Computes a value from every image while it is in memory."""
 
     def visit(
         self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
     ) -> Any:
-        """Look at an image, which `read` gives, wherever it is worked on; give back what to keep.
+        """Compute the value of an image, in the process that works on it.
 
         Args:
-            index: place of the view among the model's.
+            index: index of the view in the model.
             view: the view.
-            read: gives the (H, W, 3) image; it may have to be decoded first.
+            read: returns the (H, W, 3) image, decoding it if necessary.
             found: its edges.
         """
 
     def collect(self, index: int, kept: Any) -> None:
-        """Take what `visit` gave back, in the process that started the work."""
+        """Receive the value returned by `visit`, in the main process."""
 
 
 @dataclass(frozen=True)
 class Visitors:
-    """Several visitors as one."""
+    """Several visitors combined."""
 
     visitors: tuple[Visitor, ...]
 
     @classmethod
     def of(cls, *visitors: Visitor | None) -> Visitor | None:
-        """Those that there are; the one itself if it is alone."""
+        """The combination of the given visitors; a single visitor itself; None without any."""
         found = tuple(visitor for visitor in visitors if visitor is not None)
         return cls(found) if len(found) > 1 else next(iter(found), None)
 
     def visit(
         self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
     ) -> list[Any]:
-        """Have all look at an image, which is decoded at most once for each."""
+        """Call all visitors; the image is decoded at most once."""
         return [visitor.visit(index, view, read, found) for visitor in self.visitors]
 
     def collect(self, index: int, kept: list[Any]) -> None:
-        """Have each take what it gave back."""
+        """Pass to each visitor its value."""
         for visitor, own in zip(self.visitors, kept, strict=True):
             visitor.collect(index, own)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageWork:
-    """What is to be done with every image.
+    """Parameters of the work on every image.
 
     Attributes:
         image_path: folder of the images.
         detection: options of the detector.
         edge_graph: options of the edge graph.
-        mask_path: folder of masks, or one for all images; none without it.
-        edge_path: folder of edge images of another detector; none without it.
-        masks_are_background: whether the background is what masks hide, not a plain backdrop.
-        cache: graphs of earlier runs, if they are kept.
-        visitor: looks at every image that can be read.
+        mask_path: folder of masks, or one mask for all images; or None.
+        edge_path: folder of edge images of another detector, or None.
+        masks_are_background: whether masked pixels are the background, not a plain backdrop.
+        cache: cache of earlier graphs, or None.
+        visitor: called for every readable image, or None.
     """
 
     image_path: Path
@@ -126,7 +133,7 @@ class ImageWork:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageCounts:
-    """How much was detected in one image."""
+    """Numbers of detected items in one image."""
 
     chains: int
     chain_pixels: int
@@ -137,16 +144,16 @@ class ImageCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageRecord:
-    """What is said of one image when it is done.
+    """The record of the work on one image.
 
     Attributes:
-        counts: how much was detected.
+        counts: numbers of detected items.
         key: key of its graph in the cache; empty without a cache.
         masked: whether it has a mask.
-        reused: whether its graph was there.
-        background_mask: what the image shows of the background.
-        damage: why the image could not be read; none when it could.
-        visited: what the visitor gave back.
+        reused: whether its graph was in the cache.
+        background_mask: the background in the image.
+        damage: why the image could not be read, or None.
+        visited: value returned by the visitor.
     """
 
     counts: ImageCounts
@@ -159,11 +166,11 @@ class ImageRecord:
 
 
 def work_on_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, ImageRecord]:
-    """Find the edge graph of a view, in the cache or in its image; empty when that is damaged.
+    """Load or detect the edge graph of a view; empty if the image is damaged.
 
     Raises:
-        ColmapEdgesError: when the image, its mask or its edge image is not of its camera's size, or
-            one of the latter cannot be read.
+        ColmapEdgesError: if the image, its mask or its edge image does not have its camera's size,
+            or one of the latter cannot be read.
     """
     try:
         return graph_of_image(work, index, view)
@@ -177,19 +184,21 @@ def work_on_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, I
 
 
 def work_in_cache(work: ImageWork, index: int, view: View) -> ImageRecord:
-    """Like `work_on_image`, but leave the graph in the cache, for another process.
+    """Like `work_on_image`, but leave the graph in the cache for other processes.
 
     Raises:
-        ColmapEdgesError: when it cannot be written there.
+        ColmapEdgesError: if it cannot be written there.
     """
     _, record = work_on_image(work, index, view)
     if work.cache is None or not work.cache.path(KIND, record.key).is_file():
-        raise ColmapEdgesError(f"the edge graph of {view.name} could not be written to the cache")
+        raise ColmapEdgesError(
+            f"the edge graph of {view.name} could not be written to the cache; free space there"
+        )
     return record
 
 
 def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, ImageRecord]:
-    """Find the edge graph of a view whose image can be read."""
+    """Load or detect the edge graph of a view with a readable image."""
     path = path_of_image(work.image_path, view.name)
     data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
     edge_map = read_edge_map(work.edge_path, view.name)
@@ -229,14 +238,14 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 def detect_edges(
     image: Picture,
     mask: BoolArray | None,
-    edge_map: EdgeMapFile | None,
+    edge_map: CompanionFile | None,
     view: View,
     work: ImageWork,
 ) -> DetectedEdges:
-    """Detect the edges of one image, where its mask has them looked for; or take an edge image's.
+    """Detect the edges of one image outside its mask, or take them from its edge image.
 
     Raises:
-        ColmapEdgesError: when the edge image cannot be decoded, or is not of its camera's size.
+        ColmapEdgesError: if the edge image cannot be decoded, or does not have its camera's size.
     """
     linked = None
     if edge_map:
@@ -256,7 +265,7 @@ def detect_edges(
 
 
 def counts_of(found: DetectedEdges) -> ImageCounts:
-    """How much was detected."""
+    """The counts of detected edges."""
     return ImageCounts(
         chains=found.num_chains,
         chain_pixels=found.num_chain_pixels,
@@ -268,19 +277,19 @@ def counts_of(found: DetectedEdges) -> ImageCounts:
 
 def graph_key(
     data: ByteArray,
-    mask: MaskFile | None,
-    edge_map: EdgeMapFile | None,
+    mask: CompanionFile | None,
+    edge_map: CompanionFile | None,
     view: View,
     work: ImageWork,
 ) -> str:
-    """The key of the edge graph of an image file: all that the graph depends on."""
+    """The cache key of an image's edge graph: a digest of everything that it depends on."""
     camera = [view.camera.model.name, view.width, view.height, *map(float, view.camera.params)]
     files = [file.data if file else None for file in (mask, edge_map)]
     return key_of(data, *files, camera, view.scale, work.detection, work.edge_graph)
 
 
 def arrays_of(found: DetectedEdges) -> Arrays:
-    """What a cache entry holds of an image."""
+    """The arrays of a cache entry."""
     arrays = {entry.name: getattr(found.graph, entry.name) for entry in fields(EdgeGraph)}
     counts = np.array([found.num_chains, found.num_chain_pixels])
     arrays |= {"dropped": found.dropped, "num_chains_and_pixels": counts}
@@ -290,7 +299,7 @@ def arrays_of(found: DetectedEdges) -> Arrays:
 
 
 def edges_from(arrays: Arrays) -> DetectedEdges:
-    """What `arrays_of` took apart."""
+    """The inverse of `arrays_of`."""
     num_chains, num_chain_pixels = arrays["num_chains_and_pixels"].tolist()
     return DetectedEdges(
         graph=EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)}),
@@ -304,14 +313,14 @@ def edges_from(arrays: Arrays) -> DetectedEdges:
 
 
 def load_graph(cache: Cache, key: str) -> EdgeGraph:
-    """The edge graph of a cache entry that must be there.
+    """The edge graph of a cache entry that must exist.
 
     Raises:
-        ColmapEdgesError: when it is not, or is damaged.
+        ColmapEdgesError: if it is missing or damaged.
     """
     entry = cache.load(KIND, key)
     if entry is None:
         raise ColmapEdgesError(
-            f"{cache.path(KIND, key)} is gone or damaged; leave the cache alone while runs use it"
+            f"{cache.path(KIND, key)} is missing or damaged; do not change the cache during a run"
         )
     return edges_from(entry).graph

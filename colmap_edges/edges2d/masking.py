@@ -1,4 +1,4 @@
-"""Cuts chains where a mask is black."""
+"""Removal of the masked parts of chains."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from colmap_edges.edges2d.detection import Chains
 
 
 def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: int) -> Chains:
-    """What a mask leaves of chains, which it may cut into pieces.
+    """The unmasked pieces of chains.
 
     Args:
         chains: chains of the image upsampled `scale` times.
-        mask: (H, W) the pixels of the image that may show edges.
-        scale: how many times the image is upsampled.
-        min_length_px: shortest piece kept, in points.
+        mask: (H, W) false for masked pixels of the image.
+        scale: upsampling factor of the image.
+        min_length_px: minimum length of a piece, in points.
     """
     height, width = mask.shape
     columns, rows = np.floor(chains.points / scale).astype(np.int64).T
     seen = mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-    # A number for each stretch of a chain that is seen or not seen throughout.
+    # A number for each stretch of a chain that is wholly masked or wholly unmasked.
     labels = 2 * owners_of(chains.offsets) + seen
     bounds = np.flatnonzero(np.diff(labels, prepend=-1, append=-1))
     starts, ends = bounds[:-1], bounds[1:]

@@ -1,10 +1,9 @@
-"""The scale at which images are worked on: that at which their edges are blurred by about a pixel.
+"""Choice of the working scale, at which edges are blurred by about one pixel.
 
-Detection blurs by a pixel, which moves the two edges of a thin bar apart and makes one of edges
-that are nearer to each other. Where images are sharp, as small copies of photographs are, pixels
-between theirs tell more edges apart and place them better, so they are enlarged. Where the lens, a
-demosaicing or an enlargement has blurred them by more, neighbouring pixels say the same: these
-images are reduced, which costs nothing that they show.
+Detection blurs by one pixel, which pushes the two edges of a thin bar apart and merges closer ones.
+Sharp images, such as downsampled photographs, are therefore upsampled, which separates more edges
+and localises them better. Images blurred by the lens, by demosaicing or by upsampling hold no
+detail at their full resolution; they are downsampled without loss.
 """
 
 from __future__ import annotations
@@ -27,29 +26,29 @@ from colmap_edges.options import DetectionOptions
 logger = logging.getLogger(__name__)
 
 MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
-MAX_SIZE_PX = 3200  # of an upsampled image, as large as COLMAP looks at images by itself
-SCALE_STEP = 0.25  # images are upsampled and reduced by multiples of it
-SOFT_BLUR_PX = 1.4  # that reduced images keep at least: as sharp lenses give in all pixels
-MIN_REDUCTION = 2.0  # reducing by less loses edges and saves little (docs/experiments.md)
-NUM_IMAGES = 5  # that are measured
-CROP_PX = 1024  # side of the middle of an image that is measured
-SMALLEST_PX = 64  # side of an image that is halved to measure it
+MAX_SIZE_PX = 3200  # maximum size of an upsampled image, COLMAP's default for features
+SCALE_STEP = 0.25  # step of the scale factors
+SOFT_BLUR_PX = 1.4  # minimum blur left in downsampled images, as of sharp lenses
+MIN_REDUCTION = 2.0  # minimum downsampling; less loses edges and saves little (docs/experiments.md)
+NUM_IMAGES = 5  # number of images measured
+CROP_PX = 1024  # side of the central crop measured
+SMALLEST_PX = 64  # minimum side of an image that is halved for measuring
 HALVING_BLUR_PX = 0.5  # standard deviation of two pixels' mean, in these pixels
 
 
 def at_working_scale(model: Model, image_path: Path, options: DetectionOptions) -> Model:
-    """The model with views enlarged or reduced as far as their images' sharpness asks for.
+    """The model with views scaled according to the blur of their images.
 
-    The usual image decides how far all are enlarged, the sharpest how far all are reduced, for
-    what it shows would be lost.
+    All images get the same scale. The median blur determines upsampling, the smallest blur
+    downsampling, so that no image loses detail.
 
     Args:
-        model: its views say where the images are; it is not changed.
+        model: the model; it is not changed.
         image_path: folder of the images.
-        options: the blur that is enough.
+        options: with the blur below which images are upsampled.
 
     Raises:
-        ColmapEdgesError: when an image is not of its camera's size.
+        ColmapEdgesError: if an image does not have its camera's size.
     """
     if options.min_blur_px == 0:
         return model
@@ -62,7 +61,7 @@ def at_working_scale(model: Model, image_path: Path, options: DetectionOptions) 
 
 
 def scale_for(blurs: Sequence[float], limit: float, options: DetectionOptions) -> float:
-    """The scale of images whose edges are blurred by these pixels; none is larger than `limit`."""
+    """The scale for images with these edge blurs, at most `limit`."""
     if not blurs:
         return 1.0
     times = int(min(blurs) / max(SOFT_BLUR_PX, options.min_blur_px) / SCALE_STEP) * SCALE_STEP
@@ -76,9 +75,9 @@ def scale_for(blurs: Sequence[float], limit: float, options: DetectionOptions) -
 def blurs_until_decided(
     views: Sequence[View], image_path: Path, options: DetectionOptions, may_enlarge: bool
 ) -> list[float]:
-    """Blurs of a few images that show edges, in pixels: as many as the decision takes.
+    """Blurs of a few images with edges, in pixels; as many as the decision needs.
 
-    Where images are too large to be enlarged, the first that is sharp has them stay as they are.
+    If images are too large for upsampling, one sharp image suffices to keep the scale.
     """
     every = np.linspace(0, len(views) - 1, min(NUM_IMAGES, len(views))).astype(int)
     blurs = []
@@ -90,22 +89,22 @@ def blurs_until_decided(
 
 
 def blurs_of(views: Sequence[View], image_path: Path, options: DetectionOptions) -> Iterator[float]:
-    """Blurs of the images of these views that show edges, in pixels."""
+    """Blurs of the images of these views, without images that show no edges, in pixels."""
     for view in views:
         try:
             blur_px = measure_blur(gray_of(read_image(view, image_path)), options)
         except ImageError:
-            continue  # detection tells of it
+            continue  # detection reports it
         if blur_px > 0:
             yield blur_px
 
 
 def measure_blur(gray: Picture, options: DetectionOptions) -> float:
-    """How much the edges in the middle of an image (H, W) uint8 are blurred, in pixels.
+    """The blur of the edges in the central part of an image (H, W) uint8, in pixels.
 
-    The standard deviation of the Gaussian that makes steps as steep as the strongest edges are;
-    0 where there are none. Edges too wide for the profiles across them are measured in the image
-    reduced to half its size, and so on.
+    It is the standard deviation of the Gaussian that blurs a step as much as the strongest edges;
+    0 without edges. Edges too wide for the profiles are measured in the image halved in size, as
+    often as necessary.
     """
     top, left = (max(0, (size - CROP_PX) // 2) for size in gray.shape)
     crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
@@ -118,5 +117,5 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
 
 
 def rounded(blurs: Sequence[float]) -> str:
-    """Blurs, for a message."""
+    """Blurs as text for a log message."""
     return ", ".join(f"{blur:.2f}" for blur in blurs) or "unknown"

@@ -1,10 +1,8 @@
-"""Every option and constant of every stage, with its default, meaning, unit and range.
+"""Options and constants of every stage, with their defaults, meanings, units and ranges.
 
-An option is what a user can want to turn. A constant is a value of the method itself: it has no
-flag, but tests and `scripts/halve_and_double.py` can set it. Ranges are of what can be wanted in
-the unit: pixels within which things in an image are near each other, angles up to a quarter or half
-a turn, numbers of views as photographers take them. Every stage runs at both ends of each;
-tests/cli/test_option_extremes.py holds us to it.
+Options are for users and have flags. Constants are values of the method: they have no flag, but
+tests and `scripts/halve_and_double.py` can set them. Ranges cover all useful values; every stage
+runs at both ends of each range, which tests/cli/test_option_extremes.py verifies.
 """
 
 from colmap_edges.options.detecting import DetectionOptions, EdgeGraphOptions

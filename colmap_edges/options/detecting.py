@@ -1,4 +1,4 @@
-"""Options and constants of detection: images -> chains -> 2D edge graphs."""
+"""Options and constants of edge detection and of 2D edge graphs."""
 
 from __future__ import annotations
 
@@ -9,31 +9,39 @@ from colmap_edges.declared_options import Options, constant, option
 
 @dataclass(frozen=True, kw_only=True)
 class DetectionOptions(Options):
-    """Image -> pixel chains (EdgeDrawing)."""
+    """Detection of edge chains in images (EdgeDrawing)."""
 
     min_chain_points: int = option(
         12,
-        "Shortest chain kept, in chain points (one for each pixel of the images as upsampled)",
+        "Minimum length of a detected edge chain, in pixels of the upsampled images",
         within=(2, 1000),
         basic=True,
     )
     gamma: float = option(
         2.2,
-        "Gamma used to linearise intensities; 1 for linear images",
+        "Gamma to linearise intensities; 1 for linear images",
         within=(0.25, 4),
         basic=True,
     )
     sigma_px: float = constant(
         1.0,
-        "Gaussian blur of the sub-pixel step, in pixels of the upsampled images",
-        "as EdgeDrawing blurs; 0.7 was tried (docs/experiments.md, Sharp images are enlarged)",
+        "Standard deviation of the Gaussian blur before sub-pixel localisation, in pixels of the "
+        "upsampled images",
+        "the blur of EdgeDrawing; 0.7 was tried (docs/experiments.md, Sharp images are enlarged)",
         within=(0.1, 10),
+    )
+    faint_noises: float = constant(
+        4.0,
+        "Slope of the faint straight edges that EdgeDrawing lacks, in standard deviations of the "
+        "image's slopes; 0: none are looked for",
+        "2 to 5 find nearly the same in rooms (docs/experiments.md, Faint straight edges)",
+        within=(0, 100),
     )
     min_blur_px: float = option(
         0.8,
-        "Upsample images whose edges are blurred less than this standard deviation, in pixels of "
-        "the given images (at most 1.5 times, up to 3200 px), and reduce those blurred more "
-        "than 2.8 px; 0 works on images as they are",
+        "Upsample images whose edge blur is below this standard deviation, in pixels of the given "
+        "images (at most 1.5 times, up to 3200 px), and downsample images with more than 2.8 px; "
+        "0 keeps the size",
         within=(0, 5),
         basic=True,
     )
@@ -41,44 +49,45 @@ class DetectionOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeGraphOptions(Options):
-    """Chains -> 2D edge graph (paper: 2D Edge-Graphs)."""
+    """Joining of chains to 2D edge graphs (paper: 2D Edge-Graphs)."""
 
     max_smoothing_distance_px: float = constant(
         1.0,
-        "Largest distance between a chain and its smoothed polyline, in pixels of the upsampled "
+        "Maximum distance between a chain and its smoothed polyline, in pixels of the upsampled "
         "images",
         "about three times Refinement.noise_px",
         within=(0.05, 20),
     )
     max_regular_angle_deg: float = constant(
         20.0,
-        "Largest turn within a regular length (alpha_R), in degrees",
+        "Maximum turn within a regular length (alpha_R), in degrees",
         "the paper",
         within=(1, 180),
     )
     top_regular_length_ratio: float = constant(
         0.1,
-        "Share of polylines, longest first, that sets the regular-length threshold",
+        "Share of the longest polylines, whose shortest regular length becomes the threshold",
         "the paper",
         within=(0, 1),
     )
     filter_regular_length: bool = option(
-        False, "Drop components without a polyline of the threshold's regular length", basic=True
+        False,
+        "Drop connected edges in an image if none of them has a long enough stretch without turns",
+        basic=True,
     )
     max_gap_points: float = option(
         4.0,
-        "Largest gap across which chains are joined, in distances between chain points (one for "
-        "each pixel of the images as upsampled)",
+        "Maximum gap between chains that are joined, in pixels of the upsampled images",
         within=(0, 50),
     )
     max_join_angle_deg: float = constant(
         30.0,
-        "Largest turn where two chains are joined, in degrees",
+        "Maximum turn between two joined chains, in degrees",
         "below the smallest corner, 45 degrees",
         within=(0, 90),
     )
     min_corner_angle_deg: float = option(
         45.0,
-        "Smallest turn of a corner, where chains are cut, in degrees; 180: nowhere",
+        "Minimum turn at which a chain is cut as a corner, in degrees; 180 disables cutting",
         within=(1, 180),
     )

@@ -1,4 +1,4 @@
-"""What --quality and --method set."""
+"""Presets: the option values set by --quality and --method."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from colmap_edges.errors import OptionError
 from colmap_edges.options.whole import PipelineOptions
 
 METHODS = ("chains", "paper")
-# What --quality sets; medium is the defaults.
+# Values set by --quality; medium keeps the defaults.
 QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
     "low": {
-        "detection": {"min_blur_px": 0.1},  # no image is as sharp; soft ones are reduced
+        "detection": {"min_blur_px": 0.1},  # downsamples soft images but never upsamples
         "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_observing_views": 20},
         "chain_depth": {"sample_step_points": 36},
         "tracing": {"curve_step_points": 6},
@@ -27,10 +27,10 @@ QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-# What --method paper sets: the values that Bignoli et al. print, the votes of the mesher that its
-# authors published, and no step that they lack.
+# Values set by --method paper: those of Bignoli et al., the mesher votes of their published
+# program, and no step beyond theirs.
 PAPER: dict[str, dict[str, Any]] = {
-    "detection": {"min_blur_px": 0.0},
+    "detection": {"min_blur_px": 0.0, "faint_noises": 0.0},
     "edge_graph": {
         "filter_regular_length": True,
         "min_corner_angle_deg": 180.0,
@@ -55,11 +55,11 @@ def preset(name: str) -> PipelineOptions:
     """The options of a preset.
 
     Args:
-        name: low, medium or high, of which medium is `PipelineOptions()`; or paper, which traces
-            and meshes as Bignoli et al. do.
+        name: low, medium, high or paper. medium equals `PipelineOptions()`; paper traces and
+            meshes as Bignoli et al. do.
 
     Raises:
-        OptionError: when there is no such preset.
+        OptionError: for an unknown name.
     """
     if name not in PRESETS:
         raise OptionError(f"there is no preset {name!r}; choose one of: {', '.join(PRESETS)}")
@@ -72,13 +72,13 @@ def preset(name: str) -> PipelineOptions:
 
 
 def chosen_preset(method: str | None, quality: str | None) -> PipelineOptions:
-    """The preset that the flags --method and --quality choose.
+    """The preset chosen by the flags --method and --quality.
 
     Raises:
-        OptionError: when both are given, for the paper knows no other qualities.
+        OptionError: if --quality is combined with --method paper, which has only one quality.
     """
     if method != "paper":
         return preset(quality or "medium")
     if quality:
-        raise OptionError("quality is one of --method chains; leave it out with --method paper")
+        raise OptionError("quality has no effect with --method paper; leave it out")
     return preset("paper")

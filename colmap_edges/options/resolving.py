@@ -1,4 +1,4 @@
-"""Options as given -> settings as used, by the whole run and by those of its steps that differ."""
+"""Conversion of options as given to settings as used, for the whole run and for single steps."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from colmap_edges.options.whole import PipelineOptions
 
 
 def resolved(options: PipelineOptions, scale: float) -> PipelineOptions:
-    """The settings of a run whose images are upsampled or reduced, in the stages' pixels.
+    """The settings of a run, with lengths in pixels of the scaled images.
 
-    Poses and distortion are off by pixels of the images as they are given, so what users say of
-    them is in these pixels. Stages work on scaled images and measure in their pixels. Where images
-    are reduced because they are soft, features are placed no better than in the reduced images,
-    and poses with them: lengths are then so many pixels of the reduced images. This is the
-    only place that converts; it is called once a run. The settings are not to be converted again.
+    Options that bound errors of poses and distortion are in pixels of the given images, whereas
+    stages measure in pixels of the scaled images. Soft images, which are downsampled, localise
+    features, and therefore poses, no better than the downsampled ones; lengths are then taken as
+    pixels of the downsampled images. Call this once per run; nothing else converts.
 
     Args:
-        options: as given, every length of them as it was declared.
-        scale: how many times the images are upsampled; below 1 where they are reduced.
+        options: the options as given.
+        scale: upsampling factor of the images; below 1 for downsampled images.
 
     Returns:
-        The same, with what was declared in pixels of the given images in those of the scaled ones.
+        The options with `given_px` lengths converted to pixels of the scaled images.
     """
     groups: dict[str, Any] = {}
     times = max(1.0, scale)
@@ -37,7 +36,7 @@ def resolved(options: PipelineOptions, scale: float) -> PipelineOptions:
 
 
 def of_later_rounds(settings: PipelineOptions) -> PipelineOptions:
-    """The settings of later rounds: where fewer chains are left, less agreement is enough."""
+    """The settings of later matching rounds: few chains remain, so less agreement suffices."""
     depths, views = settings.chain_depth, settings.tracing.min_agreeing_views
     least = depths.min_log_likelihood_ratio - depths.later_log_likelihood_ratio_drop
     return replace(
@@ -48,11 +47,11 @@ def of_later_rounds(settings: PipelineOptions) -> PipelineOptions:
 
 
 def of_pose_edges(settings: PipelineOptions) -> PipelineOptions:
-    """The settings by which the edges are traced that poses are refined on.
+    """The settings for tracing the edges that poses are refined on.
 
-    By the first round alone, whose edges are the surest, in views that look from near by, and by
-    their places across the chains, for nothing else is known of edges when poses are refined. More
-    densely sampled chains give more of them. The paper's tracing has none of these options.
+    Only the first matching round is used, whose edges are the most reliable, and only observations
+    from similar directions. The photometric term is off, since pose refinement uses residuals
+    across edges alone. Denser samples give more edges. None of this applies to the paper's tracing.
     """
     if settings.tracing.method == "paper":
         return settings
@@ -68,7 +67,7 @@ def of_pose_edges(settings: PipelineOptions) -> PipelineOptions:
 
 
 def recorded(settings: PipelineOptions) -> dict[str, Any]:
-    """The settings of a run for its record, with those by which some of its steps differ."""
+    """The settings of a run for report.json, with the deviating settings of single steps."""
     steps = {}
     if settings.tracing.method == "chains" and settings.tracing.num_rounds > 1:
         steps["later_rounds"] = of_later_rounds(settings)
@@ -78,7 +77,7 @@ def recorded(settings: PipelineOptions) -> dict[str, Any]:
 
 
 def differences(settings: PipelineOptions, others: PipelineOptions) -> dict[str, dict[str, Any]]:
-    """By group, the values of `others` that are not those of `settings`."""
+    """The values of `others` that differ from `settings`, by group."""
     before, after = asdict(settings), asdict(others)
     return {
         group: {name: value for name, value in values.items() if value != before[group][name]}

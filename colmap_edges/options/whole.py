@@ -1,4 +1,4 @@
-"""The options of a whole run: one group a stage, and what concerns all of it."""
+"""The options of a whole run: one group per stage, and options of the run as a whole."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from colmap_edges.options.tracing import (
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineOptions(Options):
-    """All options of a run: one group for each stage, and those of the whole run."""
+    """All options of a run: one group per stage, and options of the run as a whole."""
 
     detection: DetectionOptions = field(default_factory=DetectionOptions)
     edge_graph: EdgeGraphOptions = field(default_factory=EdgeGraphOptions)
@@ -44,14 +44,15 @@ class PipelineOptions(Options):
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
     bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
-    use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes the SfM points alone")
+    use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes SfM points only")
     use_faces: bool = option(
         False,
-        "Mesh planar faces between edges, too, and write faces.json: for rooms and plain bodies",
+        "Find planar faces between edges, mesh them and write faces.json; for rooms and objects "
+        "with plain surfaces",
     )
-    report: bool = option(True, "Write report.html, with a viewer of the result; 0 does not")
+    report: bool = option(True, "Write report.html, a page with a 3D viewer")
     refine_poses: bool = option(
-        False, "Refine the poses on SfM points and edges, then trace again with the refined ones"
+        False, "Refine the poses on SfM points and edges, then reconstruct the edges again"
     )
     masks_are_background: bool = option(
         False,
@@ -62,17 +63,24 @@ class PipelineOptions(Options):
     num_threads: int = option(-1, "Number of threads; -1 uses all cores", within=(-1, 100_000))
     max_graph_memory_gb: float = option(
         4.0,
-        "Memory for 2D edge graphs, in gigabytes; further ones are kept on disk (TMPDIR)",
+        "Memory for 2D edge graphs, in gigabytes; the rest is kept on disk (TMPDIR)",
         within=(0.001, 100_000),
     )
-    random_seed: int = option(0, "Seed of every random choice", within=(0, 4_294_967_295))
+    random_seed: int = option(0, "Seed of all random numbers", within=(0, 4_294_967_295))
 
     def __post_init__(self) -> None:
         """Raise `OptionError` for a value outside its range, or options that contradict."""
         super().__post_init__()
         if self.refine_poses and not self.use_edges:
-            raise OptionError("refine_poses is 1 and use_edges 0; poses are refined on edges")
+            raise OptionError(
+                "refine_poses is 1 and use_edges 0, but poses are refined on edges; set use_edges 1"
+            )
         if self.use_faces and not self.use_edges:
-            raise OptionError("use_faces is 1 and use_edges 0; faces are found between edges")
+            raise OptionError(
+                "use_faces is 1 and use_edges 0, but faces are found between edges; set use_edges 1"
+            )
         if self.masks_are_background and not self.use_edges:
-            raise OptionError("masks_are_background is 1 and use_edges 0, which reads no images")
+            raise OptionError(
+                "masks_are_background is 1 and use_edges 0, but masks are read only to find edges; "
+                "set use_edges 1"
+            )

@@ -198,7 +198,7 @@ def test_regular_lengths_of_zigzags():
 def test_regular_length_of_no_polylines_is_none():
     graph = build(no_chains(), filter_regular_length=True)
     assert graph.num_polylines == 0
-    assert graph.points.shape == graph.ideal.shape == (0, 2)
+    assert graph.points.shape == graph.undistorted.shape == (0, 2)
     assert regular_lengths(graph, 20).shape == (0,)
 
 
@@ -246,7 +246,7 @@ def test_kept_polylines_are_what_they_were(mask):
     for new, old in enumerate(np.flatnonzero(keep)):
         a = slice(*kept.polyline_offsets[new : new + 2])
         b = slice(*graph.polyline_offsets[old : old + 2])
-        for name in ("points", "ideal", "normals"):
+        for name in ("points", "undistorted", "normals"):
             np.testing.assert_array_equal(getattr(kept, name)[a], getattr(graph, name)[b])
         a = kept.smoothed[slice(*kept.smoothed_offsets[new : new + 2])]
         b = graph.smoothed[slice(*graph.smoothed_offsets[old : old + 2])]
@@ -269,12 +269,12 @@ def test_chains_with_unusable_points_are_dropped_whole():
     assert drop_chains(chains, np.ones(63, bool))[0] is chains
 
 
-def test_distorted_lines_are_straight_in_ideal_pixels():
+def test_distorted_lines_are_straight_in_undistorted_pixels():
     camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 500.0, 640, 480)
     camera.params = [500, 510, 322, 238, -0.2, 0.05, 0.002, -0.001]
     view = known.make_view(np.eye(3), np.zeros(3), camera=camera)
-    ideal = straight((-250, -180), (240, -150))
-    image = view.image_from_ideal(ideal)
+    undistorted = straight((-250, -180), (240, -150))
+    image = view.image_from_undistorted(undistorted)
     sag = np.abs(cross(image - image[0], image[-1] - image[0])) / np.linalg.norm(
         image[-1] - image[0]
     )
@@ -282,8 +282,10 @@ def test_distorted_lines_are_straight_in_ideal_pixels():
     graph = build(make_chains((image, 1)), view)
     assert graph.num_polylines == 1
     np.testing.assert_array_equal(graph.points, image)
-    np.testing.assert_allclose(graph.ideal, ideal, atol=1e-5)
-    direction = (ideal[-1] - ideal[0]) / np.linalg.norm(ideal[-1] - ideal[0])
+    np.testing.assert_allclose(graph.undistorted, undistorted, atol=1e-5)
+    direction = (undistorted[-1] - undistorted[0]) / np.linalg.norm(
+        undistorted[-1] - undistorted[0]
+    )
     np.testing.assert_allclose(np.linalg.norm(graph.normals, axis=1), 1)
     assert cross(direction, graph.normals).min() > 0.98  # across; square only without distortion
 

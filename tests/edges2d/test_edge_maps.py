@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.edges2d.detection import detect_chains, detect_pixel_chains, resized
 from colmap_edges.edges2d.edge_maps import crests_of, pixel_chains_of, thinned
-from colmap_edges.images.edge_maps import EdgeMap, EdgeMapFile, decode_edge_map
+from colmap_edges.images.edge_maps import EdgeMap, decode_edge_map
+from colmap_edges.images.files import CompanionFile
 from colmap_edges.options import DetectionOptions
 
 WIDTH, HEIGHT = 120, 90
@@ -38,7 +39,7 @@ def distances():
 def decoded(picture):
     data = cv2.imencode(".png", picture)[1].ravel()
     view = SimpleNamespace(name="a.jpg", width=WIDTH, height=HEIGHT, scale=1.0)
-    return decode_edge_map(EdgeMapFile(Path("a.jpg.png"), data), view)
+    return decode_edge_map(CompanionFile("edge image", Path("a.jpg.png"), "a.jpg", data), view)
 
 
 def chains_from(edge_map, scale=1.0, min_points=12):
@@ -148,9 +149,9 @@ def test_own_edges_come_back(scale):
         str(sorted((Path(__file__).parents[1] / "data/demo/images").iterdir())[0]), 0
     )
     options = DetectionOptions()
-    own = detect_chains(image, options, scale)
     enlarged = resized(image, scale)
-    pixels, _ = detect_pixel_chains(enlarged, options.min_chain_points)
+    pixels, offsets = detect_pixel_chains(enlarged, options.min_chain_points)
+    own = detect_chains(image, options, scale, (pixels, offsets))
     strengths = np.zeros(enlarged.shape, np.float32)
     strengths[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] = 1
     linked = pixel_chains_of(EdgeMap(strengths, True), image.shape[::-1], scale, 12)

@@ -181,12 +181,14 @@ def test_edges_of_thin_bars_are_moved_apart_less(width_px, most_px):
 
 
 def test_graphs_of_enlarged_views(scene_model, scene_paths):
-    """The graph is in pixels of the image, its ideal pixels in those of the enlarged one."""
+    """The graph is in pixels of the image, its undistorted pixels in those of the enlarged one."""
     view = scene_model.views[0]
     twice = replace(scene_model, views=(replace(view, scale=2.0),))
     graph = detect_stage(twice, scene_paths[0], PipelineOptions(), Stages()).graphs.load(0)
     image = detect_chains(gray_of(read_image(view, scene_paths[0])), OPTIONS).points
-    np.testing.assert_allclose(graph.ideal, 2 * view.ideal_from_image(graph.points), atol=1e-9)
+    np.testing.assert_allclose(
+        graph.undistorted, 2 * view.undistorted_from_image(graph.points), atol=1e-9
+    )
     assert graph.points.max() < max(view.width, view.height)
     assert len(graph.points) > 1.6 * len(image)
     assert (graph.colors.max(axis=0) > 0).all()
@@ -197,7 +199,9 @@ def test_a_view_is_the_same_camera_at_every_scale(scene_model):
     twice = replace(view, scale=2.0)
     points = scene_model.points3D_xyz[:50]
     np.testing.assert_allclose(twice.project(points)[0], view.project(points)[0], atol=1e-9)
-    np.testing.assert_allclose(twice.project_ideal(points)[0], 2 * view.project_ideal(points)[0])
+    np.testing.assert_allclose(
+        twice.project_undistorted(points)[0], 2 * view.project_undistorted(points)[0]
+    )
 
 
 def test_moved_views_keep_their_scale(scene_model):

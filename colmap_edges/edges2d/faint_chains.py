@@ -1,0 +1,91 @@
+"""Finds faint edges: straight lines of less contrast than the detector asks for.
+
+Walls meet walls and ceilings at a few gray levels, which EdgeDrawing takes for nothing. A faint
+chain tells by its length what its contrast does not: noise and texture of that strength do not
+run straight (as in a-contrario detection of segments; Grompone von Gioi et al. 2010).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture, offsets_of, ranges_of
+from colmap_edges.edges2d.edge_maps import BRANCH_PX, rescaled
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+
+# Pixels are those of the given image, which is not upsampled: faint edges are blurred anyway.
+SIGMA_PX = 1.0  # blur under which noise of pixels averages out
+MIN_SLOPE = 0.6  # gray levels a pixel: rounding to whole levels makes steps of 0.4
+MAX_SLOPE = 1.8  # EdgeDrawing's own threshold: 11 of Prewitt's sums, which are 6 times the slope
+SAMPLE = 4  # pixels between those that noise is measured at
+HYSTERESIS = 0.5  # of the slope for pixels linked to one above it; Canny: a half to a third
+STEPS = 256  # of a gray level a pixel, in 16 bits
+STRAIGHT_PX = 24.0  # length of a straight stretch
+TOLERANCE_PX = 1.0  # from it: its pixels are rounded, and noise moves them
+TAKEN_PX = 3.0  # around the detector's chains, in pixels of the upsampled image
+MAD = 0.6745  # median absolute deviation of a normal distribution, in standard deviations
+
+
+def faint_pixel_chains(
+    image: Picture, scale: float, pixels: FloatArray, noises: float
+) -> tuple[FloatArray, IntArray]:
+    """Pixel chains of faint straight edges away from those that are found already.
+
+    Args:
+        image: (H, W) uint8 grayscale, as given.
+        scale: how many times the image is upsampled where the chains are used.
+        pixels: (N, 2) of the chains found already, in pixels of the upsampled image.
+        noises: slope of a faint edge, in standard deviations of the image's slopes.
+
+    Returns:
+        (M, 2) points in pixels of the upsampled image (OpenCV's origin), and (C + 1,) offsets.
+        None where noise and texture are as strong as the detector's threshold.
+    """
+    edges = faint_pixels(image, noises)
+    taken = np.rint(pixels / scale).astype(np.int64)
+    found = np.zeros_like(edges)
+    height, width = edges.shape
+    found[np.clip(taken[:, 1], 0, height - 1), np.clip(taken[:, 0], 0, width - 1)] = 1
+    radius = round(TAKEN_PX / scale)
+    edges[cv2.dilate(found, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0] = 0
+    chains = _kernels.link_pixels(without_stairs(edges > 0), BRANCH_PX)
+    return rescaled(*straight_stretches(*chains), scale)
+
+
+def faint_pixels(image: Picture, noises: float) -> Picture:
+    """(H, W) uint8, not 0 where gray changes most and by more than noise and texture do."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
+    slopes = [cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
+    sample = np.abs([slope[::SAMPLE, ::SAMPLE] for slope in slopes])
+    noise = float(np.median(sample)) / MAD
+    limit = STEPS * max(noises * noise, MIN_SLOPE)
+    if limit >= STEPS * MAX_SLOPE:
+        return np.zeros(image.shape, np.uint8)
+    limits = np.iinfo(np.int16)
+    across, down = (
+        np.clip(np.rint(STEPS * slope), limits.min, limits.max).astype(np.int16) for slope in slopes
+    )
+    return np.asarray(cv2.Canny(across, down, HYSTERESIS * limit, limit, L2gradient=True), np.uint8)
+
+
+def without_stairs(edges: BoolArray) -> Picture:
+    """(H, W) uint8 of lines (H, W) without the corners of their steps, which would be junctions."""
+    padded = np.pad(edges, 1)
+    inner = padded[1:-1, 1:-1]
+    rows, columns = padded[:, 1:-1], padded[1:-1]
+    for above, below in ((rows[:-2], rows[2:]), (rows[2:], rows[:-2])):
+        for left, right in ((columns[:, :-2], columns[:, 2:]), (columns[:, 2:], columns[:, :-2])):
+            inner &= ~(above & left & ~below & ~right)
+    return inner.astype(np.uint8)
+
+
+def straight_stretches(points: FloatArray, offsets: IntArray) -> tuple[FloatArray, IntArray]:
+    """The straight stretches of chains (N, 2), one chain each, and their offsets."""
+    vertices, by_chain = _kernels.douglas_peucker(points, offsets, TOLERANCE_PX)
+    starts, ends = vertices[:-1], vertices[1:]
+    inner = np.ones(len(starts), bool)
+    inner[by_chain[1:-1] - 1] = False  # from one chain to the next
+    long = np.linalg.norm(points[ends] - points[starts], axis=1) >= STRAIGHT_PX
+    starts, ends = starts[inner & long], ends[inner & long] + 1
+    return points[ranges_of(starts, ends)], offsets_of(ends - starts)
