@@ -1,1 +1,1 @@
-"""Poses refined on SfM points and edges together."""
+"""Refinement of poses on SfM points and edges together."""

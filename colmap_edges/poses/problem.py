@@ -1,11 +1,10 @@
-"""The measurements that poses are refined on: of SfM points, and across edges of edge points.
+"""Measurements for pose refinement: of SfM points in 2D, of edge points across their edges.
 
 (paper: future work)
 
-An SfM observation says where a point lies in the image, in two directions; an observation of an
-edge point only how far it lies across the edge, since it may slide along it. Both become rows:
-scalar measurements of a projection along one direction. Intrinsics stay. All images of a frame move
-together, as COLMAP's rigs demand.
+An observation of an SfM point gives two residuals; one of an edge point gives one, across the edge,
+since the point can slide along it. Intrinsics are fixed. All images of a frame move together, as in
+COLMAP's rigs.
 """
 
 from __future__ import annotations
@@ -15,54 +14,76 @@ from dataclasses import dataclass
 import numpy as np
 
 from colmap_edges.colmap.model import Model, frames_of_views
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    owners_of,
+)
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.core.view import views_with_rows
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 SFM, EDGE = 0, 1  # kinds of points
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows:
-    """Scalar measurements: a point's projection along a direction; rows of a point contiguous.
+class Measurements:
+    """Observations in CSR arrays by point; every point has at least one.
 
     Attributes:
-        points: (M,) int64 ascending; every point has rows.
-        views: (M,) int64.
-        pixels: (M, 2) observed ideal pixels.
-        directions: (M, 2) unit directions in which they are known.
-        observations: (M,) int64; the two rows of an SfM observation share one.
+        offsets: (P + 1,) int64.
+        views: (N,) int32.
+        pixels: (N, 2) observed undistorted pixels.
+        normals: (N, 2) unit directions in which edge points are measured; 0 for SfM points.
     """
 
-    points: IntArray
-    views: IntArray
+    offsets: IntArray
+    views: Int32Array
     pixels: FloatArray
-    directions: FloatArray
-    observations: IntArray
+    normals: FloatArray
+
+    @property
+    def owners(self) -> IntArray:
+        """(N,) int64 point of each observation."""
+        return owners_of(self.offsets)
+
+    def selected(self, chosen: BoolArray) -> Measurements:
+        """The measurements of the chosen (P,) points."""
+        counts = np.diff(self.offsets)
+        keep = np.repeat(chosen, counts)
+        return Measurements(
+            offsets=offsets_of(counts[chosen]),
+            views=self.views[keep],
+            pixels=self.pixels[keep],
+            normals=self.normals[keep],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The constants of the adjustment: initial poses, focal lengths and measurements.
+    """The constants of the adjustment: initial poses, focal lengths, measurements.
 
     Attributes:
-        rotations: (V, 3, 3) of cam_from_world at the start.
-        translations: (V, 3) of cam_from_world at the start.
+        rotations: (V, 3, 3) of the initial cam_from_world.
+        translations: (V, 3) of the initial cam_from_world.
         focals_px: (V,) focal lengths.
-        frames: (V,) int64 frame of each view, 0..F - 1.
-        rows: the measurements.
+        frames: (V,) int32 frame of each view, 0..F - 1.
+        measured: the measurements.
         kinds: (P,) SFM or EDGE.
-        tangents: (P, 3) unit directions along which edge points stay; 0 for SfM points.
-        groups: (P,) int64 points that belong together: a 3D edge, or one SfM point.
-        indices: (P,) int64 place of the point among the model's points followed by the edges'.
+        tangents: (P, 3) unit tangents, along which edge points do not move; 0 for SfM points.
+        groups: (P,) int64 group of each point: a 3D edge, or a single SfM point.
+        indices: (P,) int64 index of each point among the model's points followed by edge points.
     """
 
     rotations: FloatArray
     translations: FloatArray
     focals_px: FloatArray
-    frames: IntArray
-    rows: Rows
+    frames: Int32Array
+    measured: Measurements
     kinds: IntArray
     tangents: FloatArray
     groups: IntArray
@@ -73,15 +94,21 @@ class Problem:
         """Number of frames."""
         return int(self.frames.max()) + 1
 
+    @property
+    def num_residuals(self) -> int:
+        """Number of scalar residuals: two per observation of an SfM point, one of an edge point."""
+        counts = np.diff(self.measured.offsets)
+        return int(counts.sum() + counts[self.kinds == SFM].sum())
+
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """The unknowns; cam_from_world of a view is that of the start after its frame's motion.
+    """The unknowns; the pose of a view is its initial pose after its frame's motion.
 
     Attributes:
         rotations: (F, 3, 3) of the frames' motions in the world.
         translations: (F, 3) of the frames' motions.
-        moved: (F, 6) sum of the steps so far: turn about the centre in radians, shift.
+        moved: (F, 6) sum of the steps so far: rotation about the centre in radians, translation.
         points: (P, 3) world points.
     """
 
@@ -92,10 +119,10 @@ class State:
 
 
 def make_problem(model: Model, edges: Edges3D) -> tuple[Problem, State]:
-    """Gather the measurements of a model and its edges, and where the adjustment starts.
+    """Make the problem of a model and its edges, and the initial state.
 
-    Observations that cannot be undistorted, lie behind their view or are on no known chain are
-    left out, and points with fewer than two left.
+    Observations that cannot be undistorted, are behind their view or on an unknown chain are
+    dropped, and then points with fewer than two observations.
 
     Args:
         model: posed views and SfM points.
@@ -103,41 +130,33 @@ def make_problem(model: Model, edges: Edges3D) -> tuple[Problem, State]:
     """
     observed, first_edge = edges.observations, len(model.track_views)
     points = np.concatenate([model.points3D_xyz, edges.points])
-    lengths = np.concatenate([np.diff(model.track_offsets), observed.counts])
-    owners = np.repeat(np.arange(len(points)), lengths)
-    views = np.concatenate([model.track_views, observed.views]).astype(np.int64)
-    pixels = ideal_pixels(model, views, [model.track_points2D, observed.pixels])
-    is_edge = np.arange(len(owners)) >= first_edge
+    counts = np.concatenate([np.diff(model.track_offsets), observed.counts])
+    owners = np.repeat(np.arange(len(points)), counts)
+    views = np.concatenate([model.track_views, observed.views]).astype(np.int32)
+    pixels = undistorted_pixels(model, views, [model.track_points2D, observed.pixels])
     usable = np.isfinite(pixels).all(axis=1) & (depths_of(model, views, points[owners]) > 0)
     usable[first_edge:] &= np.isfinite(observed.normals).all(axis=1)
     usable &= (np.bincount(owners[usable], minlength=len(points)) >= 2)[owners]
-    copies = np.where(is_edge, 1, 2)[usable]
-    first = np.flatnonzero(usable)
-    observations = np.repeat(first, copies)
-    directions = np.tile([1.0, 0.0], (len(observations), 1))
-    directions[1:][np.diff(observations) == 0] = [0.0, 1.0]
-    across = is_edge[observations]
-    directions[across] = observed.normals[observations[across] - first_edge]
-    indices, compact = np.unique(owners[observations], return_inverse=True)
-    rows = Rows(
-        points=compact,
-        views=views[observations],
-        pixels=pixels[observations],
-        directions=directions,
-        observations=np.unique(observations, return_inverse=True)[1],
+    counts = np.bincount(owners[usable], minlength=len(points))
+    indices = np.flatnonzero(counts)
+    measured = Measurements(
+        offsets=offsets_of(counts[indices]),
+        views=views[usable],
+        pixels=pixels[usable],
+        normals=np.concatenate([np.zeros((first_edge, 2)), observed.normals])[usable],
     )
-    return problem_of_rows(model, edges, rows, indices), start_state(model, points[indices])
+    return problem_of(model, edges, measured, indices), start_state(model, points[indices])
 
 
-def ideal_pixels(model: Model, views: IntArray, parts: list[FloatArray]) -> FloatArray:
-    """(T, 2) ideal pixels of image pixels, each in its view."""
+def undistorted_pixels(model: Model, views: Int32Array, parts: list[FloatArray]) -> FloatArray:
+    """(T, 2) undistorted pixels of image pixels, each in its view."""
     pixels: FloatArray = np.concatenate(parts)
     for view, rows in views_with_rows(model.views, views):
-        pixels[rows] = view.ideal_from_image(pixels[rows])
+        pixels[rows] = view.undistorted_from_image(pixels[rows])
     return pixels
 
 
-def depths_of(model: Model, views: IntArray, points: FloatArray) -> FloatArray:
+def depths_of(model: Model, views: Int32Array, points: FloatArray) -> FloatArray:
     """(T,) depths of points, each in its view."""
     axes = np.array([view.rotation[2] for view in model.views])
     offsets = np.array([view.translation[2] for view in model.views])
@@ -145,8 +164,8 @@ def depths_of(model: Model, views: IntArray, points: FloatArray) -> FloatArray:
     return depths
 
 
-def problem_of_rows(model: Model, edges: Edges3D, rows: Rows, indices: IntArray) -> Problem:
-    """The problem of `rows`, whose point i is `indices[i]` of the model's and the edges'."""
+def problem_of(model: Model, edges: Edges3D, measured: Measurements, indices: IntArray) -> Problem:
+    """The problem of `measured`; its point i has index `indices[i]` of model and edge points."""
     count = len(model.points3D_xyz)
     is_edge = indices >= count
     tangents = curve_tangents(edges.points, edges.edge_offsets)
@@ -157,8 +176,8 @@ def problem_of_rows(model: Model, edges: Edges3D, rows: Rows, indices: IntArray)
         rotations=np.array([view.rotation for view in model.views]),
         translations=np.array([view.translation for view in model.views]),
         focals_px=np.array([view.focal_px for view in model.views]),
-        frames=np.unique(frames_of_views(model), return_inverse=True)[1],
-        rows=rows,
+        frames=np.unique(frames_of_views(model), return_inverse=True)[1].astype(np.int32),
+        measured=measured,
         kinds=np.where(is_edge, EDGE, SFM),
         tangents=np.concatenate([np.zeros((count, 3)), tangents])[indices],
         groups=np.concatenate([np.arange(count), count + edge_ids])[indices],
@@ -167,7 +186,7 @@ def problem_of_rows(model: Model, edges: Edges3D, rows: Rows, indices: IntArray)
 
 
 def start_state(model: Model, points: FloatArray) -> State:
-    """Frames that have not moved, and the points where they are."""
+    """The initial state: frames without motion, and the given points."""
     count = len(np.unique(frames_of_views(model)))
     return State(
         rotations=np.tile(np.eye(3), (count, 1, 1)),
@@ -195,32 +214,24 @@ def frame_centers(problem: Problem, state: State) -> FloatArray:
     return means
 
 
-def project_rows(problem: Problem, state: State) -> tuple[FloatArray, FloatArray]:
-    """(M,) residuals in pixels, infinite behind the view, and (M, 3) points in the cameras."""
-    rows = problem.rows
-    rotations, translations = poses(problem, state)
-    points = state.points[rows.points]
-    local = np.einsum("mij,mj->mi", rotations[rows.views], points) + translations[rows.views]
-    depths = np.where(local[:, 2] > 0, local[:, 2], np.nan)
-    projected = problem.focals_px[rows.views, None] * local[:, :2] / depths[:, None]
-    residuals = np.einsum("mi,mi->m", projected - rows.pixels, rows.directions)
-    return np.nan_to_num(residuals, nan=np.inf), local
+def linearized(problem: Problem, state: State) -> _kernels.Adjustment:
+    """The residuals and their derivatives at `state`, computed by the kernel on demand.
 
-
-def jacobians(problem: Problem, state: State, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(M, 6) derivatives of the residuals by their frame's motion and (M, 3) by their point.
-
-    A frame moves by a turn about its centre, then a shift, both in the world; an edge point only
-    across its tangent.
+    A frame rotates about its centre, then translates, in world coordinates. An edge point moves
+    only perpendicular to its tangent.
     """
-    rows = problem.rows
-    rotations, _ = poses(problem, state)
-    inward = -np.einsum("mi,mi->m", rows.directions, local[:, :2]) / local[:, 2]
-    slopes = np.column_stack([rows.directions, inward])
-    slopes *= (problem.focals_px[rows.views] / local[:, 2])[:, None]
-    by_shift = np.einsum("mi,mij->mj", slopes, rotations[rows.views])
-    arms = state.points[rows.points] - frame_centers(problem, state)[problem.frames[rows.views]]
-    by_pose = np.column_stack([np.cross(arms, by_shift), by_shift])
-    tangents = problem.tangents[rows.points]
-    along = np.einsum("mi,mi->m", by_shift, tangents)
-    return by_pose, by_shift - along[:, None] * tangents
+    measured = problem.measured
+    rotations, translations = poses(problem, state)
+    return _kernels.Adjustment(
+        measured.offsets,
+        measured.views,
+        measured.pixels,
+        measured.normals,
+        problem.tangents,
+        problem.frames,
+        problem.focals_px,
+        rotations,
+        translations,
+        frame_centers(problem, state),
+        state.points,
+    )

@@ -1,7 +1,8 @@
-"""Refines poses on SfM points and edges; keeps them only if held-out points fit better."""
+"""Refinement of poses on SfM points and edges, accepted only if held-out points fit better."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -12,24 +13,16 @@ from colmap_edges.colmap.writing import moved_model
 from colmap_edges.core.arrays import BoolArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.options import BundleAdjustmentOptions
-from colmap_edges.poses.problem import EDGE, SFM, Problem, Rows, State, make_problem
-from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize, no_prior
+from colmap_edges.poses.problem import EDGE, SFM, Problem, State, make_problem
+from colmap_edges.poses.solver import Noise, adjust, estimate_sigmas, minimize
+from colmap_edges.poses.systems import Prior
 
 
 def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem, State]:
-    """The problem of the chosen points, (P,), alone."""
-    rows = problem.rows
-    keep = chosen[rows.points]
-    part = Rows(
-        points=(np.cumsum(chosen) - 1)[rows.points[keep]],
-        views=rows.views[keep],
-        pixels=rows.pixels[keep],
-        directions=rows.directions[keep],
-        observations=np.unique(rows.observations[keep], return_inverse=True)[1],
-    )
+    """The problem restricted to the chosen (P,) points."""
     smaller = replace(
         problem,
-        rows=part,
+        measured=problem.measured.selected(chosen),
         kinds=problem.kinds[chosen],
         tangents=problem.tangents[chosen],
         groups=problem.groups[chosen],
@@ -39,43 +32,46 @@ def part_of(problem: Problem, state: State, chosen: BoolArray) -> tuple[Problem,
 
 
 def held_out_costs(
-    problem: Problem, start: State, options: BundleAdjustmentOptions
+    problem: Problem, start: State, options: BundleAdjustmentOptions, num_threads: int
 ) -> list[tuple[float, float]]:
-    """Costs of each half of the points, with poses as they were and as the other half moves them.
+    """Costs of each half of the points, with the initial poses and with those of the other half.
 
-    A 3D edge goes whole to one half. Only where poses are truly off do points that took no part
-    gain from the move; noise moves poses too, and they lose.
+    All points of a 3D edge are in one half. Refined poses lower the cost of held-out points only if
+    the initial poses were wrong; fitting noise raises it.
     """
     half = np.unique(problem.groups, return_inverse=True)[1] % 2 == 1
-    costs = []
-    for mine in (half, ~half):
+
+    def costs_by(mine: BoolArray) -> tuple[float, float]:
         moved = adjust(*part_of(problem, start, mine), options)
         judges, before = part_of(problem, start, ~mine)
         noise = Noise(
             sigmas_px=estimate_sigmas(judges, before),
             robust_factor=options.robust_factor,
-            prior=no_prior(problem),
+            prior=Prior.none(problem.num_frames),
         )
         after = replace(moved, points=before.points)
         pair = [
             minimize(judges, state, noise, options.max_steps, False)[1] for state in (before, after)
         ]
-        costs.append((pair[0], pair[1]))
-    return costs
+        return pair[0], pair[1]
+
+    with ThreadPoolExecutor(min(num_threads, 2)) as pool:
+        return list(pool.map(costs_by, (half, ~half)))
 
 
 def refine_poses(
-    model: Model, edges: Edges3D, options: BundleAdjustmentOptions
+    model: Model, edges: Edges3D, options: BundleAdjustmentOptions, num_threads: int = 1
 ) -> tuple[Model, dict[str, Any]]:
     """Refine the poses of a model on its SfM points and its edges.
 
-    The whole stays where it was: position, orientation and scale are those that move the frames
-    least. Poses change only if held-out points gain from it in both halves.
+    Position, orientation and scale of the model are kept, so that frames move as little as
+    possible. Poses change only if this lowers the cost of the held-out points in both halves.
 
     Args:
         model: posed views and SfM points; not changed.
         edges: 3D edges traced with the model's poses.
         options: robustness and effort.
+        num_threads: number of threads (at most two are used); does not affect the result.
 
     Returns:
         The model with refined poses and SfM points, or `model` itself, and counts.
@@ -87,9 +83,9 @@ def refine_poses(
         "edge_points": np.count_nonzero(problem.kinds == EDGE),
         "refined": False,
     }
-    if len(problem.rows.points) < 6 * problem.num_frames + 3 * len(problem.kinds):
-        return model, stats  # too little to know anything by
-    costs = held_out_costs(problem, start, options)
+    if problem.num_residuals < 6 * problem.num_frames + 3 * len(problem.kinds):
+        return model, stats  # too few measurements
+    costs = held_out_costs(problem, start, options, num_threads)
     gains = [1 - after / max(before, 1e-300) for before, after in costs]
     stats["held_out_gains"] = gains
     if min(gains) <= options.min_gain:
@@ -107,7 +103,7 @@ def refine_poses(
 
 
 def adjusted_model(model: Model, problem: Problem, state: State) -> Model:
-    """The model with its frames moved and its SfM points where the adjustment put them."""
+    """The model with the adjusted frames and SfM points."""
     points = model.points3D_xyz.copy()
     sfm = problem.kinds == SFM
     points[problem.indices[sfm]] = state.points[sfm]

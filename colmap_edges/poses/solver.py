@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on poses and points, points eliminated, with robust weights."""
+"""Levenberg-Marquardt on poses and points, with eliminated points and robust weights."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve
-from scipy.sparse import csc_array, csr_array
+from numpy.linalg import LinAlgError
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.options import BundleAdjustmentOptions
 from colmap_edges.poses.problem import (
     EDGE,
@@ -18,139 +18,75 @@ from colmap_edges.poses.problem import (
     Problem,
     State,
     frame_centers,
-    jacobians,
-    project_rows,
+    linearized,
 )
+from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
-WEAK_PRIOR = 1e-6  # of the information on each pose: what nothing else determines stays
-COLUMNS_AT_ONCE = 3072  # of the points' part of the system, while it is eliminated
-ENOUGH_GAIN = 3e-4  # of the cost; steps that gain less move poses by less than their noise
-LARGEST_RATIO = 1e12  # squared residual over scale of a point behind its view
-SMALLEST_SIGMA_PX = 1e-3  # noise below this is taken for none
+WEAK_PRIOR = 1e-6  # prior on each pose, relative to its information, for undetermined directions
+ENOUGH_GAIN = 3e-4  # relative decrease of the cost at which iterations stop
+LARGEST_RATIO = 1e12  # squared residual, relative to the scale, of points behind their view
+SMALLEST_SIGMA_PX = 1e-3  # noise below this counts as zero
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """How far residuals are believed.
+    """The noise model of the residuals.
 
     Attributes:
-        sigmas_px: (2,) standard deviations of the rows of SfM and edge points.
-        robust_factor: residuals beyond this many standard deviations lose influence.
-        prior: (6 F, 6 F) information that holds the whole where it started.
+        sigmas_px: (2,) standard deviations of the residuals of SfM and edge points.
+        robust_factor: scale of the Cauchy loss, in standard deviations.
+        prior: information that keeps the model in place.
     """
 
     sigmas_px: FloatArray
     robust_factor: float
-    prior: FloatArray
+    prior: Prior
+
+    @property
+    def weighting(self) -> tuple[tuple[float, float], float]:
+        """The parameters as passed to the kernel."""
+        return (float(self.sigmas_px[SFM]), float(self.sigmas_px[EDGE])), self.robust_factor
 
 
-def squared_ratios(problem: Problem, residuals: FloatArray, noise: Noise) -> FloatArray:
-    """(M,) squared residuals of the rows' observations, over where they lose influence."""
-    scales = noise.robust_factor * noise.sigmas_px[problem.kinds[problem.rows.points]]
-    observations = problem.rows.observations
-    sums = np.asarray(np.bincount(observations, (residuals / scales) ** 2), np.float64)
-    return sums[observations]
-
-
-def cost_of(problem: Problem, state: State, residuals: FloatArray, noise: Noise) -> float:
-    """Cauchy cost of the residuals in standard deviations, and the prior's."""
-    ratios = squared_ratios(problem, residuals, noise)
-    single = np.where(problem.kinds[problem.rows.points] == EDGE, 1.0, 0.5)  # rows an observation
-    losses = single * np.log1p(np.minimum(ratios, LARGEST_RATIO))
-    prior = state.moved.ravel() @ noise.prior @ state.moved.ravel()
+def cost_of(problem: Problem, state: State, noise: Noise) -> float:
+    """Cauchy cost of the residuals in standard deviations, plus the prior's cost."""
+    residuals = linearized(problem, state).residuals()
+    scales = np.repeat(
+        noise.robust_factor * noise.sigmas_px[problem.kinds], np.diff(problem.measured.offsets)
+    )
+    ratios = np.einsum("ni,ni->n", residuals, residuals) / scales**2
+    losses = np.log1p(np.minimum(ratios, LARGEST_RATIO, out=ratios), out=ratios)
+    moved = state.moved.ravel()
+    prior = moved @ noise.prior.product(moved)
     return float(0.5 * noise.robust_factor**2 * losses.sum() + 0.5 * prior)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Normals:
-    """Normal equations with every row weighted: blocks of points, whole system of the poses.
-
-    Attributes:
-        by_pose: (M, 6 F) weighted Jacobian by the poses.
-        by_point: (M, 3) weighted Jacobian by the row's point.
-        point_blocks: (P, 3, 3).
-        pose_system: (6 F, 6 F).
-        point_gradient: (P, 3).
-        pose_gradient: (6 F,).
-    """
-
-    by_pose: csr_array
-    by_point: FloatArray
-    point_blocks: FloatArray
-    pose_system: FloatArray
-    point_gradient: FloatArray
-    pose_gradient: FloatArray
-
-
-def normal_equations(problem: Problem, state: State, noise: Noise) -> Normals:
-    """Linearise at `state` with robust weights."""
-    rows = problem.rows
-    residuals, local = project_rows(problem, state)
-    by_pose, by_point = jacobians(problem, state, local)
-    ratios = squared_ratios(problem, residuals, noise)
-    weights = 1 / np.sqrt(1 + ratios) / noise.sigmas_px[problem.kinds[rows.points]]
-    usable = np.isfinite(residuals)
-    weights[~usable], residuals[~usable] = 0.0, 0.0
-    residuals, by_pose, by_point = (
-        weights * residuals,
-        np.where(usable[:, None], weights[:, None] * by_pose, 0.0),
-        np.where(usable[:, None], weights[:, None] * by_point, 0.0),
-    )
-    starts = np.searchsorted(rows.points, np.arange(len(problem.kinds)))
-    blocks = np.add.reduceat(by_point[:, :, None] * by_point[:, None, :], starts)
-    size = np.einsum("pii->p", blocks)[:, None, None]
-    blocks += size * problem.tangents[:, :, None] * problem.tangents[:, None, :]
-    wide = block_rows(by_pose, problem.frames[rows.views], problem.num_frames)
-    return Normals(
-        by_pose=wide,
-        by_point=by_point,
-        point_blocks=blocks,
-        pose_system=(wide.T @ wide).toarray() + noise.prior,
-        point_gradient=np.add.reduceat(by_point * residuals[:, None], starts),
-        pose_gradient=wide.T @ residuals + noise.prior @ state.moved.ravel(),
-    )
-
-
-def block_rows(values: FloatArray, places: IntArray, count: int) -> csr_array:
-    """(M, K count) sparse matrix with row m of `values`, (M, K), at block `places[m]`."""
-    width = values.shape[1]
-    columns = width * places[:, None] + np.arange(width)
-    starts = width * np.arange(len(values) + 1)
-    return csr_array((values.ravel(), columns.ravel(), starts), (len(values), width * count))
-
-
-def outer_square(matrix: csc_array) -> FloatArray:
-    """`matrix @ matrix.T`, dense, from dense blocks of the rows that neighbouring columns share."""
-    total = np.zeros((matrix.shape[0], matrix.shape[0]))
-    for start in range(0, matrix.shape[1], COLUMNS_AT_ONCE):
-        block = matrix[:, start : start + COLUMNS_AT_ONCE]
-        rows = np.unique(block.indices)
-        dense = block.toarray()[rows]
-        total[np.ix_(rows, rows)] += dense @ dense.T
-    return total
-
-
 def solve_step(
-    problem: Problem, normals: Normals, damping: float, move_poses: bool
+    problem: Problem,
+    state: State,
+    noise: Noise,
+    damping: float,
+    pattern: csr_array | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(F, 6) and (P, 3) steps of the damped normal equations, points eliminated."""
-    blocks = normals.point_blocks.copy()
-    diagonal = np.einsum("pii->pi", blocks)
-    diagonal += damping * diagonal + 1e-12 * diagonal.sum(axis=1, keepdims=True) + 1e-300
-    inverse = np.linalg.inv(np.linalg.cholesky(blocks))  # of the lower factor
-    gradient: FloatArray = np.einsum("pij,pj->pi", inverse, normals.point_gradient)
-    step = np.zeros(6 * problem.num_frames)
-    carried = np.zeros_like(gradient)
-    if move_poses:
-        factors = np.einsum("mij,mj->mi", inverse[problem.rows.points], normals.by_point)
-        coupling = normals.by_pose.T @ block_rows(factors, problem.rows.points, len(blocks))
-        system = normals.pose_system - outer_square(coupling.tocsc())
-        system[np.diag_indices(len(system))] += damping * np.diag(normals.pose_system)
-        right = coupling @ gradient.ravel() - normals.pose_gradient
-        step = solve(system, right, assume_a="pos")
-        carried = (coupling.T @ step).reshape(-1, 3)
-    points = -np.einsum("pji,pj->pi", inverse, gradient + carried)
-    return step.reshape(-1, 6), points
+    """(F, 6) and (P, 3) steps of the damped normal equations, with points eliminated.
+
+    `pattern` has the blocks of frames that share points; poses without one are unchanged.
+    """
+    equations = linearized(problem, state)
+    step = np.zeros((problem.num_frames, 6))
+    try:
+        if pattern is not None:
+            information, shared, right = equations.reduce(
+                *noise.weighting, damping, pattern.indptr.astype(np.int64), pattern.indices
+            )
+            right -= noise.prior.product(state.moved.ravel()).reshape(-1, 6)
+            diagonal = np.einsum("fii->fi", information) + noise.prior.diagonal
+            information += noise.prior.blocks
+            np.einsum("fii->fi", information)[...] += damping * diagonal
+            step = solve_poses(pattern, information, shared, noise.prior, right)
+        return step, equations.point_steps(*noise.weighting, damping, step)
+    except ValueError as error:  # raised by the kernel for undetermined points
+        raise LinAlgError(str(error)) from error
 
 
 def apply_step(problem: Problem, state: State, step: FloatArray, points: FloatArray) -> State:
@@ -169,21 +105,21 @@ def apply_step(problem: Problem, state: State, step: FloatArray, points: FloatAr
 def minimize(
     problem: Problem, state: State, noise: Noise, max_steps: int, move_poses: bool = True
 ) -> tuple[State, float]:
-    """Levenberg-Marquardt until a step gains less than `ENOUGH_GAIN` of the cost.
+    """Levenberg-Marquardt until the cost decreases by less than `ENOUGH_GAIN`.
 
     Returns:
         The state of lowest cost, and its cost.
     """
     damping = 1e-6
-    cost = cost_of(problem, state, project_rows(problem, state)[0], noise)
+    cost = cost_of(problem, state, noise)
+    pattern = shared_frames(problem) if move_poses else None
     for _ in range(max_steps):
-        normals = normal_equations(problem, state, noise)
         while damping < 1e6:
             tried, found = state, np.inf
             with suppress(LinAlgError):  # more damping makes any system solvable
-                step = solve_step(problem, normals, damping, move_poses)
+                step = solve_step(problem, state, noise, damping, pattern)
                 tried = apply_step(problem, state, *step)
-                found = cost_of(problem, tried, project_rows(problem, tried)[0], noise)
+                found = cost_of(problem, tried, noise)
             if found <= cost:
                 break
             damping *= 10
@@ -196,53 +132,53 @@ def minimize(
 
 
 def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
-    """(2,) standard deviations in pixels of the rows of SfM and edge points, from medians.
+    """(2,) standard deviations in pixels of the residuals of SfM and edge points, from medians.
 
-    Residuals are smaller than the noise, since points follow their observations.
+    Accounts for residuals being smaller than the noise, since points fit their observations.
     """
-    residuals = np.abs(project_rows(problem, state)[0])
-    kinds = problem.kinds[problem.rows.points]
+    residuals = np.abs(linearized(problem, state).residuals())
+    kinds = np.repeat(problem.kinds, np.diff(problem.measured.offsets))
     sigmas = np.ones(2)
-    for kind, freedom in ((SFM, 3), (EDGE, 2)):
-        found = residuals[kinds == kind]
-        spare = len(found) - freedom * np.count_nonzero(problem.kinds == kind)
+    for kind, directions, freedom in ((SFM, 2, 3), (EDGE, 1, 2)):
+        found = residuals[kinds == kind, :directions]
+        spare = found.size - freedom * np.count_nonzero(problem.kinds == kind)
         if spare > 0:
-            sigmas[kind] = 1.4826 * np.median(found) * np.sqrt(len(found) / spare)
+            sigmas[kind] = 1.4826 * np.median(found) * np.sqrt(found.size / spare)
     return np.maximum(np.where(np.isfinite(sigmas), sigmas, 1.0), SMALLEST_SIGMA_PX)
 
 
 def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> State:
-    """Adjust poses and points; the noise is measured anew until residuals no longer shrink."""
-    prior = no_prior(problem)
+    """Adjust poses and points; re-estimates the noise until residuals no longer decrease."""
+    prior = None
     sigmas = np.full(2, np.inf)
     for _ in range(options.max_rounds):
         before, sigmas = sigmas, estimate_sigmas(problem, state)
         if np.all(sigmas > 0.98 * before):
             break
-        noise = Noise(sigmas_px=sigmas, robust_factor=options.robust_factor, prior=prior)
-        if not prior.any():
+        noise = Noise(
+            sigmas_px=sigmas,
+            robust_factor=options.robust_factor,
+            prior=prior or Prior.none(problem.num_frames),
+        )
+        if prior is None:
             prior = gauge_prior(problem, state, noise)
             noise = replace(noise, prior=prior)
         state, _ = minimize(problem, state, noise, options.max_steps)
     return state
 
 
-def no_prior(problem: Problem) -> FloatArray:
-    """(6 F, 6 F) zeros."""
-    return np.zeros((6 * problem.num_frames, 6 * problem.num_frames))
+def gauge_prior(problem: Problem, state: State, noise: Noise) -> Prior:
+    """Information that fixes position, orientation and scale of the model.
 
-
-def gauge_prior(problem: Problem, state: State, noise: Noise) -> FloatArray:
-    """(6 F, 6 F) information that holds position, orientation and scale of the whole.
-
-    It is as strong along these directions as what the measurements would say of the frames, were
-    the points known, and nothing across. Left to the measurements the whole would drift: edge
-    points cannot follow it along their edges. A rig of several cameras fixes the scale itself.
+    Along these directions it is as strong as the measurements of the frames if the points were
+    known; it is zero across them. Without it the model would drift, since edge points do not move
+    along their edges. A rig of several cameras determines the scale itself.
     """
     count = problem.num_frames
-    size = 6 * count
-    within = np.kron(np.eye(count), np.ones((6, 6)))
-    information = within * normal_equations(problem, state, noise).pose_system
+    pattern = shared_frames(problem)
+    information, _, _ = linearized(problem, state).reduce(
+        *noise.weighting, 0.0, pattern.indptr.astype(np.int64), pattern.indices
+    )
     centers = frame_centers(problem, state)
     centers -= centers.mean(axis=0)
     moves = np.zeros((count, 6, 7 if len(problem.frames) == count else 6))
@@ -251,9 +187,9 @@ def gauge_prior(problem: Problem, state: State, noise: Noise) -> FloatArray:
         moves[:, 3:, axis] = np.cross(unit, centers)
         moves[:, 3 + axis, 3 + axis] = 1
     moves[:, 3:, 6:] = centers[:, :, None]
-    flat = moves.reshape(size, -1)
-    held = information @ flat
-    prior = held @ np.linalg.pinv(flat.T @ held, hermitian=True) @ held.T
-    unseen = np.diag((np.diag(information) == 0).astype(float))
-    weak: FloatArray = prior + WEAK_PRIOR * information + unseen
-    return weak
+    held = (information @ moves).reshape(6 * count, -1)
+    weak = WEAK_PRIOR * information
+    unseen = np.einsum("fii->fi", information) == 0
+    np.einsum("fii->fi", weak)[unseen] += 1.0
+    core = np.linalg.pinv(moves.reshape(6 * count, -1).T @ held, hermitian=True)
+    return Prior(blocks=weak, held=held, core=core)

@@ -5,7 +5,6 @@ import pycolmap
 import pytest
 import scenes
 from project import DEMO
-from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from colmap_edges.colmap.model import frames_of_views, model_from_reconstruction
@@ -32,16 +31,7 @@ from colmap_edges.pipeline.run import run
 from colmap_edges.pipeline.trace import edge_stages, refine_stage, trace_stage
 from colmap_edges.poses import problem as ba
 from colmap_edges.poses.refine import adjusted_model, part_of, refine_poses
-from colmap_edges.poses.solver import (
-    COLUMNS_AT_ONCE,
-    Noise,
-    adjust,
-    apply_step,
-    block_rows,
-    normal_equations,
-    outer_square,
-    solve_step,
-)
+from colmap_edges.poses.solver import adjust
 from colmap_edges.runtime.stages import Stages
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
@@ -68,7 +58,7 @@ def normals_of(model, edges):
         rows = edges.observations.views == index
         points = edges.points[owners[rows]]
         ahead, behind = (
-            view.project_ideal(points + s * tangents[owners[rows]])[0] for s in (0.01, -0.01)
+            view.project_undistorted(points + s * tangents[owners[rows]])[0] for s in (0.01, -0.01)
         )
         along = ahead - behind
         normals[rows] = np.column_stack([-along[:, 1], along[:, 0]])
@@ -126,58 +116,6 @@ def exact(scene, scene_model):
 def noisy(scene_model, scene_edges, exact):
     """The same with 0.2 px of noise on SfM points, 0.3 px on edges."""
     return scene_model, with_normals(scene_edges, exact[1].observations.normals)
-
-
-@pytest.mark.parametrize("views_a_frame", [1, 2])
-def test_jacobians_are_the_differences(noisy, views_a_frame):
-    model, edges = noisy
-    problem, state = ba.make_problem(model, edges)
-    problem = replace(problem, frames=np.arange(len(model.views)) // views_a_frame)
-    count = problem.num_frames
-    state = ba.State(
-        rotations=random_motions(count, 0.05, 0)[:, :, :3],
-        translations=np.full((count, 3), 0.1),
-        moved=np.zeros((count, 6)),
-        points=state.points,
-    )
-    by_pose, by_point = ba.jacobians(problem, state, ba.project_rows(problem, state)[1])
-    rng = np.random.default_rng(0)
-    step = 1e-6 * rng.normal(size=(count, 6))
-    shift = 1e-6 * rng.normal(size=state.points.shape)
-    shift -= np.einsum("pi,pi->p", shift, problem.tangents)[:, None] * problem.tangents
-    for frames, points in ((step, 0 * shift), (0 * step, shift), (step, shift)):
-        ends = [apply_step(problem, state, s * frames, s * points) for s in (1, -1)]
-        after, before = (ba.project_rows(problem, end)[0] for end in ends)
-        rows = problem.rows
-        expected = np.einsum("mi,mi->m", by_pose, frames[problem.frames[rows.views]])
-        expected += np.einsum("mi,mi->m", by_point, points[rows.points])
-        np.testing.assert_allclose((after - before) / 2, expected, atol=1e-8)
-
-
-def test_step_solves_the_whole_system(noisy):
-    problem, state = ba.make_problem(*noisy)
-    problem, state = part_of(problem, state, np.arange(len(problem.kinds)) % 40 == 0)
-    noise = Noise(sigmas_px=np.array([0.2, 0.3]), robust_factor=2.0, prior=np.eye(60))
-    normals = normal_equations(problem, state, noise)
-    poses, points = solve_step(problem, normals, 0.0, True)
-    wide = block_rows(normals.by_point, problem.rows.points, len(problem.kinds))
-    coupling = (normals.by_pose.T @ wide).toarray()
-    size = 3 * len(problem.kinds)
-    blocks = np.zeros((len(problem.kinds), 3, len(problem.kinds), 3))
-    index = np.arange(len(problem.kinds))
-    blocks[index, :, index] = normals.point_blocks
-    system = np.block([[normals.pose_system, coupling], [coupling.T, blocks.reshape(size, size)]])
-    gradient = np.concatenate([normals.pose_gradient, normals.point_gradient.ravel()])
-    found = np.concatenate([poses.ravel(), points.ravel()])
-    np.testing.assert_allclose(system @ found, -gradient, atol=1e-6 * np.abs(gradient).max())
-
-
-def test_outer_square_over_more_than_one_block():
-    rng = np.random.default_rng(0)
-    dense = rng.normal(size=(12, 2 * COLUMNS_AT_ONCE + 5)) * (rng.random((12, 1)) < 0.7)
-    dense[:6, :COLUMNS_AT_ONCE] = 0  # rows that a block does not have
-    found = outer_square(csc_array(dense))
-    np.testing.assert_allclose(found, dense @ dense.T, rtol=1e-10, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [None, ba.SFM, ba.EDGE])
@@ -249,7 +187,7 @@ def test_outliers_do_no_harm(noisy):
 
 def test_good_poses_are_kept_and_bad_ones_refined(noisy):
     model, edges = noisy
-    same, stats = refine_poses(model, edges, OPTIONS)
+    same, stats = refine_poses(model, edges, OPTIONS, num_threads=2)
     assert same is model
     assert not stats["refined"]
     truth = truth_of(model)
