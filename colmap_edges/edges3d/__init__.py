@@ -1,1 +1,1 @@
-"""2D edge graphs -> 3D edges, by depths along chains or by the paper's correspondences."""
+"""Tracing of 3D edges from 2D edge graphs, by depths along chains or by the paper's method."""

@@ -1,7 +1,7 @@
 """A-contrario test: the probability that accidental observations explain a curve.
 
-Where edges are dense, any 3D curve projects near some chain of many views. How often is measured
-where the curve is not: the same curve moved in depth tells how likely a view observes it by chance.
+Where edges are dense, any 3D curve projects near some chain in many views. The probability of such
+accidental observations is estimated from the same curve displaced in depth.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from colmap_edges.edges3d.chains.observing import associate, drop_lone
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import RefinementOptions
 
-DISPLACEMENT_PX = 12.0  # beyond the edge itself, within its surroundings
-CLOSE_SIGMAS = 2.5  # of a chain's noise, within which its observations count as evidence
-PRIOR_TRIALS = 20  # with one hit: what is known of chance before it is measured
-MIN_LOG = -12.0  # one point alone is not trusted further
+DISPLACEMENT_PX = 12.0  # displacement of the curve in depth, larger than its error
+CLOSE_SIGMAS = 2.5  # maximum residual of observations that count, in standard deviations of a chain
+PRIOR_TRIALS = 20  # pseudo-count of trials with one hit, the prior of the accidental rate
+MIN_LOG = -12.0  # lower bound of the log probability of a single point
 
 
 def chance_of_observations(
@@ -46,7 +46,7 @@ def chance_of_observations(
     """
     ids, count = curves.curve_ids, len(curves.offsets) - 1
     close_px = CLOSE_SIGMAS * options.noise_px
-    visible = count_in_image(lift(reference, curves.ideal, curves.inverse_depths), views)
+    visible = count_in_image(lift(reference, curves.undistorted, curves.inverse_depths), views)
     observed = np.sum(np.abs(residuals) <= close_px, axis=1)
     signs = np.where(ids % 2 == 0, 1, -1)
     moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
@@ -67,6 +67,12 @@ def chance_of_observations(
 def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
     """(N,) number of views whose image (N, 3) world points fall into."""
     counts = np.zeros(len(points))
+    cameras: dict[int, list[View]] = {}
     for view in views:
-        counts += view.holds(*view.project(points))
+        cameras.setdefault(view.camera.camera_id, []).append(view)
+    for alike in cameras.values():  # all at once: one by one the calls take longer than the work
+        turned = np.concatenate([view.rotation for view in alike]) @ points.T
+        local = turned.reshape(len(alike), 3, -1).transpose(0, 2, 1)
+        local = local + np.array([view.translation for view in alike])[:, None]
+        counts += alike[0].holds_local(local.reshape(-1, 3)).reshape(len(alike), -1).sum(axis=0)
     return counts

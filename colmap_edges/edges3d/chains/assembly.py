@@ -1,4 +1,4 @@
-"""Filtered curves of all views -> 3D edges with tracks, linked and led to corners."""
+"""Assembly of the filtered curves of all views to 3D edges with tracks, linked at corners."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
 from colmap_edges.edges3d.chains.merging import merge_traced
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
+from colmap_edges.edges3d.linking.bends import cut_at_bends
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
@@ -45,7 +46,8 @@ def link(
 
     once, merged = merge_traced(given, kept, options, num_threads)
     pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
-    edges = meet_at_corners(linked(pieces), given, options, num_threads)
+    whole = linked(linked(pieces))  # longer ones tell better how they go on
+    edges = meet_at_corners(cut_at_bends(whole), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {
         "pieces": pieces.num_edges,

@@ -1,6 +1,6 @@
-"""Marks the stretches of chains that have a 3D edge; later rounds use the rest.
+"""Bookkeeping of the stretches of chains that have a 3D edge; later rounds use the rest.
 
-Among the few chains that remain less agreement tells a depth.
+Since few chains remain then, less agreement of views suffices for a depth.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Extracts curves from consecutive samples with confirmed depths (paper: following)."""
+"""Extraction of curves from consecutive samples with confirmed depths (paper: following)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def find_curves(
     normal = graph.normals[indices]
     sides = np.where(tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0] >= 0, 1, -1)
     curves = Curves(
-        ideal=graph.ideal[indices],
+        undistorted=graph.undistorted[indices],
         inverse_depths=inverse,
         indices=indices,
         offsets=offsets_of(lengths),

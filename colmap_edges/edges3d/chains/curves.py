@@ -16,14 +16,14 @@ class Curves:
     """Curves on chains of one reference view.
 
     Attributes:
-        ideal: (N, 2) float64 points on the reference view's chains, ideal pixels.
+        undistorted: (N, 2) float64 points on the reference view's chains, undistorted pixels.
         inverse_depths: (N,) float64 in the reference.
         indices: (N,) int64 the same in the reference view's graph.
         offsets: (E + 1,) int64 CSR of the points by curve.
         sides: (N,) int8 +1 or -1, the side of the tangent on which the edge is bright.
     """
 
-    ideal: FloatArray
+    undistorted: FloatArray
     inverse_depths: FloatArray
     indices: IntArray
     offsets: IntArray
@@ -32,7 +32,7 @@ class Curves:
     @property
     def normals(self) -> FloatArray:
         """(N, 2) unit normals of the curves in the reference view's image."""
-        tangents = curve_tangents(self.ideal, self.offsets)
+        tangents = curve_tangents(self.undistorted, self.offsets)
         tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
         return np.column_stack([-tangents[:, 1], tangents[:, 0]])
 
@@ -45,7 +45,7 @@ class Curves:
         """The points of some curves, ascending, and those curves alone."""
         rows = entries_of(self.offsets, curves)
         return rows, Curves(
-            ideal=self.ideal[rows],
+            undistorted=self.undistorted[rows],
             inverse_depths=self.inverse_depths[rows],
             indices=self.indices[rows],
             offsets=offsets_of(np.diff(self.offsets)[curves]),

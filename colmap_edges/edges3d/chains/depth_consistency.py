@@ -1,4 +1,4 @@
-"""Cross-checks the depths along chains between views."""
+"""Cross-check of the depths along chains between views."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def world_points(view: View, graph: EdgeGraph, depths: ChainDepths) -> FloatArra
     """(S, 3) world points of the samples of one view; NaN where no depth was found."""
     found = depths.found
     inverse = np.where(found, depths.inverse_depths, np.nan)
-    return lift(view, graph.ideal[depths.samples], inverse)
+    return lift(view, graph.undistorted[depths.samples], inverse)
 
 
 def depths_at(

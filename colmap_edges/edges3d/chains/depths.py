@@ -1,9 +1,9 @@
 """Depths along the chains of each view, from the agreement of many views.
 
-Every crossing of a sample's epipolar line with a chain of any neighbour is a hypothesis of its
-depth (a PEPC of the paper, with all views and without a limit near an SfM point); hypotheses that
-agree form clusters, and dynamic programming along the chain chooses among them (in place of the
-paper's three-view selection).
+Every intersection of a sample's epipolar line with a chain of a neighbour is a depth hypothesis (a
+PEPC of the paper, but from all views and not restricted to the vicinity of SfM points). Hypotheses
+that agree form clusters, and dynamic programming along the chain selects among them (instead of
+the paper's three-view selection).
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from colmap_edges.edges3d.chains.view_selection import DepthRange
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ChainDepthOptions
 
-SURE_SCORE = 8.0  # log likelihood ratio of depths from which is learned
-SURE_SHARE = 0.3  # of a view's depths, the surest, that are enough where few views see an edge
-MIN_SURE = 200  # supports of such depths that are enough to learn from
-CHANCE_PAIRS = 4  # pairs by chance for each of those
-END_PX = 6  # of polylines, where blur and what they meet there may have moved them
-MIN_INNER_PX = 8  # between two samples on a short polyline, for which shorter ends must do
+SURE_SCORE = 8.0  # minimum log likelihood ratio of the depths from which side similarity is learned
+SURE_SHARE = 0.3  # share of the most reliable depths used if fewer exceed SURE_SCORE
+MIN_SURE = 200  # minimum number of matches to learn from
+CHANCE_PAIRS = 4  # random pairs per match
+END_PX = 6  # length at the ends of polylines that is displaced by blur and neighbouring edges
+# minimum distance of two samples on a short polyline, whose ends are then shortened
+MIN_INNER_PX = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,7 @@ def compute_chain_depths(
         [given.index(neighbor) for neighbor in neighbors.tolist()],
         samples,
         offsets,
-        depth_range.at(graph.ideal[samples]),
+        depth_range.at(graph.undistorted[samples]),
         steps=float(options.sample_step_points),
         max_disagreement_px=options.max_disagreement_px,
         side_likelihoods=given.sides.table,

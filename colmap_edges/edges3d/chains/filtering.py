@@ -1,4 +1,4 @@
-"""Filters the traced curves of all views into edges and view-dependent contours.
+"""Separation of the traced curves of all views into edges and view-dependent contours.
 
 (paper: Visibility refinement and outliers filtering)
 """
@@ -16,8 +16,8 @@ from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
-TESTS_PER_CURVE = 30  # depths that a chain could have had
-INDEPENDENT_PX = 16  # distance along a chain at which observations are evidence of their own
+TESTS_PER_CURVE = 30  # number of independent depths of a chain (tests of the a-contrario model)
+INDEPENDENT_PX = 16  # distance along a chain beyond which observations are independent
 
 
 @dataclass(frozen=True, kw_only=True)

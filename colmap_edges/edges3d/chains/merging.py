@@ -1,4 +1,4 @@
-"""Pieces of all reference views that are one edge -> one piece, refined on what all observed."""
+"""Merging of curves traced in several reference views, with refinement on all observations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from colmap_edges.edges3d.chains.filtering import (
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
 from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, joint_step
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
-from colmap_edges.edges3d.linking.merging import Pieces, merge_pieces
+from colmap_edges.edges3d.linking.copies import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
@@ -103,13 +103,13 @@ def refined_with(
     reference = given.views[traced.reference]
     others, table = observation_table(traced, taken)
     at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
-    ideal, depths = reference.project_ideal(traced.points)
+    undistorted, depths = reference.project_undistorted(traced.points)
     curves = Curves(
-        ideal=ideal,
+        undistorted=undistorted,
         inverse_depths=1 / depths,
-        indices=np.zeros(len(ideal), np.int64),
+        indices=np.zeros(len(undistorted), np.int64),
         offsets=traced.offsets,
-        sides=np.zeros(len(ideal), np.int8),
+        sides=np.zeros(len(undistorted), np.int8),
     )
     observers = Observers(
         reference=reference,
@@ -124,7 +124,7 @@ def refined_with(
         sigmas = options.refinement.noise_px / np.sqrt(information)
     return replace(
         traced,
-        points=lift(reference, curves.ideal, curves.inverse_depths),
+        points=lift(reference, curves.undistorted, curves.inverse_depths),
         sigmas=np.minimum(traced.sigmas, sigmas / curves.inverse_depths**2),
         uncertainties=np.minimum(
             traced.uncertainties, sigmas / curves.inverse_depths * reference.focal_px
@@ -166,7 +166,7 @@ def refit(
     changes, shifts = joint_step(curves, sums, observers.options)
     movable = ~weak_points(curves, sums)
     shifts, changes = np.where(movable, (shifts, changes), 0)
-    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+    curves = replace(curves, undistorted=curves.undistorted + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
     return curves, *slid(curves, positions, observers)
 

@@ -1,4 +1,4 @@
-"""Associates curves with the chains of other views, and sums the residuals."""
+"""Association of curves with the chains of other views, and their residuals."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def associate(
     num_threads: int,
 ) -> FloatArray:
     """(N, K) positions on the chains of K views that observe the points; NaN where none."""
-    points = lift(reference, curves.ideal, curves.inverse_depths)
+    points = lift(reference, curves.undistorted, curves.inverse_depths)
     tangents = curve_tangents(points, curves.offsets)
     cosine = float(np.cos(np.radians(max_angle_deg)))
     positions: FloatArray = _kernels.associate(
@@ -65,7 +65,7 @@ def sum_observations(
     curves: Curves,
     edge_indexes: list[_kernels.EdgeIndex],
     positions: FloatArray,
-    directions: FloatArray,
+    directions: FloatArray | None,
     robust_scale_px: float,
     num_threads: int,
 ) -> Sums:
@@ -76,7 +76,8 @@ def sum_observations(
         curves: the curves, N points.
         edge_indexes: the chains of K views.
         positions: (N, K) positions on the chains that observe the points; NaN where none.
-        directions: (N, 2) unit directions in the reference view's image in which points may move.
+        directions: (N, 2) unit directions in the reference view's image in which points may move;
+            none when they stay on its chains.
         robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
         num_threads: threads to use; the result does not depend on it.
     """
@@ -96,7 +97,7 @@ def placed(
 ) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
     """The reference view's pose and focal length, and the curves' pixels and inverse depths."""
     rotation, translation = reference.rotation, reference.translation
-    return rotation, translation, reference.focal_px, curves.ideal, curves.inverse_depths
+    return rotation, translation, reference.focal_px, curves.undistorted, curves.inverse_depths
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +128,6 @@ class Observers:
         self, curves: Curves, positions: FloatArray, directions: FloatArray | None = None
     ) -> Sums:
         """Sums over these observations; of shifts in (N, 2) directions, too, where given."""
-        directions = np.zeros_like(curves.ideal) if directions is None else directions
         scale = self.options.robust_scale_px
         return sum_observations(
             self.reference, curves, self.others, positions, directions, scale, self.num_threads
@@ -145,7 +145,8 @@ def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     if len(positions) > 1:
         step[1:] = np.diff(positions, axis=0)
         step[1:][same[1:] != same[:-1]] = np.nan
-    limit = 4 * np.nanmedian(np.abs(step)) if np.isfinite(step).any() else 0.0
+    steps = np.abs(step[np.isfinite(step)])
+    limit = 4 * np.median(steps) if len(steps) else 0.0
     linked = np.abs(step) <= limit
     keep = linked.copy()
     keep[:-1] |= linked[1:]

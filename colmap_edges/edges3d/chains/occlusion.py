@@ -1,8 +1,7 @@
-"""Rejects observations of occluded points.
+"""Rejection of observations of occluded points.
 
-Where edges are dense, an occluded point also projects near some chain, which is taken for an
-observation of it. It is recognised by the edges and SfM points that the view sees there: they are
-nearer.
+Where edges are dense, an occluded point also projects near some chain, which is mistaken for an
+observation. Such points lie behind the edges and SfM points that the view sees around them.
 """
 
 from __future__ import annotations
@@ -14,12 +13,14 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
-MAX_SLOPE = 3.0  # tangent of the angle between surface and image plane that neighbours may span
-MIN_GAP = 0.002  # share of the depth by which nothing is told to be nearer
-MARGIN_SIGMAS = 3.0  # what a point's depth may be wrong by
-MIN_RADIUS_PX = 0.01  # nothing is told apart that is nearer to each other
-FARTHEST_PX = 1e6  # from the principal point; no image shows what is there
-NEARER_SHARE = 0.5  # nearer neighbours for each at the same depth from which a point is hidden
+# maximum tangent of the angle between the surface through neighbours and the image plane
+MAX_SLOPE = 3.0
+MIN_GAP = 0.002  # minimum relative depth difference of an occluder
+MARGIN_SIGMAS = 3.0  # tolerance of a point's depth, in standard deviations
+MIN_RADIUS_PX = 0.01  # lower bound of image distances between neighbours
+FARTHEST_PX = 1e6  # distance from the principal point beyond which projections are ignored
+# minimum ratio of nearer neighbours to those at the same depth for an occluded point
+NEARER_SHARE = 0.5
 
 
 def find_hidden(
@@ -77,11 +78,11 @@ def count_around(
     Points behind the camera or beside it have no neighbours and are none. Points of no curve (-1)
     are neighbours, but their own are not counted: there may be millions.
     """
-    ideal, depths = view.project_ideal(points)
+    undistorted, depths = view.project_undistorted(points)
     with np.errstate(invalid="ignore"):
-        ahead = np.flatnonzero((depths > 0) & (np.abs(ideal) < FARTHEST_PX).all(axis=1))
+        ahead = np.flatnonzero((depths > 0) & (np.abs(undistorted) < FARTHEST_PX).all(axis=1))
     counts = _kernels.count_around(
-        ideal[ahead],
+        undistorted[ahead],
         depths[ahead],
         MIN_GAP / 2 * depths[ahead] + MARGIN_SIGMAS * sigmas[ahead],
         curves[ahead],

@@ -1,11 +1,11 @@
-"""Least squares on the depths of curves: normal residuals in all views, smooth along the curve.
+"""Least-squares refinement of curves: residuals across chains in all views, and smoothness.
 
-A curve is a run of points on a chain of one view, its reference view; the unknown of each point is
-its inverse depth there, and in the end how far it lies off that chain. An observation on a chain
-of another view says only how far the point lies across that chain, since an edge point may slide
-along its edge. On a straight edge inverse depth is affine along the image line, so the smoothness
-term, a second difference, costs nothing there; where an edge runs along the epipolar lines of all
-views it carries depth in from the ends.
+A curve is a run of points on a chain of its reference view. The unknowns of a point are its inverse
+depth there and, in the last step, its offset from that chain. An observation on a chain of another
+view constrains the point only across that chain, since a point can slide along its edge. On a
+straight edge inverse depth is affine along the image line, so the smoothness term, a second
+difference, vanishes. Where an edge is parallel to the epipolar lines of all views, this term
+propagates depth from the ends.
 """
 
 from __future__ import annotations
@@ -22,9 +22,12 @@ from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, pl
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import RefinementOptions
 
-GRAY_REACHES = (4, 2, 1, 0)  # points of chains over which gray is smoothed: coarse, then fine
-WELL_ACROSS = 0.25  # mean squared sine of the angles to epipolar lines that is enough for depth
-GRAY_WINDOW = 8  # points of a curve to both sides within which differences of gray are compared
+# half widths, in chain points, of the smoothing of intensities, coarse to fine
+GRAY_REACHES = (4, 2, 1, 0)
+# mean squared sine of the angles to epipolar lines that constrains depth without intensities
+WELL_ACROSS = 0.25
+# half width, in curve points, of the window in which intensity differences are compared
+GRAY_WINDOW = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +88,7 @@ def solve_smooth(
     unit = speed[inner] / options.max_bend_px
     second = curves.inverse_depths[smooth] @ np.array([1.0, -2.0, 1.0])
     weight = unit**2 / (1 + (unit * second) ** 2)
-    count = len(curves.ideal)
+    count = len(curves.undistorted)
     bands = np.zeros((3, count))  # upper form: bands[2] diagonal, [1] next, [0] next but one
     bands[2] = information + 1e-4 * speed**2 + 1e-30
     for offset, factor in ((0, 1.0), (1, 4.0), (2, 1.0)):
@@ -145,7 +148,7 @@ def refine_curves(
     # Once more, now that observations are sure: earlier, wrong ones would pull points away.
     normals = curves.normals
     changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
-    curves = replace(curves, ideal=curves.ideal + shifts[:, None] * normals)
+    curves = replace(curves, undistorted=curves.undistorted + shifts[:, None] * normals)
     curves = replace_depths(curves, curves.inverse_depths + changes)
     positions = observers.find(curves, options.max_residual_px)
     curves, positions, information = align_side_gray(curves, positions, observers)

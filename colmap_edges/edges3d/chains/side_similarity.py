@@ -1,8 +1,8 @@
 """Likelihood that two views see the same edge, from the intensities on its two sides.
 
-One side at least belongs to the body that the edge is on, and looks the same from elsewhere. How
-much sides differ between views nevertheless (exposure, gloss, moving lights), and how much they
-differ where it is another edge, is a matter of the scene and learned from it.
+At least one side of an edge belongs to the surface that it lies on, and looks alike in all views.
+The distributions of the remaining differences of true matches (exposure, gloss, moving lights) and
+of random pairs depend on the scene and are learned from it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray
 
-ANY_DIFFERENCE = 255.0  # gray levels; no two sides differ by more
-BINS = np.array([0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 70, 256])  # of differences, in gray levels
-OUTLIER_RATE = 0.1  # of true matches, whose sides may differ as by chance
-PRIOR_COUNT = 20  # matches that differ as by chance, known of before any is seen
+ANY_DIFFERENCE = 255.0  # largest possible difference of intensities
+BINS = np.array([0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 70, 256])  # bins of intensity differences
+OUTLIER_RATE = 0.1  # share of true matches with random differences
+PRIOR_COUNT = 20  # pseudo-count of matches with random differences
 
 
 @dataclass(frozen=True, kw_only=True)

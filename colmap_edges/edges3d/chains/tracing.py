@@ -1,7 +1,7 @@
-"""2D edge graphs -> 3D edges: depths along chains, checked, joined to curves and refined.
+"""Tracing of 3D edges: depths along chains, cross-checked, joined to curves and refined.
 
-Each view in turn is the reference view. What its curves cover in the other views is marked, so
-that each edge of the scene is traced once, by the view that sees it best (paper: 3D edge
+Each view in turn is the reference view. Stretches of chains in other views that observe its curves
+are marked, so that each edge is traced once, in the view that sees it best (paper: 3D edge
 reconstruction).
 """
 
@@ -297,7 +297,7 @@ def trace_view(
     )
     inverse_depths = refined.curves.inverse_depths
     return Traced(
-        points=lift(reference, refined.curves.ideal, inverse_depths),
+        points=lift(reference, refined.curves.undistorted, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * reference.focal_px,
         residuals=distances / np.maximum(observed, 1),

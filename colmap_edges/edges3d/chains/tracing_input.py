@@ -1,4 +1,4 @@
-"""The input of tracing: views, their edge graphs and indexes, and which views are compared."""
+"""The input of tracing: views, their edge graphs with search indices, and view selection."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from colmap_edges.runtime.executors import Workers
 T = TypeVar("T")
 ByView = Sequence[T] | Mapping[int, T]  # of all views, or of those that a task needs
 
-NUM_KEPT = 64  # indexes that a worker keeps for its next tasks: more than a view is compared with
+NUM_KEPT = 64  # search indices that a worker keeps, more than a view has neighbours
 # On a cluster's worker, by graph and pose: tasks on views near each other need the same ones.
 KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
 

@@ -1,7 +1,8 @@
-"""Selects the views to compare and the depth range of each (paper: PEPC views)."""
+"""Selection of the views that are matched with each view, and depth ranges (paper: PEPC views)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,10 +14,13 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.options import ViewSelectionOptions
 
-RANGE_MARGIN = 0.25  # of the inverse depths of the points a view sees, added on both sides
-NEAR_POINTS = 16  # SfM points around a place that tell its depths
-NEAR_MARGIN = 0.15  # of all inverse depths of the view, added to theirs on both sides
-MIN_POINTS = 20  # points a view must see before they, not its pose, tell its depths
+# margin of a view's range of inverse depths, on both sides, relative to the range
+RANGE_MARGIN = 0.25
+NEAR_POINTS = 16  # nearest SfM points that determine the depth range of a pixel
+NEAR_MARGIN = 0.15  # margin of a pixel's range, on both sides, relative to the view's range
+MIN_POINTS = 20  # minimum number of SfM points of a view; with fewer its pose is used instead
+MOST_SHARED = 8192  # maximum number of points of a view by which its neighbours are scored
+MOST_BY_POSE = 256  # maximum number of views that a view without points is compared with
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +29,7 @@ class DepthRange:
 
     Attributes:
         overall: smallest and largest inverse depth.
-        pixels: (n, 2) float64 ideal pixels of the SfM points it sees; none when they are too few.
+        pixels: (n, 2) float64 undistorted pixels of its SfM points; none when they are too few.
         inverse_depths: (n,) float64 of these points.
     """
 
@@ -33,16 +37,18 @@ class DepthRange:
     pixels: FloatArray
     inverse_depths: FloatArray
 
-    def at(self, ideal: FloatArray) -> FloatArray:
-        """(N, 2) smallest and largest inverse depth at (N, 2) ideal pixels.
+    def at(self, undistorted: FloatArray) -> FloatArray:
+        """(N, 2) smallest and largest inverse depth at (N, 2) undistorted pixels.
 
         Those of the SfM points nearest to the middle of its cell, with a margin for what stands
         before or behind them.
         """
         if len(self.pixels) <= NEAR_POINTS:
-            return np.tile(self.overall, (len(ideal), 1))
+            return np.tile(self.overall, (len(undistorted), 1))
         corner, size, ranges = self.cells
-        column, row = np.clip((ideal - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)).T
+        column, row = np.clip(
+            (undistorted - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)
+        ).T
         found: FloatArray = ranges[row.astype(np.int64), column.astype(np.int64)]
         return found
 
@@ -51,7 +57,7 @@ class DepthRange:
         """Ranges around the middles of square cells, of about four SfM points each.
 
         Returns:
-            Corner and size of the first cell in ideal pixels, (rows, columns, 2) ranges.
+            Corner and size of the first cell in undistorted pixels, (rows, columns, 2) ranges.
         """
         low, high = self.overall
         corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
@@ -93,11 +99,14 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
     observed = observation_matrix(model)
     observers = observed.T.tocsr()
     ranges = inverse_depth_ranges(model, observed)
+    by_pose = candidates_by_pose(model, observed, ranges)
     neighbors, observing_views = [], []
     for view in range(len(model.views)):
-        near, wide = neighbor_scores(
-            model, observed, observers, view, ranges[view].overall, options
-        )
+        if view in by_pose:
+            depth = 1 / float(np.mean(ranges[view].overall))
+            near, wide = pose_scores(model, view, depth, by_pose[view], options)
+        else:
+            near, wide = neighbor_scores(model, observed, observers, view, options)
         chosen = pick_diverse(model, view, near, count)
         lacking = count - len(chosen)
         if lacking:  # those from further aside are better than none
@@ -129,14 +138,15 @@ def observation_matrix(model: Model) -> csr_array:
 def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
     """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
     ranges = []
-    focus = None
+    focus, distances = None, np.zeros(0)
     for index, view in enumerate(model.views):
         seen = observed.indices[observed.indptr[index] : observed.indptr[index + 1]]
-        ideal, depths = view.project_ideal(model.points3D_xyz[seen])
-        ideal, inverse = ideal[depths > 0], 1 / depths[depths > 0]
+        undistorted, depths = view.project_undistorted(model.points3D_xyz[seen])
+        undistorted, inverse = undistorted[depths > 0], 1 / depths[depths > 0]
         if len(inverse) < MIN_POINTS:
-            focus = find_focus(model) if focus is None else focus
-            overall, none = pose_range(model, index, focus), np.zeros(0)
+            if focus is None:
+                focus, distances = find_focus(model), nearest_distances(model.camera_centers)
+            overall, none = pose_range(model, index, focus, distances[index]), np.zeros(0)
             ranges.append(
                 DepthRange(overall=overall, pixels=none.reshape(0, 2), inverse_depths=none)
             )
@@ -144,7 +154,7 @@ def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange,
         low, high = np.percentile(inverse, [0.5, 99.5])
         margin = RANGE_MARGIN * (high - low) + 0.02 * low
         overall = float(max(low - margin, 0.1 * low)), float(high + margin)
-        ranges.append(DepthRange(overall=overall, pixels=ideal, inverse_depths=inverse))
+        ranges.append(DepthRange(overall=overall, pixels=undistorted, inverse_depths=inverse))
     return tuple(ranges)
 
 
@@ -159,21 +169,45 @@ def find_focus(model: Model) -> FloatArray:
     return np.asarray(np.linalg.solve(normal, towards), np.float64)
 
 
-def pose_range(model: Model, index: int, focus: FloatArray) -> tuple[float, float]:
+def nearest_distances(centers: FloatArray) -> FloatArray:
+    """(V,) distance of each centre to the nearest that is elsewhere; infinite where none is."""
+    places, owners = np.unique(centers, axis=0, return_inverse=True)
+    distances, _ = cKDTree(places).query(places, 2)
+    nearest: FloatArray = distances[:, 1][owners.ravel()]
+    return nearest
+
+
+def pose_range(model: Model, index: int, focus: FloatArray, distance: float) -> tuple[float, float]:
     """Inverse depths a view may see, judged by the poses of all.
 
     Around the point nearest to all optical axes when the view looks at it, from a third to three
-    times its depth; else from the distance to the nearest other camera to infinity.
+    times its depth; else from the `distance` to the nearest other camera to infinity.
     """
-    view = model.views[index]
-    baselines = np.linalg.norm(model.camera_centers - view.center, axis=1)
-    baselines = baselines[baselines > 0]
-    if len(baselines) == 0:
+    if not np.isfinite(distance):
         return 0.0, 1.0
-    depth = float(view.cam_from_world(focus[None])[0, 2])
-    if depth > baselines.min():
+    depth = float(model.views[index].cam_from_world(focus[None])[0, 2])
+    if depth > distance:
         return 1 / (3 * depth), 3 / depth
-    return 0.0, 1 / float(baselines.min())
+    return 0.0, 1 / float(distance)
+
+
+def candidates_by_pose(
+    model: Model, observed: csr_array, ranges: Sequence[DepthRange]
+) -> dict[int, IntArray]:
+    """Of each view with few points the others that may see the same, by poses alone, ascending.
+
+    They are nearest in where they stand and in what they look at, together.
+    """
+    lacking = np.flatnonzero(np.diff(observed.indptr) < MIN_POINTS)
+    if len(lacking) == 0:
+        return {}
+    depths = np.array([1 / np.mean(of.overall) for of in ranges])
+    axes = np.array([view.rotation[2] for view in model.views])
+    places = np.hstack([model.camera_centers, model.camera_centers + depths[:, None] * axes])
+    count = min(MOST_BY_POSE + 1, len(places))
+    _, near = cKDTree(places).query(places[lacking], count)
+    near = np.sort(near.reshape(len(lacking), count), axis=1)
+    return {view: of[of != view] for view, of in zip(lacking.tolist(), near, strict=True)}
 
 
 def neighbor_scores(
@@ -181,7 +215,6 @@ def neighbor_scores(
     observed: csr_array,
     observers: csr_array,
     view: int,
-    inverse_depths: tuple[float, float],
     options: ViewSelectionOptions,
 ) -> FloatArray:
     """(2, V) scores of every other view as a neighbour and as an observing view.
@@ -192,8 +225,7 @@ def neighbor_scores(
     so that nothing is done for the other views.
     """
     seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
-    if len(seen) < MIN_POINTS:
-        return pose_scores(model, view, inverse_depths, options)
+    seen = seen[:: -(-len(seen) // MOST_SHARED)]
     points = model.points3D_xyz[seen]
     shared = observers[seen]
     columns = np.repeat(np.arange(len(seen)), np.diff(shared.indptr))
@@ -224,24 +256,22 @@ def angle_weights(
 
 
 def pose_scores(
-    model: Model, view: int, inverse_depths: tuple[float, float], options: ViewSelectionOptions
+    model: Model, view: int, depth: float, candidates: IntArray, options: ViewSelectionOptions
 ) -> FloatArray:
-    """(2, V) the same scores by the poses: how much of this view's frustum another sees."""
+    """(2, V) the same scores by the poses: how much of this view's frustum a candidate sees."""
     own = model.views[view]
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
-    ideal = own.ideal_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
-    depth = 1 / np.mean(inverse_depths)
-    local = depth * np.column_stack([ideal, np.ones(len(ideal))])
+    undistorted = own.undistorted_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
+    local = depth * np.column_stack([undistorted, np.ones(len(undistorted))])
     points = (local - own.translation) @ own.rotation
-    rays = np.tile(points - own.center, (len(model.views), 1))
-    other_rays = points[None] - model.camera_centers[:, None]
+    rays = np.tile(points - own.center, (len(candidates), 1))
+    other_rays = points[None] - model.camera_centers[candidates, None]
     weights = angle_weights(rays, other_rays.reshape(-1, 3), options)
     weights = weights.reshape(2, -1, len(points))
-    weights[:, view] = 0
     scores = np.zeros((2, len(model.views)))
-    for index in np.flatnonzero(weights.any(axis=(0, 2))):  # few of many
-        other = model.views[index]
-        scores[:, index] = weights[:, index] @ other.holds(*other.project(points))
+    for row in np.flatnonzero(weights.any(axis=(0, 2))):
+        other = model.views[candidates[row]]
+        scores[:, candidates[row]] = weights[:, row] @ other.holds(*other.project(points))
     return scores
 
 

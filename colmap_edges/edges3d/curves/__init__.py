@@ -1,1 +1,1 @@
-"""What 3D edges are: lines, circular and elliptic arcs, splines, with deviations."""
+"""Parametric curves of 3D edges: lines, arcs, ellipses, splines, with standard deviations."""

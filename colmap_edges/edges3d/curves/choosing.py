@@ -1,8 +1,8 @@
-"""Pieces of an edge -> its curves: which neighbours are one line, arc, ellipse or spline together.
+"""Model selection: which consecutive pieces of an edge form one line, arc, ellipse or spline.
 
-Cutting knows lines and arcs. Ellipses and splines come out of it as a row of arcs; stray points
-part what is one. So rows of pieces that follow each other without a corner are fitted again as one
-curve of each kind, and the rows of least cost are taken, again by BIC.
+Cutting fits only lines and arcs: it cuts ellipses and splines into rows of arcs, and outliers split
+curves. Rows of consecutive pieces without a corner are therefore refitted as one curve of each
+kind, and the combination of least cost is selected, again by BIC.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from colmap_edges.edges3d.curves import cutting
 from colmap_edges.edges3d.curves.cutting import Noise, Pieces
 from colmap_edges.edges3d.curves.ellipses import fit_ellipses
 from colmap_edges.edges3d.curves.rounds import fit_circles, fit_lines
-from colmap_edges.edges3d.curves.splines import SplineFit, fit_spline, smooth_squares, spline_price
+from colmap_edges.edges3d.curves.splines import SplineFit, fit_splines, smooth_squares, spline_price
 from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
 
-MAX_ROW = 6  # pieces that may become one curve
-MAX_TURN = np.radians(40)  # between the chords before and after a place without a corner
-CHORD = 4  # points of these chords
-MAX_DOUBT = 0.03  # of the radii: deviation up to which an ellipse is said to be one
-# Fewest control points of splines, and the degree of polynomials that bend more than such splines
-# of up to one (four at the second) control points more: no spline costs less than the price of
-# the one with the distance from the other.
+MAX_ROW = 6  # maximum number of pieces fitted as one curve
+# maximum turn between the chords before and after a point that is no corner
+MAX_TURN = np.radians(40)
+CHORD = 4  # length of these chords, in points
+MAX_DOUBT = 0.03  # maximum relative standard deviation of an ellipse's radii
+TRIAL_STEPS = 2  # Gauss-Newton steps after which the cost of an ellipse is estimated
+TRIAL_RATIO = 2.0  # factor up to which that estimate may be too large
+# Smallest numbers of control points of splines, with the degree of polynomials that contain all
+# splines of up to one (second entry: four) more control points: their residuals plus the price of
+# the smallest spline are a lower bound of the splines' costs.
 PROBES = ((4, 5), (6, 9))
 FREEDOM = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
@@ -179,12 +182,6 @@ class Judge:
     shares: FloatArray
     correlation: float
 
-    def part(self, which: IntArray) -> Stack:
-        """The points of some rows."""
-        offsets = self.stack.offsets
-        bounds = np.column_stack([offsets[:-1], offsets[1:]])[which]
-        return stacked(self.stack.points, self.stack.weights, bounds)
-
     def costs(self, which: IntArray, part: Stack, squares: FloatArray, kind: int) -> FloatArray:
         """(n,) costs of fits of a kind to rows with the squared distances of their points."""
         shares = self.shares[which][part.owners]
@@ -201,7 +198,7 @@ def fit_simple(judge: Judge, pieces: Pieces, fits: Fits) -> None:
     first, last = judge.rows.pieces.T
     several = (first != last) | judge.rows.all_of_edge & (pieces.kinds[first] != cutting.LINE)
     which = judge.asked(several | (pieces.kinds[first] != cutting.ARC), LINE)
-    part = judge.part(which)
+    part = judge.stack.select(which)
     lines = fit_lines(part)
     frames = np.stack([lines.origins, lines.directions, 0 * lines.origins], axis=1)
     middle, direction = lines.middle_sigmas, lines.direction_sigmas
@@ -210,7 +207,7 @@ def fit_simple(judge: Judge, pieces: Pieces, fits: Fits) -> None:
     round_ = several | (pieces.kinds[first] != cutting.LINE)
     for kind, mask in ((ARC, ~judge.rows.whole), (CIRCLE, judge.rows.whole)):
         which = judge.asked(round_ & mask, kind)
-        part = judge.part(which)
+        part = judge.stack.select(which)
         circles = fit_circles(part)
         half = circles.radii[:, None, None] * circles.axes[:, :2]
         frames = np.concatenate([circles.centers[:, None], half], axis=1)
@@ -280,7 +277,10 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
     bent = bends[last + 1] > bends[first]
     for kind, mask in ((ELLIPTIC_ARC, ~judge.rows.whole), (ELLIPSE, judge.rows.whole)):
         which = judge.asked(bent & mask & (FREEDOM[kind] * judge.logs < limit), kind)
-        part = judge.part(which)
+        part = judge.stack.select(which)
+        near = judge.costs(which, part, fit_ellipses(part, TRIAL_STEPS).squares, kind)
+        which = which[near < TRIAL_RATIO * limit[which]]
+        part = judge.stack.select(which)
         ellipses = fit_ellipses(part)
         costs = judge.costs(which, part, ellipses.squares, kind)
         radii = np.linalg.norm(ellipses.frames[:, 1:], axis=2)
@@ -290,19 +290,17 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
     limit = np.minimum(limit, fits.costs)
     price = spline_price(DEGREE + 1, 1.0) * judge.logs
     which = judge.asked(bent & (price < limit), SPLINE)
-    part = judge.part(which)
+    part = judge.stack.select(which)
     least = np.full(len(which), np.inf)
     for size, degree in PROBES:
         squares = part.weights * smooth_squares(part, degree)
         costs = part.sums(costs_of(squares, judge.shares[which][part.owners], judge.correlation))
         least = np.minimum(least, costs + spline_price(size, 1.0) * judge.logs[which])
-    for row in which[least < limit[which]].tolist():
-        own = slice(judge.stack.offsets[row], judge.stack.offsets[row + 1])
-        points, weights = judge.stack.points[own], judge.stack.weights[own]
-        prices = judge.logs[row], judge.shares[row], judge.correlation
-        spline = fit_spline(points, weights, *prices, limit[row])
-        if spline is not None:
-            fits.kinds[row], fits.costs[row], fits.splines[row] = SPLINE, spline.cost, spline
+    which = which[least < limit[which]]
+    prices = judge.logs[which], judge.shares[which], judge.correlation, limit[which]
+    for place, spline in fit_splines(judge.stack.select(which), *prices).items():
+        row = int(which[place])
+        fits.kinds[row], fits.costs[row], fits.splines[row] = SPLINE, spline.cost, spline
 
 
 def cheapest(rows: Rows, pieces: Pieces, cost: FloatArray) -> IntArray:

@@ -1,8 +1,8 @@
-"""Edges -> stretches that a line or a circular arc fits, at the noise that the edges show.
+"""Segmentation of edges into lines and circular arcs, and estimation of the edges' noise.
 
-The standard deviations that tracing gives are right up to a factor that differs from scene to
-scene: poses and detection are better or worse than assumed. The factor is the one at which lines,
-arcs and points of neither describe the edges with the least cost, minus log-likelihood and half the
+The standard deviations of tracing are correct up to a factor that depends on the scene, since poses
+and detection are better or worse than assumed. The estimated factor minimises the cost of
+describing the edges by lines, arcs and outliers: minus log-likelihood plus half the number of
 parameters times the logarithm of the number of points (BIC).
 """
 
@@ -18,21 +18,21 @@ from colmap_edges.edges3d.curves.rounds import fit_lines, principal_axes
 from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, softened
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
-NOTHING, LINE, ARC = -1, 0, 1  # kinds of pieces, as the kernel has them
-# Parameters, one of them where along the edge the piece ends.
+NOTHING, LINE, ARC = -1, 0, 1  # kinds of pieces, numbered as in the kernel
+# Numbers of parameters, one of which is the end of the piece along the edge.
 LINE_FREEDOM, ARC_FREEDOM = 5, 8
-MIN_LOG = 2.0  # logarithm of the number of points that counts for edges of few
-FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # of the deviations, that are tried
-TAILS = 3.0  # errors are no normal ones: those of 1 point in 100 are so many times as large
-MAX_SAMPLE = 400  # edges of which the noise is learned
-MIN_SAMPLE_POINTS = 8
-MAX_PLACES = 64  # of an edge between which the best cut is sought; others follow
-FIRST_CORRELATION = 2.0  # points that count as one, before it is known
-MAX_LAG = 2  # farther on it is the shared errors that are alike (SHARED)
-STRAY = 16.0  # cost of a point of no curve while the factor is sought: 4 deviations as stated
-# Independent points that a curve of many says as much as: what pose and light do to them is shared.
+MIN_LOG = 2.0  # minimum logarithm of the number of points in the BIC
+FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # candidate factors of the standard deviations
+TAILS = 3.0  # factor for heavy tails: 1 point in 100 has errors this many times as large
+MAX_SAMPLE = 400  # maximum number of edges from which the noise is estimated
+MIN_SAMPLE_POINTS = 8  # minimum number of points of such an edge
+MAX_PLACES = 64  # candidate cuts of an edge in the exact search; the others are refined afterwards
+FIRST_CORRELATION = 2.0  # initial number of correlated points that count as one
+MAX_LAG = 2  # maximum lag of the correlation; beyond it shared errors dominate (SHARED)
+STRAY = 16.0  # cost of an outlier while the factor is estimated: 4 standard deviations, squared
+# Maximum number of independent points of a curve, since errors of poses and light are shared.
 SHARED = 16.0
-SMALLEST = 1e-7  # of the scene's size: smaller deviations are those of rounding
+SMALLEST = 1e-7  # minimum standard deviation relative to the scene's size, for rounding errors
 
 
 @dataclass(frozen=True, kw_only=True)

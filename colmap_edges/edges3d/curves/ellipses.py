@@ -1,4 +1,4 @@
-"""Ellipses by geometric least squares, robustly, for many stretches at once."""
+"""Robust geometric least-squares fits of ellipses, for many stretches at once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.edges3d.curves.rounds import least_squares, principal_axes
 from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
 
-STEPS = 10
-FOOT_STEPS = 4
-MAX_STEP = 0.3  # of the smaller radius, a step
-MAX_ASPECT = 20.0  # a flatter one is a line there and back
+STEPS = 10  # Gauss-Newton steps
+FOOT_STEPS = 4  # Newton steps for the nearest point of an ellipse
+MAX_STEP = 0.3  # maximum change per step, relative to the smaller radius
+MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Ellipses:
     found: BoolArray
 
 
-def fit_ellipses(stack: Stack) -> Ellipses:
+def fit_ellipses(stack: Stack, steps: int = STEPS) -> Ellipses:
     """Fit an ellipse to every stretch: distances in the plane nearest to it, and off that."""
     owners, given = stack.owners, stack.weights
     origins, vectors = principal_axes(stack, given)
@@ -46,13 +46,13 @@ def fit_ellipses(stack: Stack) -> Ellipses:
     )
     height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
     shapes, found = algebraic_ellipses(stack, local[:, :2])
-    for _ in range(STEPS):
+    for _ in range(steps):
         distances, jacobian = residuals(shapes[owners], local[:, :2])
         weights = softened(given, distances**2 + height**2)
-        normal = stack.sums(np.einsum("i,ij,ik->ijk", weights, jacobian, jacobian))
-        steps, inverse = solved(normal, stack.sums((weights * distances)[:, None] * jacobian))
+        normal = stack.products(weights, jacobian, jacobian)
+        moves, inverse = solved(normal, stack.sums((weights * distances)[:, None] * jacobian))
         limit = MAX_STEP * np.abs(shapes[:, 2:4]).min(axis=1, keepdims=True)
-        shapes = shapes + np.clip(steps, -limit, limit)
+        shapes = shapes + np.clip(moves, -limit, limit)
         radii = np.sort(np.abs(shapes[:, 2:4]), axis=1)
         found &= np.isfinite(shapes).all(axis=1) & (radii[:, 1] < MAX_ASPECT * radii[:, 0])
         shapes[~found] = (0, 0, 1, 1, 0)

@@ -1,4 +1,4 @@
-"""3D edges -> what they are: lines, arcs, circles, ellipses and splines, with deviations."""
+"""Fitting of lines, arcs, circles, ellipses and splines to 3D edges, with standard deviations."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ from colmap_edges.edges3d.curves.cutting import Noise, cut, learn_noise
 from colmap_edges.edges3d.curves.joints import joined_at_corners
 from colmap_edges.edges3d.curves.relations import regularized
 
-# Distances between points: an arc that lacks less of the full turn is one. As pieces of edges are
-# joined across gaps (Linking.max_gap_spacings).
+# Largest gap of an arc that is closed to a circle, in distances between points; the value of
+# Linking.max_gap_spacings.
 MAX_GAP_SPACINGS = 8.0
 
 
 def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1) -> Curves3D:
-    """Say what each edge is: the simplest curves that fit within its standard deviations.
+    """Fit the simplest curves to each edge that describe it within its standard deviations.
 
-    Edges are cut where the kind of curve changes. Every choice is that of least cost, which is
-    half the squares of the residuals in standard deviations plus half the number of parameters
-    times the logarithm of the number of points (BIC; Schwarz 1978). How large the deviations
-    really are, and how many successive points say as much as one, is learned from the edges.
+    Edges are cut where the curve changes. Cuts and kinds minimise the Bayesian information
+    criterion (BIC; Schwarz 1978): half the sum of squared residuals in standard deviations, plus
+    half the number of parameters times the logarithm of the number of points. The scale of the
+    deviations and the correlation of successive points are estimated from the edges.
 
     Args:
         edges: the edges, whole or in pieces.
-        regularize: make lines and planes parallel, perpendicular and coplanar, and circles
-            concentric, where they are so within their deviations.
-        num_threads: threads to use; the result does not depend on it.
+        regularize: make curves exactly parallel, perpendicular, coplanar or concentric if they
+            are so within their deviations.
+        num_threads: number of threads; does not affect the result.
 
     Returns:
-        The curves in the order of the edges. Points that fit none are of none.
+        The curves in the order of the edges; outliers belong to no curve.
     """
     if not edges.num_points:
         return Curves3D.none()

@@ -1,4 +1,4 @@
-"""Where successive curves of an edge meet: both are led to their common point."""
+"""Joints of consecutive curves of an edge: both are extended to a common point."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from colmap_edges.core.curves3d import CIRCLE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.edges3d.curves.cutting import Noise
 from colmap_edges.edges3d.curves.stacks import MISFIT
 
-STEPS = 30
-MAX_POINTS_BETWEEN = 8  # that are of no curve where two meet, such as those of a rounded corner
-REACH = 3.0  # distances between points that a curve is led on at most, beyond the gap
+STEPS = 30  # iterations of the search for the common point
+# maximum number of points between two curves that meet, such as at a rounded corner
+MAX_POINTS_BETWEEN = 8
+REACH = 3.0  # maximum extension of a curve beyond the gap, in distances between points
 
 
 def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:

@@ -1,8 +1,8 @@
 """Relations between curves that the data supports: parallel, perpendicular, coplanar, concentric.
 
-Directions are those of lines and the normals of planes of circles, ellipses and their arcs. What is
-equal within its standard deviations is made equal, the surest first; a curve that its points then
-fit worse than chance allows stays as it was.
+Directions are those of lines and the normals of circles, ellipses and their arcs. Directions that
+are equal within their standard deviations are made equal, the most certain first. A curve is
+restored if its points then fit significantly worse.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from colmap_edges.core.curves3d import LINE, SPLINE, Curves3D
 from colmap_edges.edges3d.curves.cutting import Noise
 from colmap_edges.edges3d.curves.stacks import MISFIT, Stack
 
-MAX_GROWTH = 1.5  # of the mean square of a curve's residuals, beyond that of its deviations
-MAX_ANGLE = np.radians(5)  # however unsure: what is farther apart is not taken for equal
+# maximum growth of a curve's mean squared residual, beyond that explained by deviations
+MAX_GROWTH = 1.5
+MAX_ANGLE = np.radians(5)  # maximum angle between directions made equal, whatever their deviations
 
 
 def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:

@@ -1,4 +1,4 @@
-"""Lines and circles by geometric least squares, robustly, for many stretches at once."""
+"""Robust geometric least-squares fits of lines and circles, for many stretches at once."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
 
-LINE_STEPS = 4
-CIRCLE_STEPS = 6
+LINE_STEPS = 4  # iterations of the fit of a line
+CIRCLE_STEPS = 6  # iterations of the fit of a circle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ def principal_axes(stack: Stack, weights: FloatArray) -> tuple[FloatArray, Float
     totals = stack.sums(weights)[:, None]
     origins = stack.sums(weights[:, None] * stack.points) / totals
     q = stack.points - origins[stack.owners]
-    spread = stack.sums(np.einsum("i,ij,ik->ijk", weights, q, q)) / totals[:, :, None]
+    spread = stack.products(weights, q, q) / totals[:, :, None]
     return origins, np.swapaxes(np.linalg.eigh(spread)[1], 1, 2)
 
 
@@ -124,7 +124,7 @@ def least_squares(
     stack: Stack, weights: FloatArray, rows: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Solutions (S, 3) of (N, 3) rows against (N,) values in each stretch, and covariances."""
-    normal = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, rows))
+    normal = stack.products(weights, rows, rows)
     return solved(normal, stack.sums((weights * values)[:, None] * rows))
 
 

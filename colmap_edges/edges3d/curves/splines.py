@@ -1,4 +1,4 @@
-"""Cubic B-splines with as few knots as the points ask for."""
+"""Fits of cubic B-splines with as few knots as the points require."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.interpolate import BSpline
 
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import DEGREE
 from colmap_edges.edges3d.curves.stacks import Stack, costs_of, softened, solved
 
-FREEDOM = 3  # of a control point; and one more of the spline: where along the edge it ends
-ROUNDS = 3  # of weighting, and of moving the places of points along the curve
-GROWTH = 1.35  # from one number of control points that is tried to the next
-MIN_SPAN = 2.5  # points for each control point at least
+FREEDOM = 3  # parameters per control point; a spline has one more, its end along the edge
+ROUNDS = 3  # rounds of reweighting and of updating the parameters of points
+GROWTH = 1.35  # ratio of consecutive candidate numbers of control points
+MIN_SPAN = 2.5  # minimum number of points per control point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,54 +24,52 @@ class SplineFit:
     Attributes:
         knots: (m + 4,) from 0 to about the length of the curve.
         control: (m, 3) control points.
-        squares: (n,) squared distances of the points.
         sigmas: (m,) deviations of the control points in each direction.
         cost: sum of bounded squares plus the price of its parameters.
     """
 
     knots: FloatArray
     control: FloatArray
-    squares: FloatArray
     sigmas: FloatArray
     cost: float
 
 
-def fit_spline(
-    points: FloatArray,
-    weights: FloatArray,
-    log_count: float,
-    share: float,
-    correlation: float,
-    most: float,
-) -> SplineFit | None:
-    """Fit the spline of least cost (BIC) to (n, 3) points in their order.
+def fit_splines(
+    stack: Stack, log_counts: FloatArray, shares: FloatArray, correlation: float, most: FloatArray
+) -> dict[int, SplineFit]:
+    """Fit to each of S stretches of points, in their order, the spline of least cost (BIC).
 
     Args:
-        points: the points.
-        weights: (n,) one over the squares of their deviations.
-        log_count: what a parameter costs.
-        share: what the squares of residuals are divided by.
+        stack: the stretches.
+        log_counts: (S,) what a parameter costs.
+        shares: (S,) what the squares of residuals are divided by.
         correlation: number of successive points that say as much as one.
-        most: cost that it must be below.
+        most: (S,) costs that splines must be below.
 
     Returns:
-        The spline, None where none costs less.
+        By stretch its spline; there is none where none costs less.
     """
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    places = np.concatenate([[0], np.cumsum(steps)])
-    best, size, before = None, DEGREE + 1, np.inf
-    while size * MIN_SPAN <= len(points) and spline_price(size, log_count) < most:
-        fit = spline_of(points, weights, places, size)
-        cost = float(costs_of(weights * fit.squares, share, correlation).sum())
-        cost += spline_price(size, log_count)
-        if cost > before:
-            break
-        before = cost
-        if cost < most:
-            most = cost
-            best = SplineFit(**{**vars(fit), "cost": cost})
+    lengths, most = np.diff(stack.offsets), most.copy()
+    before = np.full(stack.size, np.inf)
+    found: dict[int, SplineFit] = {}
+    rows, size = np.arange(stack.size), DEGREE + 1
+    while True:
+        rows = rows[size * MIN_SPAN <= lengths[rows]]
+        rows = rows[spline_price(size, 1.0) * log_counts[rows] < most[rows]]
+        if not len(rows):
+            return found
+        part = stack.select(rows)
+        knots, control, squares, sigmas = splines_of(part, size)
+        costs = part.sums(costs_of(part.weights * squares, shares[rows][part.owners], correlation))
+        costs += spline_price(size, 1.0) * log_counts[rows]
+        for at in np.flatnonzero(costs < np.minimum(most, before)[rows]).tolist():
+            found[int(rows[at])] = SplineFit(
+                knots=knots[at], control=control[at], sigmas=sigmas[at], cost=float(costs[at])
+            )
+        going_on = costs <= before[rows]
+        before[rows], most[rows] = costs, np.minimum(most[rows], costs)
+        rows = rows[going_on]
         size = max(size + 1, round(size * GROWTH))
-    return best
 
 
 def smooth_squares(stack: Stack, degree: int) -> FloatArray:
@@ -80,15 +77,13 @@ def smooth_squares(stack: Stack, degree: int) -> FloatArray:
 
     No spline of few control points is much nearer to them, so where these are too far, all are.
     """
-    steps = np.linalg.norm(np.diff(stack.points, axis=0, prepend=stack.points[:1]), axis=1)
-    along = np.cumsum(steps)
-    first, last = along[stack.offsets[:-1]], along[stack.offsets[1:] - 1]
-    half = np.maximum((last - first) / 2, 1e-300)
-    rows = chebvander(((along - first[stack.owners]) / half[stack.owners] - 1), degree)
+    along = lengths_along(stack)
+    half = np.maximum(along[stack.offsets[1:] - 1] / 2, 1e-300)
+    rows = np.asarray(chebvander(along / half[stack.owners] - 1, degree), np.float64)
     weights = stack.weights
     for _ in range(2):
-        matrices = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, rows))
-        values = stack.sums(np.einsum("i,ij,ik->ijk", weights, rows, stack.points))
+        matrices = stack.products(weights, rows, rows)
+        values = stack.products(weights, rows, stack.points)
         _, inverses = solved(matrices, values[:, :, 0])
         found = np.einsum("ij,ijk->ik", rows, (inverses @ values)[stack.owners])
         squares: FloatArray = ((stack.points - found) ** 2).sum(axis=1)
@@ -101,35 +96,80 @@ def spline_price(size: int, log_count: float) -> float:
     return (FREEDOM * size + 1) * log_count
 
 
-def spline_of(points: FloatArray, given: FloatArray, places: FloatArray, size: int) -> SplineFit:
-    """The spline of `size` control points through (n, 3) points at (n,) ascending places."""
-    shares = np.linspace(0, len(places) - 1, size - DEGREE + 1)[1:-1]
-    inner = np.interp(shares, np.arange(len(places)), places)
-    ends = np.full(DEGREE + 1, places[0]), np.full(DEGREE + 1, places[-1])
-    knots = np.concatenate([ends[0], inner, ends[1]])
-    basis = BSpline(knots, np.eye(size), DEGREE)
-    weights, at = given, places
-    for _ in range(ROUNDS):
-        rows = basis(at)
-        weighted = weights[:, None] * rows
-        matrix = rows.T @ weighted
-        matrix += 1e-12 * np.trace(matrix) / size * np.eye(size)
-        inverse = np.linalg.inv(matrix)
-        control = inverse @ (weighted.T @ points)
-        squares, along = distances_of(rows @ control, points)
-        weights = softened(given, squares)
-        at = np.clip(at + along, places[0], places[-1])  # nearer to where the points are nearest
-    sigmas = np.sqrt(np.diag(inverse))
-    return SplineFit(knots=knots, control=control, squares=squares, sigmas=sigmas, cost=np.inf)
+def splines_of(stack: Stack, size: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The splines of `size` control points through the stretches of points.
 
-
-def distances_of(found: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) squared distances of (n, 3) points across a curve through (n, 3) ones found on it.
-
-    Also (n,) how far along it they are from those.
+    Returns:
+        (S, size + 4) knots, (S, size, 3) control points, (N,) squared distances of the points and
+        (S, size) deviations of the control points.
     """
-    tangents = np.gradient(found, axis=0)
+    offsets, owners = stack.offsets, stack.owners
+    places = lengths_along(stack)
+    knots = knots_of(places, offsets, size)
+    weights, at = stack.weights, places
+    for _ in range(ROUNDS):
+        rows = basis_of(knots, owners, at)
+        matrices = stack.products(weights, rows, rows)
+        traces = np.trace(matrices, axis1=1, axis2=2)
+        matrices += 1e-12 * traces[:, None, None] / size * np.eye(size)
+        inverses = np.linalg.inv(matrices)
+        control = inverses @ stack.products(weights, rows, stack.points)
+        squares, along = distances_of(np.einsum("ij,ijk->ik", rows, control[owners]), stack)
+        weights = softened(stack.weights, squares)
+        # Nearer to where the points are nearest.
+        at = np.clip(at + along, 0, knots[owners, -1])
+    sigmas = np.sqrt(np.einsum("sii->si", inverses))
+    return knots, control, squares, sigmas
+
+
+def lengths_along(stack: Stack) -> FloatArray:
+    """(N,) how far points are along the polyline of their stretch."""
+    along = np.zeros(len(stack.points))
+    along[1:] = np.cumsum(np.linalg.norm(np.diff(stack.points, axis=0), axis=1))
+    return along - along[stack.offsets[:-1]][stack.owners]
+
+
+def knots_of(places: FloatArray, offsets: IntArray, size: int) -> FloatArray:
+    """(S, size + 4) knots with as many of (N,) places between each and the next."""
+    last = (offsets[1:] - 1 - offsets[:-1])[:, None]
+    inner = last * np.linspace(0, 1, size - DEGREE + 1)[1:-1]
+    left = np.minimum(inner.astype(np.int64), last - 1)
+    low, high = (places[offsets[:-1, None] + left + step] for step in (0, 1))
+    ends = (
+        np.zeros((len(last), DEGREE + 1)),
+        np.repeat(places[offsets[1:, None] - 1], DEGREE + 1, 1),
+    )
+    return np.concatenate([ends[0], low + (inner - left) * (high - low), ends[1]], axis=1)
+
+
+def basis_of(knots: FloatArray, owners: IntArray, at: FloatArray) -> FloatArray:
+    """(N, m) values of the B-splines of (S, m + 4) knots at (N,) places (de Boor's recursion)."""
+    size = knots.shape[1] - DEGREE - 1
+    inner = knots[:, DEGREE + 1 : size]
+    spans = DEGREE + (at[:, None] >= inner[owners]).sum(axis=1)
+    near = knots[owners[:, None], spans[:, None] + np.arange(1 - DEGREE, DEGREE + 1)]
+    values = np.ones((len(at), 1))
+    for degree in range(1, DEGREE + 1):
+        low = near[:, DEGREE - degree : DEGREE]
+        high = near[:, DEGREE : DEGREE + degree]
+        shares = values / np.maximum(high - low, 1e-300)
+        values = np.zeros((len(at), degree + 1))
+        values[:, :-1] += shares * (high - at[:, None])
+        values[:, 1:] += shares * (at[:, None] - low)
+    rows = np.zeros((len(at), size))
+    np.put_along_axis(rows, spans[:, None] + np.arange(-DEGREE, 1), values, axis=1)
+    return rows
+
+
+def distances_of(found: FloatArray, stack: Stack) -> tuple[FloatArray, FloatArray]:
+    """(N,) squared distances of a stack's points across curves through (N, 3) points on them.
+
+    Also (N,) how far along them they are from those.
+    """
+    each = np.arange(len(found))
+    first, last = stack.offsets[:-1][stack.owners], stack.offsets[1:][stack.owners] - 1
+    tangents = found[np.minimum(each + 1, last)] - found[np.maximum(each - 1, first)]
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
-    off = points - found
+    off = stack.points - found
     along: FloatArray = np.einsum("ij,ij->i", off, tangents)
     return np.maximum(np.einsum("ij,ij->i", off, off) - along**2, 0), along

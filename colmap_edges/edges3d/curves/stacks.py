@@ -1,4 +1,4 @@
-"""Stretches of points with weights, stacked, on which many curves are fitted at once."""
+"""Stacks of weighted point sequences, for fitting many curves at once."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, owners_of
+from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, owners_of, ranges_of
 
-MISFIT = 3.0  # standard deviations from which on a point is of no curve
-SOFT = 2.0  # standard deviations from which on points lose weight in fits
+MISFIT = 3.0  # distance from a curve, in standard deviations, beyond which a point is an outlier
+SOFT = 2.0  # threshold of Huber's weights, in standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +36,25 @@ class Stack:
         """(N,) stretch of each point."""
         return owners_of(self.offsets)
 
+    def select(self, rows: IntArray) -> Stack:
+        """Some of the stretches."""
+        first, end = self.offsets[:-1][rows], self.offsets[1:][rows]
+        points = ranges_of(first, end)
+        return Stack(
+            points=self.points[points],
+            weights=self.weights[points],
+            offsets=offsets_of(end - first),
+        )
+
     def sums(self, values: FloatArray) -> FloatArray:
         """(S, ...) sums of (N, ...) values over each stretch, none of which is empty."""
         if not self.size:
             return np.zeros((0, *values.shape[1:]))
         return np.asarray(np.add.reduceat(values, self.offsets[:-1], axis=0))
+
+    def products(self, weights: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(S, j, k) sums of the outer products of (N, j) and (N, k) rows of (N,) weights."""
+        return self.sums((weights[:, None] * a)[:, :, None] * b[:, None])
 
 
 def softened(weights: FloatArray, squares: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-"""Pieces of 3D edges joined to whole ones and led to corners."""
+"""Joining of 3D edge pieces to whole edges, and their extension to corners."""

@@ -1,8 +1,8 @@
-"""Extends edge ends to shared 3D corners.
+"""Extension of edge ends to shared 3D corners.
 
-Blur rounds corners off and depths are known up to a few pixels before them, so that edges end a
-little before or behind the corner. Where lines through their ends meet, and views observe an edge
-there, each is led to the meeting point (the least squares one of three edges and more).
+Blur rounds corners, and depths are estimated only up to a few pixels before them, so edges end
+slightly before or behind a corner. If the lines through their ends meet, and views observe an edge
+there, the edges are extended to the (least-squares) meeting point.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import end_points
 from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
+from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials, unit
 from colmap_edges.edges3d.linking.joining import (
     SHORT_GAP,
     Ends,
@@ -36,16 +37,17 @@ from colmap_edges.edges3d.linking.joining import (
 )
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
-FIT_POINTS = 8  # next to the last one that tell the line of an end
-BEND_RATIO = 2.0  # of squared residuals; by the F test of 8 points a bend is sure to 99 % here
-MIN_ANGLE_DEG = 20.0  # between lines; where nearly parallel ones meet is not known
-APART_RATIO = 1.5  # how far apart two ends are at most, in their longest ways to the corner
-MAX_MISS_SPACINGS = 0.5  # distance of an end's line to the corner
-MAX_PAST_SPACINGS = 0.75  # how far an edge may have gone past the corner
-MIN_GAP_SPACINGS = 0.5  # nearer to the corner an edge point is replaced by it
-STAY_WEIGHT = 1e-6  # of where a corner was thought to be, against a line's
-WAY = np.array([1 / 3, 2 / 3])  # of the way to a corner, where it must be observed
-MIN_SEEN_RATIO = 0.5  # of the views that observe an end, those that must observe the corner
+FIT_POINTS = 8  # points next to the last one to which the line of an end is fitted
+BEND_RATIO = 2.0  # ratio of squared residuals of a bend; F test of 8 points at 99 %
+MIN_ANGLE_DEG = 20.0  # minimum angle between lines; nearly parallel ones have no defined corner
+APART_RATIO = 1.5  # maximum distance of two ends, in maximum extensions to the corner
+MAX_MISS_SPACINGS = 0.5  # maximum distance of an end's line to the corner
+MAX_PAST_SPACINGS = 0.75  # maximum length by which an edge overshoots the corner
+MIN_GAP_SPACINGS = 0.5  # distance within which the corner replaces an edge point
+STAY_WEIGHT = 1e-6  # weight of a corner's prior position, relative to a line
+# positions on an extension at which an edge must be observed, as fractions
+WAY = np.array([1 / 3, 2 / 3])
+MIN_SEEN_RATIO = 0.5  # minimum share of an end's observing views that observe the extension
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,26 +167,12 @@ def fit_lines(edges: Edges3D) -> Lines:
     outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
     outward *= np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
     off = apart - np.einsum("nki,ni->nk", apart, outward)[:, :, None] * outward[:, None]
-    at_tip, along, rest = parabolas(points)
+    steps = np.broadcast_to(np.arange(1.0, FIT_POINTS + 1), points.shape[:2])
+    parabolas, rest = polynomials(steps, points, 2)
     # A line that leaves out twice what a parabola does is the chord of a bend.
     bent = (np.abs(inner - tips) >= FIT_POINTS) & ((off**2).sum(axis=(1, 2)) > BEND_RATIO * rest)
-    centers[bent], outward[bent] = at_tip[bent], along[bent]
+    centers[bent], outward[bent] = parabolas[bent, 0], unit(-parabolas[bent, 1])
     return Lines(ends=ends, centers=centers, outward=outward)
-
-
-def parabolas(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The parabolas by steps through (n, K, 3) points one step and more from an end.
-
-    Returns:
-        (n, 3) where they are at the end, (n, 3) their unit directions out of it and (n,) the
-        squares of their residuals, summed up.
-    """
-    powers = np.vander(np.arange(1.0, points.shape[1] + 1), 3, increasing=True)
-    factors = np.einsum("ck,nki->nci", np.linalg.pinv(powers), points)
-    rest = ((points - np.einsum("kc,nci->nki", powers, factors)) ** 2).sum(axis=(1, 2))
-    outward = -factors[:, 1]
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300
-    return factors[:, 0], outward, rest
 
 
 def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corners:
@@ -217,9 +205,11 @@ def pairs_to_meet(edges: Edges3D, lines: Lines, reach: float) -> IntArray:
     open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
     keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
     pairs = np.column_stack([a, b])[keep]
-    cosine = np.einsum("ij,ij->i", *lines.outward[pairs.T])
-    apart: IntArray = pairs[np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))]
-    return apart
+    least = np.cos(np.radians(MIN_ANGLE_DEG))
+    apart = np.abs(np.einsum("ij,ij->i", *lines.outward[pairs.T])) <= least
+    # Both ends of a gap in a bend lead to where their tangents meet, which is no corner.
+    apart[apart] = ~go_on_smoothly(edges, *pairs[apart].T)
+    return np.asarray(pairs[apart])
 
 
 def meetings(lines: Lines, pairs: IntArray) -> FloatArray:

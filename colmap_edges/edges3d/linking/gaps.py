@@ -1,13 +1,12 @@
-"""Tests whether views observe an edge in the gap between two pieces.
+"""Test of whether views observe an edge in the gap between two pieces.
 
-Without that, edges that end at corners would be joined to others that happen to lie on the same
-line, as the sides of windows in a row do.
+Without it, edges that end at corners would be joined to others on the same line, such as the sides
+of windows in a row.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
@@ -15,8 +14,10 @@ from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
 from colmap_edges.edges3d.linking.joining import Ends, views_near
 from colmap_edges.options import PipelineOptions
 
-PLACES = np.array([0.25, 0.5, 0.75])  # along a gap, at which an edge must be observed
-RADIUS_RATIO = 1.5  # what lies in between is known less well than edge points are
+# positions in a gap at which an edge must be observed, as fractions
+PLACES = np.array([0.25, 0.5, 0.75])
+# search radius relative to that of edge points, as positions in a gap are less certain
+RADIUS_RATIO = 1.5
 
 
 def are_observed(
@@ -60,8 +61,19 @@ def are_observed(
 
 def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
     """(n, P, 3) points at `PLACES` of smooth curves from ends to ends, and their directions."""
-    positions = np.stack([ends.positions[a], ends.positions[b]])
-    lengths = np.linalg.norm(positions[1] - positions[0], axis=1, keepdims=True)
+    first, last = ends.positions[a], ends.positions[b]
+    lengths = np.linalg.norm(last - first, axis=1, keepdims=True)
     leaving, arriving = lengths * ends.outward[a], -lengths * ends.outward[b]
-    curves = CubicHermiteSpline([0, 1], positions, np.stack([leaving, arriving]))
-    return curves(PLACES).swapaxes(0, 1), curves(PLACES, 1).swapaxes(0, 1)
+    ruled = np.stack([first, leaving, last, arriving])
+    points, tangents = np.einsum("dkp,kni->dnpi", hermite_weights(PLACES), ruled)
+    return points, tangents
+
+
+def hermite_weights(t: FloatArray) -> FloatArray:
+    """(2, 4, P) weights of the first place, leaving, the last place and arriving.
+
+    Of the cubic between two places at (P,) shares of the way, and of its derivative.
+    """
+    places = [2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2]
+    slopes = [6 * t**2 - 6 * t, 3 * t**2 - 4 * t + 1, 6 * t - 6 * t**2, 3 * t**2 - 2 * t]
+    return np.array([places, slopes])

@@ -1,8 +1,7 @@
-"""Pieces of 3D edges -> whole edges: joined, closed, with nodes (paper: future work).
+"""Joining of 3D edge pieces to whole edges, closed or with nodes (paper: future work).
 
-A chain that ends in one view often goes on in another, which traced the rest of the edge. Lengths
-are measured in spacings, the distance between edge points there, so that nothing depends on the
-scene's unit.
+A chain that ends in one view often continues in another view, which traced the rest of the edge.
+Lengths are in spacings, the local distance between edge points, and so independent of the unit.
 """
 
 from __future__ import annotations
@@ -19,11 +18,13 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, match_best_first, points_along, walk_joined
+from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.options import LinkingOptions
 
-REACH = 4  # points from an end that tell its direction and spacing
-MIN_LOOP_POINTS = 8  # of a closed edge
-SHORT_GAP = 2.0  # spacings; shorter ones are hardly any
+REACH = 4  # points from an end over which its direction and spacing are measured
+MAX_TURN = np.radians(60.0)  # maximum turn across a gap in a curve
+MIN_LOOP_POINTS = 8  # minimum number of points of a closed edge
+SHORT_GAP = 2.0  # gap, in spacings, below which pieces are joined without a test
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edge
     if edges.num_edges == 0:
         return edges
     ends = find_ends(edges)
-    partner = match_ends(ends, np.diff(edges.edge_offsets), options, goes_on)
+    partner = match_ends(edges, ends, options, goes_on)
     skip = overlaps(edges, ends, partner)
     begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     paths = walk_joined(partner)
@@ -107,22 +108,26 @@ def near_pairs(ends: Ends, radius: float) -> tuple[IntArray, IntArray, FloatArra
     return a[keep], b[keep], gap[keep]
 
 
-def match_ends(ends: Ends, sizes: IntArray, options: LinkingOptions, goes_on: GoesOn) -> IntArray:
+def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: GoesOn) -> IntArray:
     """(2E,) the end that continues each end, best pairs first, or -1."""
     a, b, gap = near_pairs(ends, options.max_gap_spacings)
+    sizes = np.diff(edges.edge_offsets)
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
+    lengths = np.linalg.norm(gap, axis=1)
     turn = -np.einsum("ij,ij->i", ends.outward[a], ends.outward[b])
     direction = ends.outward[a] - ends.outward[b]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-300
     along = np.einsum("ij,ij->i", direction, gap)
     across = np.linalg.norm(gap - along[:, None] * direction, axis=1)
-    bend = np.tan(np.radians(options.max_join_angle_deg))
-    allowed = turn >= np.cos(np.radians(options.max_join_angle_deg))
-    allowed &= across <= bend * np.maximum(along, spacing)
+    facing, bent = (
+        (turn >= np.cos(angle)) & (across <= np.tan(angle) * np.maximum(along, spacing))
+        for angle in (np.radians(options.max_join_angle_deg), MAX_TURN)
+    )
+    rows = np.flatnonzero(bent & ~facing & (along > 0))
+    facing[rows] = go_on_smoothly(edges, a[rows], b[rows])
     # An overlap is left out later, of one piece; it must not be all of it.
-    allowed &= along >= -(REACH - 1) * spacing
+    allowed = facing & (along >= -(REACH - 1) * spacing)
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
-    lengths = np.linalg.norm(gap, axis=1)
     rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
     allowed[rows] = goes_on(ends, a[rows], b[rows])
     cost = lengths / spacing + 2 * across / spacing
@@ -167,9 +172,7 @@ def with_nodes(edges: Edges3D, options: LinkingOptions) -> Edges3D:
     """The edges with a node for the ends of open ones that meet."""
     ends = find_ends(edges)
     free = np.flatnonzero(np.repeat(~edges.closed, 2))
-    own = Ends(
-        positions=ends.positions[free], outward=ends.outward[free], spacings=ends.spacings[free]
-    )
+    own = Ends(**{name: of[free] for name, of in vars(ends).items()})
     nodes = np.full(len(ends.positions), -1, np.int32)
     if len(free):
         a, b, _ = near_pairs(own, options.node_radius_spacings)

@@ -1,7 +1,6 @@
-"""Ends of edges that meet share a node: one point with its own deviation and track.
+"""Nodes at which ends of edges meet: points with their own standard deviations and tracks.
 
-Ends meet at corners, at joints of edges that no longer go on in each other, and at T junctions,
-where one ends on another that passes by.
+Nodes are corners, joints of consecutive edges, and T junctions, where an edge ends on another one.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from colmap_edges.core.edges3d import Edges3D, Nodes, mean_colors
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import curve_tangents, end_points
 from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up
+from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.edges3d.linking.corners3d import (
     MAX_MISS_SPACINGS,
     MAX_PAST_SPACINGS,
@@ -29,10 +29,10 @@ from colmap_edges.edges3d.linking.corners3d import (
     observe,
     order_to,
 )
-from colmap_edges.edges3d.linking.joining import REACH, near_pairs, views_near
+from colmap_edges.edges3d.linking.joining import REACH, Ends, near_pairs, views_near
 from colmap_edges.options import PipelineOptions
 
-MIN_SIGMA_SPACINGS = 1e-3  # no end is known better than that
+MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +95,8 @@ def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meet
     cosine = np.einsum("ij,ij->i", lines.ends.outward[a], lines.ends.outward[b])
     keep = is_open[a] & is_open[b] & (cosine <= np.cos(np.radians(MIN_ANGLE_DEG)))
     keep &= a // 2 != b // 2
+    led = share_place(lines.ends)
+    keep[keep] = (led[a] & led[b])[keep] | ~go_on_smoothly(edges, a[keep], b[keep])
     links = nearest_links(a[keep], b[keep], np.linalg.norm(gap[keep], axis=1))
     count = len(lines.centers)
     graph = coo_array((np.ones(len(links)), links.T), shape=(count, count))
@@ -103,13 +105,23 @@ def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meet
     owners = np.unique(labels[members], return_inverse=True)[1].astype(np.int64)
     none = np.zeros((int(owners.max(initial=-1)) + 1, 3))
     corners = Corners(positions=none, members=members, owners=owners)
-    for _ in range(2):  # first with all, then without those that run elsewhere
-        corners = replace(corners, positions=solve_nodes(edges, lines, corners)[0])
+    # Those led to one corner tell where it is; of others all do, then all that run there.
+    told = np.bincount(owners[led[members]], minlength=len(none)) > 0
+    firm = led[members] | ~told[owners]
+    of_these = replace(corners, members=members[firm], owners=owners[firm])
+    for _ in range(2):
+        corners = replace(corners, positions=solve_nodes(edges, lines, of_these)[0])
         along, miss = lines.reaches(corners.members[:, None], corners.points[:, None])
         near = (np.abs(along) <= radius) & (miss <= MAX_MISS_SPACINGS)
-        corners = corners.select(near[:, 0])
+        corners = of_these = corners.select(near[:, 0] | led[corners.members])
     used = np.bincount(corners.owners, minlength=len(none)) > 0
     return Meetings(corners=corners, through=np.full(len(none), -1, np.int64)).select(used)
+
+
+def share_place(ends: Ends) -> BoolArray:
+    """(2E,) which ends are where another one is: they were led to one corner."""
+    _, place, counts = np.unique(ends.positions, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray((counts[place.ravel()] > 1) & (ends.spacings > 0))
 
 
 def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:

@@ -1,1 +1,1 @@
-"""3D edges as the paper traces them: PECs, PEPCs, following, visibility, sampling."""
+"""Tracing of 3D edges as in the paper: PECs, PEPCs, following, visibility, sampling."""

@@ -1,4 +1,4 @@
-"""Epipolar intersections -> potential edge-point correspondences (paper: PEPC generation)."""
+"""Potential edge-point correspondences from epipolar intersections (paper: PEPC generation)."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import CorrespondenceOptions
 
-DEPTH_MARGIN = 2.0  # how far beyond the SfM points of a view edges are sought, as a factor
-NEAREST_TO_NEXT = 1 - 1e-9  # share of the way; the point after the last may be the first
-DEPTH_PERCENTILES = (1.0, 99.0)  # of the SfM points' depths, against their outliers
+DEPTH_MARGIN = 2.0  # factor by which the depth range of a view's SfM points is extended
+# largest fraction of the way to the next point; the last may connect to the first
+NEAREST_TO_NEXT = 1 - 1e-9
+# percentiles of the SfM points' depths used as range, without outliers
+DEPTH_PERCENTILES = (1.0, 99.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,8 +199,8 @@ def sample_graph(graph: EdgeGraph, wanted: BoolArray, spacing_px: float) -> Floa
 
     The intervals are centred on the polyline; one shorter than the spacing has one place.
     """
-    following = next_points(graph, np.arange(len(graph.ideal)))
-    steps = np.linalg.norm(graph.ideal[following] - graph.ideal, axis=1)
+    following = next_points(graph, np.arange(len(graph.undistorted)))
+    steps = np.linalg.norm(graph.undistorted[following] - graph.undistorted, axis=1)
     arc = np.concatenate([[0.0], np.cumsum(steps)])
     offsets = graph.polyline_offsets
     begin = arc[offsets[:-1]]

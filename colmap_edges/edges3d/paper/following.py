@@ -1,4 +1,4 @@
-"""Validate PEPCs and follow edges through the views (paper: PEPC validation)."""
+"""Validation of PEPCs and following of edges through the views (paper: PEPC validation)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import FollowingOptions
 
-MIN_SELECTION_VIEWS = 3  # fewest observations that give evidence (paper: PEPC-selection)
+MIN_SELECTION_VIEWS = 3  # minimum number of observations (paper: PEPC-selection)
 OUTCOMES = (
     "accepted",
     "on_covered_stretch",
@@ -33,7 +33,7 @@ OUTCOMES = (
 )
 
 
-BATCH = 16384  # starts whose candidates are held at a time; only memory and time depend on it
+BATCH = 16384  # starting points per batch; affects only memory and time
 
 
 def follow_edges(

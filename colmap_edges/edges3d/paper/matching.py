@@ -1,4 +1,4 @@
-"""Polyline similarity graph -> communities (paper: Edge Matching and PEC generation)."""
+"""Polyline similarity graph and its communities (paper: Edge Matching and PEC generation)."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ def close_points(
 
 
 def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
-    """(T, 2) ideal pixels to which each point projects in each view of its track."""
+    """(T, 2) undistorted pixels to which each point projects in each view of its track."""
     pixels = np.full((len(point_ids), 2), np.nan)
     for view, rows in views_with_rows(model.views, model.track_views):
-        pixels[rows] = view.project_ideal(model.points3D_xyz[point_ids[rows]])[0]
+        pixels[rows] = view.project_undistorted(model.points3D_xyz[point_ids[rows]])[0]
     return pixels
 
 

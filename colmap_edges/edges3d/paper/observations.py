@@ -1,4 +1,4 @@
-"""Observations of the points of 3D edges: lists of them, and points triangulated from them."""
+"""Lists of observations of edge points, and triangulation of points from them."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ObservedPoints:
         positions: (T,) float64 places on the view's chains, see `core.observations`.
         chains: (T,) int32 polylines of the view's edge graph.
         pixels: (T, 2) float64 image pixels, COLMAP's origin.
-        normals: (T, 2) float32 unit normals of the chains, ideal pixels.
-        ideal: (T, 2) float64 the pixels in ideal pixels.
+        normals: (T, 2) float32 unit normals of the chains, undistorted pixels.
+        undistorted: (T, 2) float64 the pixels in undistorted pixels.
         colors: (T, 3) float64 RGB.
     """
 
@@ -41,7 +41,7 @@ class ObservedPoints:
     chains: Int32Array
     pixels: FloatArray
     normals: Float32Array
-    ideal: FloatArray
+    undistorted: FloatArray
     colors: FloatArray
 
     def select(self, index: BoolArray | IntArray) -> ObservedPoints:
@@ -70,7 +70,7 @@ def observations_at(points: IntArray, places: Places, chains: IndexedViews) -> O
         chains=seen.chains,
         pixels=seen.pixels,
         normals=seen.normals,
-        ideal=chains.ideal_points(places),
+        undistorted=chains.undistorted_points(places),
         colors=colors,
     )
 
@@ -78,9 +78,9 @@ def observations_at(points: IntArray, places: Places, chains: IndexedViews) -> O
 def observations_of(edges: Edges3D, chains: IndexedViews) -> ObservedPoints:
     """The tracks of all edge points as one list."""
     observed = edges.observations
-    ideal = np.empty((len(observed.views), 2))
+    undistorted = np.empty((len(observed.views), 2))
     for view, rows in observed.by_view():
-        ideal[rows] = chains.views[view].ideal_from_image(observed.pixels[rows])
+        undistorted[rows] = chains.views[view].undistorted_from_image(observed.pixels[rows])
     return ObservedPoints(
         points=observed.points,
         views=observed.views,
@@ -88,7 +88,7 @@ def observations_of(edges: Edges3D, chains: IndexedViews) -> ObservedPoints:
         chains=observed.chains,
         pixels=observed.pixels,
         normals=observed.normals,
-        ideal=ideal,
+        undistorted=undistorted,
         colors=edges.colors[observed.points].astype(np.float64),
     )
 
@@ -116,7 +116,7 @@ def triangulate_observations(
         chains.indexes,
         track_offsets(observed.points, num_points),
         np.ascontiguousarray(observed.views, np.int32),
-        np.ascontiguousarray(observed.ideal),
+        np.ascontiguousarray(observed.undistorted),
         num_threads,
     )
     return points, errors
@@ -148,6 +148,6 @@ def reprojection_errors(
     errors = np.full(len(observed.points), np.nan)
     for index, view in enumerate(chains.views):
         rows = np.flatnonzero(observed.views == index)
-        projected, _ = view.project_ideal(points[observed.points[rows]])
-        errors[rows] = np.linalg.norm(projected - observed.ideal[rows], axis=1)
+        projected, _ = view.project_undistorted(points[observed.points[rows]])
+        errors[rows] = np.linalg.norm(projected - observed.undistorted[rows], axis=1)
     return errors

@@ -1,4 +1,4 @@
-"""Places on the chains of all views, and the indexes in which they are looked for."""
+"""Positions on the chains of all views, and their search indices."""
 
 from __future__ import annotations
 
@@ -107,19 +107,21 @@ class IndexedViews:
         observed = ChainObservations(offsets=each, views=places.views, positions=places.positions)
         return look_up(self, observed)
 
-    def ideal_points(self, places: Places) -> FloatArray:
-        """(N, 2) ideal pixels of places."""
-        ideal = np.empty((len(places), 2))
+    def undistorted_points(self, places: Places) -> FloatArray:
+        """(N, 2) undistorted pixels of places."""
+        undistorted = np.empty((len(places), 2))
         for view, rows in enumerate(rows_by_view(places.views, len(self.views))):
             if len(rows):
                 graph = self.graphs[view]
-                ideal[rows] = at_positions(graph, places.positions[rows], graph.ideal)[0]
-        return ideal
+                undistorted[rows] = at_positions(graph, places.positions[rows], graph.undistorted)[
+                    0
+                ]
+        return undistorted
 
     def find_near(
         self, views: Int32Array, pixels: FloatArray, radii_px: FloatArray, num_threads: int
     ) -> NearPolylines:
-        """Polylines within a radius of (Q, 2) ideal pixels of (Q,) views; none near a NaN."""
+        """Polylines within a radius of (Q, 2) undistorted pixels of (Q,) views; none near a NaN."""
         offsets, polylines, positions, distances = _kernels.near_polylines(
             self.indexes, views, np.ascontiguousarray(pixels), radii_px, num_threads
         )

@@ -1,4 +1,4 @@
-"""3D edges sampled finely to edge points, each with its own track (paper: sampling)."""
+"""Dense sampling of 3D edges to edge points with tracks (paper: sampling)."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def observe_samples(
         rows = np.flatnonzero(shared >= 0)
         near = chains.find_near(
             np.full(len(rows), index, np.int32),
-            chains.views[index].project_ideal(chords[rows])[0],
+            chains.views[index].project_undistorted(chords[rows])[0],
             np.full(len(rows), max_distance_px),
             num_threads,
         )

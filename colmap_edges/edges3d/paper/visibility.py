@@ -1,4 +1,4 @@
-"""Find further views of 3D edges, drop outliers, sample finely (paper: Visibility refinement)."""
+"""Search for further views of 3D edges, outlier filter, sampling (paper: Visibility refinement)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
-MIN_POINT_VIEWS = 3  # of an edge point; fewer give no evidence (paper: PEPC-selection)
-MIN_VIEW_POINTS = 3  # of an edge that a view observes: a point and both its neighbours
-MIN_VIEW_SHARE = 1 / 3  # of an edge's points that a view observes; set by trial
+MIN_POINT_VIEWS = 3  # minimum number of views of an edge point (paper: PEPC-selection)
+# minimum number of an edge's points in a view that observes it: a point and its neighbours
+MIN_VIEW_POINTS = 3
+MIN_VIEW_SHARE = 1 / 3  # minimum share of an edge's points in a view that observes it; set by trial
 
 
 def expand_visibility(
@@ -129,7 +130,7 @@ def near_in_view(
 ) -> tuple[IntArray, Places]:
     """Of one view: points with a fitting place on a chain, ascending, and the places."""
     view = chains.views[view_index]
-    pixels, _ = view.project_ideal(points)
+    pixels, _ = view.project_undistorted(points)
     near = chains.find_near(
         np.full(len(points), view_index, np.int32),
         pixels,
@@ -279,7 +280,9 @@ def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
     errors = np.full(len(observed.views), np.nan)
     for index, rows in observed.by_view():
         view, points = chains.views[index], edges.points[observed.points[rows]]
-        offsets = view.project_ideal(points)[0] - view.ideal_from_image(observed.pixels[rows])
+        offsets = view.project_undistorted(points)[0] - view.undistorted_from_image(
+            observed.pixels[rows]
+        )
         errors[rows] = np.einsum("ij,ij->i", offsets, observed.normals[rows])
     return errors
 

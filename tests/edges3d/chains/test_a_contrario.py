@@ -28,11 +28,11 @@ LINE = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
 def curve_on_driver(curve=LINE, num_points=8):
     """Points of a curve as the reference sees it, at their true depths."""
     graph = known.graph_of(DRIVER, [curve])
-    rows = np.linspace(5, len(graph.ideal) - 6, num_points).astype(np.int64)
+    rows = np.linspace(5, len(graph.undistorted) - 6, num_points).astype(np.int64)
     t = known.dense_parameters(DRIVER, curve)[rows]
     return Curves(
-        ideal=graph.ideal[rows],
-        inverse_depths=1 / DRIVER.project_ideal(curve(t))[1],
+        undistorted=graph.undistorted[rows],
+        inverse_depths=1 / DRIVER.project_undistorted(curve(t))[1],
         indices=rows,
         offsets=np.array([0, num_points]),
         sides=np.ones(num_points, np.int8),
@@ -44,7 +44,7 @@ def chains_of(views, *curves):
 
 
 def chances(curves, residuals, edge_indexes, views=OTHERS):
-    displacements = np.full(len(curves.ideal), 1e-3)
+    displacements = np.full(len(curves.undistorted), 1e-3)
     return chance_of_observations(
         DRIVER, curves, residuals, displacements, views, edge_indexes, RefinementOptions(), 1
     )
@@ -113,7 +113,7 @@ def test_curves_are_judged_each_by_its_own_surroundings():
 
 def test_no_points_have_no_chance():
     none = Curves(
-        ideal=np.zeros((0, 2)),
+        undistorted=np.zeros((0, 2)),
         inverse_depths=np.zeros(0),
         indices=np.zeros(0, np.int64),
         offsets=offsets_of(np.zeros(0, np.int64)),

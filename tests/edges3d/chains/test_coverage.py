@@ -89,7 +89,7 @@ def test_what_is_left_is_cut_where_curves_run():
     left = keep_points(graph, keep)
     assert left.num_polylines == 3
     assert left.closed.tolist() == [False, False, True]
-    for name in ("points", "ideal", "normals", "sides"):
+    for name in ("points", "undistorted", "normals", "sides"):
         np.testing.assert_array_equal(getattr(left, name), getattr(graph, name)[keep])
     for piece in range(3):
         first, end = left.polyline_offsets[piece : piece + 2]

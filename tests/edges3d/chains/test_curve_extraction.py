@@ -169,7 +169,7 @@ def curves_of_line(side=1, covered=(), agreeing=3, **options):
     """Curves found on a straight line whose depths are known every 24 points; and how many."""
     graph = known.graph_of(VIEW, [LINE], [side])
     t = known.dense_parameters(VIEW, LINE)
-    inverse = 1 / VIEW.project_ideal(LINE(t))[1]
+    inverse = 1 / VIEW.project_undistorted(LINE(t))[1]
     samples = np.arange(6, len(t) - 6, 24)
     hidden = np.zeros(len(t), bool)
     hidden[list(covered)] = True
@@ -194,9 +194,9 @@ def test_a_straight_line_is_found_exactly(side):
     end = min(samples[-1] + TracingOptions().extension_px, len(graph.points) - 1)
     expected = np.arange(0, end + 1, TracingOptions().curve_step_points)
     np.testing.assert_array_equal(found.indices, expected)
-    np.testing.assert_array_equal(found.ideal, graph.ideal[found.indices])
+    np.testing.assert_array_equal(found.undistorted, graph.undistorted[found.indices])
     assert (found.sides == side).all()
-    points = lift(VIEW, found.ideal, found.inverse_depths)
+    points = lift(VIEW, found.undistorted, found.inverse_depths)
     t = known.dense_parameters(VIEW, LINE)[found.indices]
     np.testing.assert_allclose(points, LINE(t), atol=1e-5)
 

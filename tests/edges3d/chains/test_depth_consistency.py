@@ -24,7 +24,7 @@ VIEW = known.looking((1.0, -4.0, 2.0), roll=0.3)
 def flat_graph(*lengths):
     """Polylines of the given numbers of points."""
     parts = [np.column_stack([np.arange(n), np.full(n, 10.0 * i)]) for i, n in enumerate(lengths)]
-    return known.graph_from_ideal(VIEW, parts, parts, [False] * len(parts))
+    return known.graph_from_undistorted(VIEW, parts, parts, [False] * len(parts))
 
 
 def hand_made(samples, counts, inverse, sigmas):
@@ -79,12 +79,12 @@ def test_lift_and_projection_are_inverse(points, roll, scale):
     base = known.looking((1.0, -6.0, 2.0), roll=roll)
     view = known.make_view(base.rotation, scale * base.translation)
     world = scale * np.array(points)
-    ideal, depth = view.project_ideal(world)
+    undistorted, depth = view.project_undistorted(world)
     assert (depth > 0).all()
-    np.testing.assert_allclose(lift(view, ideal, 1 / depth), world, atol=1e-9 * scale)
+    np.testing.assert_allclose(lift(view, undistorted, 1 / depth), world, atol=1e-9 * scale)
     pixels = np.array(points)[:, :2] * 100
     inverse = np.linspace(0.1, 0.5, len(pixels)) / scale
-    again, depth = view.project_ideal(lift(view, pixels, inverse))
+    again, depth = view.project_undistorted(lift(view, pixels, inverse))
     np.testing.assert_allclose(again, pixels, atol=1e-8)
     np.testing.assert_allclose(1 / depth, inverse, rtol=1e-10)
 
@@ -94,8 +94,8 @@ def test_samples_without_depth_have_no_point():
     depths = hand_made([4, 12, 20, 28, 36], [5], [0.2, 0, 0.3, 0, 0.1], [1] * 5)
     points = world_points(VIEW, graph, depths)
     assert np.isnan(points).all(axis=1).tolist() == [False, True, False, True, False]
-    ideal, depth = VIEW.project_ideal(points[[0, 2, 4]])
-    np.testing.assert_allclose(ideal, graph.ideal[[4, 20, 36]], atol=1e-9)
+    undistorted, depth = VIEW.project_undistorted(points[[0, 2, 4]])
+    np.testing.assert_allclose(undistorted, graph.undistorted[[4, 20, 36]], atol=1e-9)
     np.testing.assert_allclose(1 / depth, [0.2, 0.3, 0.1])
 
 

@@ -19,11 +19,11 @@ SPACING = 4  # points of a chain between two of a curve
 def curve_on(view, curve, *, shift_px=0.0, depth_factor=1.0):
     """A curve of the reference view `view` beside the true one, every 4 px, at wrong depths."""
     graph = known.graph_of(view, [curve])
-    rows = np.arange(0, len(graph.ideal), SPACING)
+    rows = np.arange(0, len(graph.undistorted), SPACING)
     t = known.dense_parameters(view, curve)[rows]
-    _, depths = view.project_ideal(curve(t))
+    _, depths = view.project_undistorted(curve(t))
     return Curves(
-        ideal=graph.ideal[rows] + shift_px * graph.normals[rows],
+        undistorted=graph.undistorted[rows] + shift_px * graph.normals[rows],
         inverse_depths=1 / (depth_factor * depths),
         indices=rows,
         offsets=offsets_of(np.array([len(rows)])),
@@ -40,7 +40,7 @@ def refined_distances(reference, curves, views, curve):
     """Distances of the refined points to the true curve, in pixels of the reference."""
     own, *edge_indexes = (chains_of(view, curve) for view in (reference, *views))
     refined = refine_curves(reference, own, curves, edge_indexes, RefinementOptions(), 1)
-    points = lift(reference, refined.curves.ideal, refined.curves.inverse_depths)
+    points = lift(reference, refined.curves.undistorted, refined.curves.inverse_depths)
     dense = curve(np.linspace(0, 1, 20001))
     apart = np.linalg.norm(points[:, None] - dense[None, ::20], axis=2).argmin(axis=1) * 20
     near = np.clip(apart[:, None] + np.arange(-20, 21), 0, len(dense) - 1)
@@ -74,7 +74,7 @@ def test_a_curve_that_nothing_observes_stays():
     curves = curve_on(reference, curve)
     own, none = chains_of(reference, curve), [chains_of(view) for view in others]
     refined = refine_curves(reference, own, curves, none, RefinementOptions(), 1)
-    assert np.allclose(refined.curves.ideal, curves.ideal)
+    assert np.allclose(refined.curves.undistorted, curves.undistorted)
     assert np.allclose(refined.curves.inverse_depths, curves.inverse_depths)
     assert np.isinf(refined.sigmas).all()
     assert np.isnan(refined.residuals).all()
@@ -84,7 +84,7 @@ def test_depths_never_leave_the_front():
     curve = known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1))
     reference, *others = known.ring(4)
     curves = curve_on(reference, curve)
-    curves = replace(curves, inverse_depths=np.full(len(curves.ideal), 1e-9))
+    curves = replace(curves, inverse_depths=np.full(len(curves.undistorted), 1e-9))
     own, *edge_indexes = (chains_of(view, curve) for view in (reference, *others))
     refined = refine_curves(reference, own, curves, edge_indexes, RefinementOptions(), 1)
     assert (refined.curves.inverse_depths > 0).all()

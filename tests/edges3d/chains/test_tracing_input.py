@@ -81,7 +81,7 @@ def test_what_remains_is_the_same_on_a_worker(given, whole):
 def test_a_graph_that_is_gone_is_told(given, backend):
     path = backend.cache.path(KIND, KEYS[1])
     path.unlink()
-    with pytest.raises(ColmapEdgesError, match="gone or damaged") as caught:
+    with pytest.raises(ColmapEdgesError, match="missing or damaged") as caught:
         given.graph(1)
     assert str(path) in str(caught.value)
 

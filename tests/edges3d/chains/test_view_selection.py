@@ -2,6 +2,7 @@ import curves as known
 import numpy as np
 import pytest
 
+from colmap_edges.edges3d.chains import view_selection
 from colmap_edges.edges3d.chains.view_selection import (
     inverse_depth_ranges,
     observation_matrix,
@@ -206,9 +207,61 @@ def test_depths_around_a_place_are_those_of_the_points_there():
     view = known.looking((0, -5, 0.5))
     model = known.model_of([view], np.concatenate([left, right]))
     (found,) = inverse_depth_ranges(model, observation_matrix(model))
-    near, far = found.at(view.project_ideal(np.array([[-0.6, 0, 0.5], [1.2, 5, 1.0]]))[0])
+    near, far = found.at(view.project_undistorted(np.array([[-0.6, 0, 0.5], [1.2, 5, 1.0]]))[0])
     overall = found.overall
     assert near[0] > overall[0] + 0.2 * (overall[1] - overall[0])
     assert near[0] < 1 / 5 < near[1]
     assert far[0] < 1 / 10 < far[1] < near[1]
     assert found.at(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_many_views_without_points_are_compared_with_those_near_by_only(monkeypatch):
+    rng = np.random.default_rng(0)
+    spots = np.stack(np.meshgrid(np.arange(11.0), np.arange(11.0)), axis=-1).reshape(-1, 2)
+    heights = rng.uniform(3, 3.5, len(spots))
+    views = [
+        known.looking((x, y, height), (x + 0.3, y + 1, 0), index)
+        for index, ((x, y), height) in enumerate(zip(spots, heights, strict=True))
+    ]
+    model = known.model_of(views)
+    monkeypatch.setattr(view_selection, "MOST_BY_POSE", 60)
+    compared = []
+    weigh = view_selection.angle_weights
+    monkeypatch.setattr(
+        view_selection,
+        "angle_weights",
+        lambda rays, *of: compared.append(len(rays)) or weigh(rays, *of),
+    )
+    options = ViewSelectionOptions()
+    near = select_views(model, options)
+    assert max(compared) <= 25 * 60
+    monkeypatch.setattr(view_selection, "MOST_BY_POSE", len(views))
+    for found, all_pairs in (
+        *zip(near.neighbors, select_views(model, options).neighbors, strict=True),
+    ):
+        assert found.tolist() == all_pairs.tolist()
+
+
+def test_places_of_views_without_another():
+    far = view_selection.nearest_distances(np.zeros((3, 3)))
+    np.testing.assert_array_equal(far, np.inf)
+    centers = np.array([[0.0, 0, 0], [0, 0, 0], [3, 4, 0], [3, 4, 1]])
+    np.testing.assert_array_equal(view_selection.nearest_distances(centers), [5, 5, 1, 1])
+
+
+def test_views_with_many_points_are_scored_by_some_of_them(monkeypatch):
+    model = known.model_of(RING, ball(2000, radius=0.1))
+    chosen = select_views(model, ViewSelectionOptions())
+    monkeypatch.setattr(view_selection, "MOST_SHARED", 150)
+    compared = []
+    weigh = view_selection.angle_weights
+
+    def counted(rays, *of):
+        compared.append(len(rays))
+        return weigh(rays, *of)
+
+    monkeypatch.setattr(view_selection, "angle_weights", counted)
+    fewer = select_views(model, ViewSelectionOptions())
+    assert max(compared) <= 150 * 12
+    for some, every in zip(fewer.neighbors, chosen.neighbors, strict=True):
+        assert some.tolist() == every.tolist()

@@ -5,11 +5,12 @@ from functools import partial
 import curves as known
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.edges3d.linking.gaps import are_observed
+from colmap_edges.edges3d.linking.gaps import are_observed, hermite_weights
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import PipelineOptions
 
@@ -104,3 +105,13 @@ def test_short_gaps_need_no_view():
     assert link_edges(near, options.linking, never).num_edges == 1
     assert link_edges(pieces, options.linking, never).num_edges == 2
     assert asked == [(1, 2)]
+
+
+def test_weights_are_those_of_cubic_hermite_splines():
+    rng = np.random.default_rng(3)
+    t, places, slopes = rng.random(5), rng.normal(size=2), rng.normal(size=2)
+    expected = CubicHermiteSpline([0, 1], places, slopes)
+    ruled = np.array([places[0], slopes[0], places[1], slopes[1]])
+    points, tangents = ruled @ hermite_weights(t)
+    np.testing.assert_allclose(points, expected(t))
+    np.testing.assert_allclose(tangents, expected(t, 1))

@@ -24,7 +24,7 @@ def arm(start, axis, missing=0.0):
     return start + np.arange(missing, 0.7, STEP)[:, None] * axis
 
 
-def met(pieces, curves, num_seeing=6):
+def met(pieces, curves, num_seeing=6, sigmas=SIGMA):
     points = np.concatenate(pieces)
     pixels = np.stack([view.project(points)[0] for view in VIEWS], axis=1)
     edges = Edges3D(
@@ -36,7 +36,7 @@ def met(pieces, curves, num_seeing=6):
             views=np.tile(np.arange(6, dtype=np.int32), len(points)),
             pixels=pixels.reshape(-1, 2),
         ),
-        sigmas=np.full(len(points), SIGMA),
+        sigmas=np.repeat(np.full(len(pieces), sigmas), [len(piece) for piece in pieces]),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
         colors=np.zeros((len(points), 3), np.uint8),
     )
@@ -98,6 +98,14 @@ def test_neighbours_that_end_side_by_side_do_not_meet():
     edges = met(pieces, [*arms_from(CORNER, AXES[0]), *arms_from(beside, AXES[0])])
     assert (edges.end_nodes == -1).all()
     np.testing.assert_array_equal(edges.points, np.concatenate(pieces))
+
+
+def test_ends_led_to_a_corner_keep_it_beside_one_that_runs_elsewhere():
+    aside = CORNER + 0.9 * STEP * np.cross(AXES[0], AXES[1])
+    pieces = [arm(CORNER, AXES[0]), arm(CORNER, AXES[1]), arm(aside, -AXES[0])]
+    edges = met(pieces, arms_from(CORNER, *AXES[:2]), sigmas=[SIGMA, SIGMA, SIGMA / 4])
+    assert edges.end_nodes[:2].tolist() == [[0, -1], [0, -1]]
+    np.testing.assert_allclose(edges.nodes.points[0], CORNER, atol=0.3 * STEP)
 
 
 def test_two_corners_near_each_other_stay_two():

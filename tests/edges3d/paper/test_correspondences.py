@@ -24,7 +24,7 @@ OPTIONS = CorrespondenceOptions()
 def crossings_by_brute_force(start, view):
     """Positions in `view` that the epipolar line of a start crosses, and their pixels."""
     fundamental = fundamental_matrix(VIEWS[start.views[0]], VIEWS[view])
-    return crossings(GRAPHS[view], epipolar_lines(fundamental, CHAINS.ideal_points(start))[0])
+    return crossings(GRAPHS[view], epipolar_lines(fundamental, CHAINS.undistorted_points(start))[0])
 
 
 def polylines_at(places):
@@ -57,8 +57,8 @@ def test_pepcs_from_sfm_points_lie_in_the_two_circles():
     depths = np.array([view.cam_from_world(points)[:, 2] for view in VIEWS])  # (V, N)
     focal = VIEWS[0].focal_px
     finest = depths.min(axis=0) / focal
-    pixels = np.array([view.project_ideal(points)[0] for view in VIEWS])  # (V, N, 2)
-    start_views, start_pixels = pepcs.starts.views, CHAINS.ideal_points(pepcs.starts)
+    pixels = np.array([view.project_undistorted(points)[0] for view in VIEWS])  # (V, N, 2)
+    start_views, start_pixels = pepcs.starts.views, CHAINS.undistorted_points(pepcs.starts)
     for i in range(0, len(pepcs), 5):
         start, view = pepcs.starts.select(slice(i, i + 1)), start_views[i]
         offset = np.linalg.norm(pixels[view] - start_pixels[i], axis=1)
@@ -129,11 +129,11 @@ def test_samples_are_evenly_spaced_and_on_wanted_polylines():
     places = sample_polylines(CHAINS, wanted, 20.0)
     polylines = polylines_at(places)
     assert set(polylines) == {0, 4}
-    pixels = CHAINS.ideal_points(places)[polylines == 0]
+    pixels = CHAINS.undistorted_points(places)[polylines == 0]
     steps = np.linalg.norm(np.diff(pixels, axis=0), axis=1)
     assert abs(steps.mean() - 20) < 1
     np.testing.assert_allclose(steps, steps.mean(), atol=1e-6)
-    first = GRAPHS[0].ideal[0]
+    first = GRAPHS[0].undistorted[0]
     assert abs(np.linalg.norm(pixels[0] - first) - steps.mean() / 2) < 1e-6
 
 

@@ -116,7 +116,7 @@ def test_closed_curve_comes_back_to_its_start():
 
 def on_chains(chains, point, view):
     """The place on a chain of `view` nearest to the projection of one 3D point."""
-    pixel = chains.views[view].project_ideal(point)[0]
+    pixel = chains.views[view].project_undistorted(point)[0]
     near = chains.find_near(np.array([view], np.int32), pixel, np.array([2.0]), 1)
     return near.places.select(slice(0, 1))
 

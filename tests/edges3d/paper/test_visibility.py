@@ -64,7 +64,7 @@ def on_their_chains(edges, chains, max_distance_px=2.0):
     observed = edges.observations
     pixels = np.empty((len(observed.views), 2))
     for view, rows in observed.by_view():
-        pixels[rows] = chains.views[view].ideal_from_image(observed.pixels[rows])
+        pixels[rows] = chains.views[view].undistorted_from_image(observed.pixels[rows])
     near = chains.find_near(observed.views, pixels, np.full(len(pixels), max_distance_px), 1)
     order = np.lexsort((near.distances, near.queries))
     _, first = np.unique(near.queries[order], return_index=True)
@@ -105,7 +105,7 @@ def expanded_views(graph_curves, options=OPTIONS, noise=None):
     graphs = [graph_of(view, [LINE]) for view in VIEWS]
     graphs[1] = graph_of(VIEWS[1], graph_curves)
     if noise is not None:
-        graphs[1] = replace(graphs[1], ideal=graphs[1].ideal + noise)
+        graphs[1] = replace(graphs[1], undistorted=graphs[1].undistorted + noise)
     chains = index_views(VIEWS, graphs)
     others = [v for v in range(len(VIEWS)) if v != 1]
     edges = on_their_chains(edges_of([LINE], others), chains)
@@ -228,7 +228,7 @@ def test_views_that_see_an_edge_by_chance_are_left_out():
 def test_views_whose_chains_run_beside_an_edge_are_left_out(offset_px, stays):
     graphs = [graph_of(view, [LINE]) for view in VIEWS]
     edges = on_their_chains(edges_of([LINE], [0, 1, 2, 3, 4]), index_views(VIEWS, graphs))
-    moved = replace(graphs[1], ideal=graphs[1].ideal + offset_px * graphs[1].normals)
+    moved = replace(graphs[1], undistorted=graphs[1].undistorted + offset_px * graphs[1].normals)
     chains = index_views(VIEWS, [graphs[0], moved, *graphs[2:]])
     observed = edges.observations
     rows = observed.views == 1
@@ -294,7 +294,7 @@ def test_fine_samples_follow_the_curve_and_not_the_chord():
     for index, view in enumerate(VIEWS):
         if index not in (0, 1, 3, 5):
             continue
-        pixels = view.project_ideal(sampled.points)[0]
+        pixels = view.project_undistorted(sampled.points)[0]
         step = np.linalg.norm(np.diff(pixels, axis=0), axis=1)
         step = np.delete(step, sampled.edge_offsets[1:-1] - 1)
         steps.append(np.percentile(step, 95))

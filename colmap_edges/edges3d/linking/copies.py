@@ -1,16 +1,17 @@
-"""Which pieces of curves are one edge, found twice, and which are neighbours.
+"""Classification of parallel pieces of curves: duplicates of one edge, or neighbouring edges.
 
-An edge is traced once for each pair of sides that views see beside it, since the views of one pair
-do not recognise it in those of another, and once more wherever light or blur moved it. How far two
-pieces are apart does not tell copies from neighbours. What views see does: of neighbours those that
-resolve them see both, of copies every view sees one.
+An edge is traced once for each pair of intensities on its two sides, since views with different
+intensities are not matched, and again where light or blur displaced it. The distance of two pieces
+does not separate duplicates from neighbours, but observations do: views that resolve neighbours
+observe both at different positions, and duplicates at one position.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,18 +20,19 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.core.view import View
-from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
-MAX_OFFSET_PX = 6.0  # how far light and blur move an edge in an image
-MIN_COSINE = float(np.cos(np.radians(15.0)))  # of the angle between pieces that are parallel
-MAX_ALONG_SPACINGS = 0.75  # how far past a point of a piece that piece is still beside another
-SAMPLES = 3  # places along a pair of pieces at which views are asked
-CHANCE_RATE = 0.1  # of places beside an edge at which a view observes one that is not there
-MAX_COPY_SIGMAS = 3.0  # between copies of which either is as good
-WEAK_RATIO = 1.0  # of observations
-OUTLIER_RATE = 0.1  # of copies, those that lie farther away than noise tells
+MAX_OFFSET_PX = 6.0  # maximum displacement of an edge in an image by light and blur
+MIN_COSINE = float(np.cos(np.radians(15.0)))  # minimum cosine of the angle between parallel pieces
+MAX_ALONG_SPACINGS = 0.75  # tolerance along a piece within which it overlaps another
+SAMPLES = 3  # positions along a pair of pieces at which observations are compared
+CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
+MAX_COPY_SIGMAS = 3.0  # distance of duplicates that count as the same position
+WEAK_RATIO = 1.0  # ratio of observations
+BLOCK = 1 << 13  # number of points or matches per block, which limits the memory of their tables
+OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +71,11 @@ class Pieces:
         apart = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         apart[np.diff(self.ids) != 0] = 0
         return np.asarray(np.maximum(np.append(apart, 0), np.append(0, apart)), np.float64)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(N, 3) the same along the pieces."""
+        return self.spacings[:, None] * self.tangents
 
     @cached_property
     def pixel_sizes(self) -> FloatArray:
@@ -128,7 +135,7 @@ def merge_pieces(
         options: noise, how near a chain observes a point, how often an edge is seen.
         num_threads: threads to use; the result does not depend on it.
     """
-    matches = find_matches(pieces)
+    matches = find_matches(pieces, num_threads)
     pairs = pairs_of(pieces, matches)
     ratios = log_ratios(pieces, matches, pairs, given, options, num_threads)
     same = ratios[pairs] <= 0
@@ -174,22 +181,34 @@ def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArra
     return weaker
 
 
-def find_matches(pieces: Pieces) -> Matches:
+def nearest_of_pieces(
+    pieces: Pieces, reach: FloatArray, num_threads: int
+) -> tuple[IntArray, IntArray]:
+    """Points and, of each other piece within (N,) `reach` of them, its point that is nearest."""
+    tree, found = cKDTree(pieces.points), [np.zeros((2, 0), np.int64)]
+    for start in range(0, len(pieces.points), BLOCK):
+        rows = slice(start, start + BLOCK)
+        lists = tree.query_ball_point(pieces.points[rows], reach[rows], workers=num_threads)
+        counts = np.fromiter(map(len, lists), np.int64, len(lists))
+        b = np.fromiter(chain.from_iterable(lists), np.int64, int(counts.sum()))
+        a = np.repeat(np.arange(start, start + len(lists)), counts)
+        others = pieces.ids[a] != pieces.ids[b]
+        a, b = a[others], b[others]
+        away = pieces.points[b] - pieces.points[a]
+        order = np.lexsort((np.einsum("ij,ij->i", away, away), pieces.ids[b], a))
+        a, b = a[order], b[order]
+        nearest = np.ones(len(a), bool)
+        nearest[1:] = (np.diff(a) != 0) | (np.diff(pieces.ids[b]) != 0)
+        found.append(np.stack([a[nearest], b[nearest]]))
+    a, b = np.concatenate(found, axis=1)
+    return a, b
+
+
+def find_matches(pieces: Pieces, num_threads: int) -> Matches:
     """Points beside other pieces that run parallel."""
     radius = MAX_OFFSET_PX * pieces.pixel_sizes
-    tree = cKDTree(pieces.points)
-    reach = np.hypot(radius, pieces.spacings)
-    found = tree.query_ball_point(pieces.points, reach, return_sorted=False)
-    a = np.repeat(np.arange(len(found)), [len(row) for row in found])
-    b = np.concatenate([np.zeros(0, np.int64), *(np.array(r, np.int64) for r in found)])
-    keep = pieces.ids[a] != pieces.ids[b]
-    a, b = a[keep], b[keep]
+    a, b = nearest_of_pieces(pieces, np.hypot(radius, pieces.spacings), num_threads)
     away = pieces.points[b] - pieces.points[a]
-    order = np.lexsort((np.einsum("ij,ij->i", away, away), pieces.ids[b], a))
-    a, b, away = a[order], b[order], away[order]
-    nearest = np.ones(len(a), bool)
-    nearest[1:] = (np.diff(a) != 0) | (np.diff(pieces.ids[b]) != 0)
-    a, b, away = a[nearest], b[nearest], away[nearest]
     along = np.einsum("ij,ij->i", away, pieces.tangents[b])
     across = away - along[:, None] * pieces.tangents[b]
     parallel = np.abs(np.einsum("ij,ij->i", pieces.tangents[a], pieces.tangents[b])) >= MIN_COSINE
@@ -264,9 +283,23 @@ class Seen:
 
 def seen_by(pieces: Pieces, matches: Matches) -> Seen:
     """The views that observe either point of matches."""
+    parts = [
+        Seen(matches=np.zeros(0, np.int64), views=np.zeros(0, int), positions=np.zeros((0, 2)))
+    ]
+    for start in range(0, len(matches.points), BLOCK):
+        part = seen_at(
+            pieces, matches.points[start : start + BLOCK], matches.others[start : start + BLOCK]
+        )
+        parts.append(replace(part, matches=part.matches + start))
+    names = [entry.name for entry in fields(Seen)]
+    return Seen(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def seen_at(pieces: Pieces, first: IntArray, second: IntArray) -> Seen:
+    """The views that observe either of (M,) points and (M,) others."""
     observed, num_views = pieces.observations, len(pieces.views)
     parts = []
-    for side, points in enumerate((matches.points, matches.others)):
+    for side, points in enumerate((first, second)):
         rows = entries_of(observed.offsets, points)
         owners = np.repeat(np.arange(len(points)), observed.counts[points])
         keys = owners * num_views + observed.views[rows]
@@ -296,36 +329,19 @@ def view_ratios(
     noise2 = 2 * options.refinement.noise_px**2
     both, one = seen_ratios(options)
     llr = np.zeros(len(seen.views))
+    points = matches.points
+    places = pieces.points[points], matches.offsets, pieces.steps[points]
     order = np.argsort(seen.views, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1):
         if len(rows) == 0:
             continue
-        index, view = given.index(int(seen.views[rows[0]])), pieces.views[seen.views[rows[0]]]
-        of = seen.matches[rows]
-        start = pieces.points[matches.points[of]]
-        ends = np.stack([start, start + matches.offsets[of]], axis=1)
-        along = np.repeat(pieces.tangents[matches.points[of]][:, None], 2, axis=1)
-        near = positions_near(index, radius, num_threads, ends, along, cosine)
-        positions = np.where(seen.positions[rows] >= 0, seen.positions[rows], near)
-        pixels = view.project_ideal(ends.reshape(-1, 3))[0].reshape(-1, 2, 2)
-        step = pieces.spacings[matches.points[of]][:, None] * along[:, 0]
-        normals = across_in(view, start, step)
-        expected = np.einsum("ij,ij->i", pixels[:, 1] - pixels[:, 0], normals)
-        places = _kernels.chain_points(index, np.maximum(positions, 0).ravel())[0]
-        places = np.asarray(places).reshape(-1, 2, 2)
-        apart = np.einsum("ij,ij->i", places[:, 1] - places[:, 0], normals)
-        found = (positions >= 0).all(axis=1)
-        apart = np.where(found, apart, 0)
+        index, of = given.index(int(seen.views[rows[0]])), seen.matches[rows]
+        expected, apart = _kernels.separations(
+            index, *places, of, seen.positions[rows], radius, cosine, num_threads
+        )
+        apart = np.nan_to_num(apart)
         llr[rows] = np.clip(expected * (2 * apart - expected) / (2 * noise2), -one, both)
     return np.nan_to_num(llr)
-
-
-def across_in(view: View, points: FloatArray, steps: FloatArray) -> FloatArray:
-    """(N, 2) unit normals in the image of curves through (N, 3) points in direction of steps."""
-    ends = [view.project_ideal(points + sign * steps / 2)[0] for sign in (-1, 1)]
-    chords = ends[1] - ends[0]
-    chords /= np.linalg.norm(chords, axis=1, keepdims=True) + 1e-300
-    return np.column_stack([-chords[:, 1], chords[:, 0]])
 
 
 def seen_ratios(options: PipelineOptions) -> tuple[float, float]:

@@ -1,0 +1,186 @@
+"""Whether curves go on smoothly or at an angle; cuts edges where they turn sharply in space.
+
+Chains are cut at corners that a view sees as such. An edge runs on around a corner where the views
+that traced it see it as hardly bent, or where its pieces were joined across it. The other way
+round, a gap in a small circle has ends at an angle, whose tangents meet outside of it.
+
+Both are told by curves of equal freedom: two polynomials that meet, or one of the degree that has
+as many parameters. That of smaller residuals explains the points better, surely so where their
+ratio exceeds what chance makes (F test).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import fdtri
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import end_points
+
+SIDE_POINTS = (6, 5, 4)  # on each side that tell how an edge runs there, as many as there are
+FEWEST = 3  # points of a piece whose ends may be of a smooth curve
+ROUNDED = 1  # points on each side of a corner that refinement may have led aside
+MIN_TURN_DEG = 20.0  # as of edges that meet at a corner
+SURE = 0.95  # probability at which the curves of the one kind are taken to be better
+MAX_MISS_SPACINGS = 0.5  # of the tangents of both sides to where they meet
+MAX_ASIDE_SPACINGS = 0.85  # of where they meet from the point; outside of a fillet it is farther
+MIN_APART = 3  # points from one bend to the next
+
+
+def cut_at_bends(edges: Edges3D) -> Edges3D:
+    """The edges cut where two parabolas that meet at an angle are surely better than one curve.
+
+    Closed edges are cut at two bends or more.
+    """
+    bends = find_bends(edges)
+    if not len(bends):
+        return edges
+    starts = [np.searchsorted(bends, edges.edge_offsets[:-1]), 0]
+    starts[1] = np.searchsorted(bends, edges.edge_offsets[1:])
+    order, lengths, closed = [], [], []
+    for edge, (first, last) in enumerate(zip(*starts, strict=True)):
+        rows = np.arange(*edges.edge_offsets[edge : edge + 2])
+        places = bends[first:last] - edges.edge_offsets[edge]
+        is_loop = bool(edges.closed[edge]) and not len(places)
+        if edges.closed[edge] and len(places):
+            rows, places = np.roll(rows, -places[0]), places[1:] - places[0]
+        pieces = np.split(rows, places)
+        order += pieces
+        lengths += [len(piece) for piece in pieces]
+        closed += [is_loop] * len(pieces)
+    none = np.full((len(lengths), 2), -1, np.int32)
+    offsets = offsets_of(np.array(lengths))
+    return edges.reordered(np.concatenate(order), offsets, np.array(closed), none)
+
+
+def find_bends(edges: Edges3D) -> IntArray:
+    """(B,) points before which edges are to be cut, ascending."""
+    owners, offsets = edges.edge_ids, edges.edge_offsets
+    sizes, loops = np.diff(offsets)[owners], edges.closed[owners]
+    ranks = np.arange(edges.num_points) - offsets[owners]
+    to_end = np.where(loops, sizes // 2, np.minimum(ranks, sizes - 1 - ranks))
+    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, bool))]
+    for side in SIDE_POINTS:
+        reach = to_end >= ROUNDED + side
+        if side < SIDE_POINTS[0]:
+            reach &= to_end < ROUNDED + side + 1
+        at = np.flatnonzero(reach & (sizes > 2 * (ROUNDED + side)))
+        steps = np.arange(-ROUNDED - side, ROUNDED + side + 1)
+        windows = offsets[owners[at], None] + (ranks[at, None] + steps) % sizes[at, None]
+        turning = np.flatnonzero(turn_somewhat(edges.points[windows]))
+        ratios, ahead = bend_ratios(edges.points[windows[turning]], side)
+        sharp = ratios > 1
+        found.append((at[turning[sharp]], ratios[sharp], ahead[sharp]))
+    places, ratios, ahead = (np.concatenate(of) for of in zip(*found, strict=True))
+    taken: list[int] = []
+    for row in np.argsort(-ratios, kind="stable").tolist():
+        apart = np.abs(places[row] - places[taken])
+        apart = np.where(loops[places[row]], np.minimum(apart, sizes[places[row]] - apart), apart)
+        if (apart >= MIN_APART)[owners[places[taken]] == owners[places[row]]].all():
+            taken.append(row)
+    edge = owners[places[taken]]
+    several = ~edges.closed[edge] | (np.bincount(edge, minlength=edges.num_edges)[edge] > 1)
+    ranks = (ranks[places[taken]] + ahead[taken]) % np.diff(offsets)[edge]
+    return np.sort((offsets[edge] + ranks)[several])
+
+
+def turn_somewhat(windows: FloatArray) -> BoolArray:
+    """Whether the halves of (n, k, 3) points point so far apart that a bend may be between."""
+    middle = windows.shape[1] // 2
+    before = unit(windows[:, middle - ROUNDED - 1] - windows[:, 0])
+    behind = unit(windows[:, -1] - windows[:, middle + ROUNDED + 1])
+    return np.asarray(np.einsum("ni,ni->n", before, behind) <= np.cos(np.radians(MIN_TURN_DEG / 2)))
+
+
+def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
+    """How surely edges bend sharply in the middle of (n, k, 3) of their points.
+
+    Returns:
+        (n,) how much worse a smooth curve is than a bent one, in what chance makes, 0 where the
+        sides do not meet there at an angle; and (n,) whether they meet behind the middle point.
+    """
+    along, spacings = lengths_along(windows)
+    outer = np.abs(np.arange(windows.shape[1]) - side - ROUNDED) > ROUNDED
+    _, smooth = polynomials(along[:, outer], windows[:, outer], 5)
+    before, rest = polynomials(along[:, :side], windows[:, :side], 2)
+    behind, more = polynomials(along[:, -side:], windows[:, -side:], 2)
+    middle = windows[:, side + ROUNDED]
+    powers = along[:, side + ROUNDED, None, None] ** np.arange(3)
+    slopes = np.arange(3) * along[:, side + ROUNDED, None, None] ** np.array([0, 0, 1])
+    starts = [(powers @ of)[:, 0] for of in (before, behind)]
+    ways = [unit((slopes @ of)[:, 0]) for of in (before, behind)]
+    cosine = np.einsum("ni,ni->n", *ways)
+    # Where the tangents of both sides come nearest to each other.
+    offset = starts[1] - starts[0]
+    on = [np.einsum("ni,ni->n", offset, way) for way in ways]
+    sine2 = np.maximum(1 - cosine**2, 1e-12)
+    starts[0] += ((on[0] - cosine * on[1]) / sine2)[:, None] * ways[0]
+    starts[1] += ((cosine * on[0] - on[1]) / sine2)[:, None] * ways[1]
+    shift = (starts[0] + starts[1]) / 2 - middle
+    meet = np.linalg.norm(starts[1] - starts[0], axis=1) <= 2 * MAX_MISS_SPACINGS * spacings
+    meet &= np.linalg.norm(shift, axis=1) <= MAX_ASIDE_SPACINGS * spacings
+    meet &= cosine <= np.cos(np.radians(MIN_TURN_DEG))
+    ratios = smooth / (rest + more + 1e-300) / by_chance(np.array(2 * side), 6)
+    return np.where(meet, ratios, 0), np.einsum("ni,ni->n", shift, ways[0] + ways[1]) > 0
+
+
+def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
+    """Whether (n,) ends and (n,) others are surely of one smooth curve with a gap in it.
+
+    That is a cubic one, in place of two lines, but not one of degree five where two parabolas are
+    surely better.
+    """
+    most, fewest = SIDE_POINTS[0], SIDE_POINTS[-1]
+    tips, inner = end_points(edges.edge_offsets, most - 1)
+    sides = np.abs(inner - tips) + 1
+    steps = np.sign(inner - tips)[:, None] * np.minimum(np.arange(most), sides[:, None] - 1)
+    rows, given = tips[:, None] + steps, np.arange(most) < sides[:, None]
+    points = edges.points[np.concatenate([rows[a, ::-1], rows[b]], axis=1)]
+    weights = np.concatenate([given[a, ::-1], given[b]], axis=1).astype(np.float64)
+    along, _ = lengths_along(points)
+    cubic, quintic = (polynomials(along, points, degree, weights)[1] for degree in (3, 5))
+    lines, parabolas = (
+        polynomials(along[:, :most], points[:, :most], degree, weights[:, :most])[1]
+        + polynomials(along[:, most:], points[:, most:], degree, weights[:, most:])[1]
+        for degree in (1, 2)
+    )
+    counts, least = sides[a] + sides[b], np.minimum(sides[a], sides[b])
+    bent = (quintic > by_chance(counts, 6) * parabolas) & (least >= fewest)
+    return np.asarray((by_chance(counts, 4) * cubic < lines) & ~bent & (least >= FEWEST))
+
+
+def by_chance(num_points: IntArray, num_parameters: int) -> FloatArray:
+    """(n,) what ratios of squared residuals of equally good curves hardly exceed."""
+    freedom = 3 * np.maximum(num_points - num_parameters, 1)
+    return np.asarray(fdtri(freedom, freedom, SURE), np.float64)
+
+
+def lengths_along(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, k) from -1 to 1 how far (n, k, 3) points are along polylines; (n,) mean distances."""
+    lengths = np.linalg.norm(np.diff(points, axis=1), axis=2)
+    along = np.concatenate([np.zeros((len(points), 1)), np.cumsum(lengths, axis=1)], axis=1)
+    return 2 * along / (along[:, -1:] + 1e-300) - 1, lengths.mean(axis=1)
+
+
+def polynomials(
+    along: FloatArray, points: FloatArray, degree: int, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """(n, degree + 1, 3) polynomials by (n, k) lengths through (n, k, 3) points; (n,) squares.
+
+    Points may have (n, k) weights.
+    """
+    powers = along[:, :, None] ** np.arange(degree + 1)
+    rows = (powers if weights is None else powers * weights[:, :, None]).swapaxes(1, 2)
+    normal = rows @ powers
+    normal += 1e-13 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(degree + 1)
+    origin = points[:, :1]
+    factors = np.asarray(np.linalg.solve(normal, rows @ (points - origin)), np.float64)
+    squares = ((points - origin - powers @ factors) ** 2).sum(axis=2)
+    factors[:, 0] += origin[:, 0]
+    return factors, (squares if weights is None else squares * weights).sum(axis=1)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """(n, 3) vectors at length 1."""
+    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))
