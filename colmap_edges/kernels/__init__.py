@@ -1,3 +1,3 @@
-"""Hot loops in C++ (nanobind); each is tested against a numpy reference."""
+"""C++ kernels (nanobind) of the time-critical loops, tested against numpy references."""
 
 from __future__ import annotations

@@ -8,4 +8,5 @@ NB_MODULE(_kernels, m) {
   colmap_edges::BindChains(m);
   colmap_edges::BindFaces(m);
   colmap_edges::BindPaper(m);
+  colmap_edges::BindPoses(m);
 }

@@ -42,16 +42,11 @@ inline double Associate(const EdgeIndex& view, const Vec3& world, const Vec3& ta
   const double norm = std::sqrt(tx * tx + ty * ty);
   if (!(norm > 0)) return -1;
   const double min_along = parameters.min_cosine * norm;
-  double best = parameters.max_distance_px * parameters.max_distance_px;
-  int64_t nearest = -1;
-  view.VisitNear(x, parameters.max_distance_px, [&](int64_t i, double dx, double dy) {
-    const double distance2 = dx * dx + dy * dy;
-    if (distance2 > best || (distance2 == best && nearest >= 0)) return;
+  const int64_t nearest = view.Nearest(x, parameters.max_distance_px, [&](int64_t i) {
     const Vec2& t = view.tangent(i);
-    if (std::abs(t[0] * tx + t[1] * ty) < min_along) return;
+    if (std::abs(t[0] * tx + t[1] * ty) < min_along) return false;
     const Vec2& n = view.normal(i);
-    if (side != 0 && (tx * n[1] - ty * n[0]) * side < 0) return;
-    best = distance2, nearest = i;
+    return side == 0 || (tx * n[1] - ty * n[0]) * side >= 0;
   });
   return nearest < 0 ? -1 : NearestPosition(view, nearest, x);
 }

@@ -1,14 +1,17 @@
 // Python face of tracing by depths along chains: depths, observations, refinement, occlusion.
 #include "common/bindings.h"
 
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
+#include <optional>
 
 #include "chains/association.h"
 #include "chains/chain_depths.h"
 #include "chains/observations.h"
 #include "chains/occlusion.h"
+#include "chains/separation.h"
 #include "chains/side_gray.h"
 #include "common/arrays.h"
 #include "common/edge_index.h"
@@ -72,42 +75,78 @@ OutArray<double> AssociateArrays(const std::vector<const EdgeIndex*>& views, Poi
   return ToArray(std::move(positions), {count, views.size()});
 }
 
+OutArray<double> SeparationsArray(const EdgeIndex& view, Points3D points, Points3D offsets,
+                                  Points3D steps, Longs rows,
+                                  InArray<double, nb::shape<-1, 2>> positions,
+                                  double max_distance_px, double min_cosine, int num_threads) {
+  const size_t count = rows.size(), num_points = points.shape(0);
+  Require(
+      offsets.shape(0) == num_points && steps.shape(0) == num_points && positions.shape(0) == count,
+      "points, offsets and steps, or rows and positions, differ in length");
+  for (size_t i = 0; i < count; ++i) {
+    Require(rows(i) >= 0 && rows(i) < int64_t(num_points), "a row is not one of the points");
+    for (int k = 0; k < 2; ++k) {
+      Require(positions(i, k) < 0 || view.Holds(positions(i, k)), "a position is not on a chain");
+    }
+  }
+  std::vector<double> columns(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const SidePlaces places{reinterpret_cast<const Vec3*>(points.data()),
+                            reinterpret_cast<const Vec3*>(offsets.data()),
+                            reinterpret_cast<const Vec3*>(steps.data())};
+    ParallelBlocks(int64_t(count), num_threads, 256, [&](int64_t i) {
+      const Separation found = Separate(view, places, rows.data()[i], positions.data() + 2 * i,
+                                        {max_distance_px, min_cosine});
+      columns[i] = found.projected, columns[count + i] = found.seen;
+    });
+  }
+  return ToArray(std::move(columns), {2, count});
+}
+
 // What the arrays of curves and their observations say; they must outlive it.
 ObservedCurves ToObservedCurves(const Rotation& rotation, const Translation& translation,
-                                double focal, const Points2D& ideal, const Doubles& inverse_depths,
-                                const Points2D& directions,
+                                double focal, const Points2D& undistorted,
+                                const Doubles& inverse_depths,
                                 const InArray<double, nb::ndim<2>>& positions,
                                 const std::vector<const EdgeIndex*>& views) {
-  const size_t count = ideal.shape(0);
-  if (inverse_depths.size() != count || directions.shape(0) != count ||
-      positions.shape(0) != count || positions.shape(1) != views.size()) {
-    throw std::invalid_argument("curves, directions, positions and views differ in length");
+  const size_t count = undistorted.shape(0);
+  if (inverse_depths.size() != count || positions.shape(0) != count ||
+      positions.shape(1) != views.size()) {
+    throw std::invalid_argument("curves, positions and views differ in length");
   }
+  std::vector<double> ends(views.size());
+  for (size_t k = 0; k < views.size(); ++k) ends[k] = double(views[k]->num_points());
   for (size_t i = 0; i < count; ++i) {
-    for (size_t k = 0; k < views.size(); ++k) {
-      const double position = positions(i, k);
-      Require(std::isnan(position) || views[k]->Holds(position), "a position is not on a chain");
-    }
+    const double* row = positions.data() + i * views.size();
+    bool held = true;
+    for (size_t k = 0; k < views.size(); ++k) held &= !(row[k] < 0) & !(row[k] >= ends[k]);
+    Require(held, "a position is not on a chain");
   }
   ObservedCurves curves;
   std::copy_n(rotation.data(), 9, curves.rotation.begin());
   curves.translation = {translation(0), translation(1), translation(2)};
   curves.focal = focal;
-  curves.ideal = ideal.data(), curves.inverse_depths = inverse_depths.data();
-  curves.directions = directions.data(), curves.positions = positions.data();
+  curves.undistorted = undistorted.data(), curves.inverse_depths = inverse_depths.data();
+  curves.directions = nullptr, curves.positions = positions.data();
   curves.num_points = int64_t(count);
   curves.views = views;
   return curves;
 }
 
 OutArray<double> SumObservationsArray(Rotation rotation, Translation translation, double focal,
-                                      Points2D ideal, Doubles inverse_depths, Points2D directions,
+                                      Points2D undistorted, Doubles inverse_depths,
+                                      std::optional<Points2D> directions,
                                       InArray<double, nb::ndim<2>> positions,
                                       const std::vector<const EdgeIndex*>& views,
                                       double robust_scale_px, int num_threads) {
-  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
-                                                 inverse_depths, directions, positions, views);
-  const size_t count = ideal.shape(0);
+  ObservedCurves curves =
+      ToObservedCurves(rotation, translation, focal, undistorted, inverse_depths, positions, views);
+  const size_t count = undistorted.shape(0);
+  if (directions) {
+    Require(directions->shape(0) == count, "curves and directions differ in length");
+    curves.directions = directions->data();
+  }
   std::vector<double> columns(7 * count);
   {
     nb::gil_scoped_release release;
@@ -123,30 +162,30 @@ OutArray<double> SumObservationsArray(Rotation rotation, Translation translation
 }
 
 nb::tuple ObservationResidualsArrays(Rotation rotation, Translation translation, double focal,
-                                     Points2D ideal, Doubles inverse_depths,
+                                     Points2D undistorted, Doubles inverse_depths,
                                      InArray<double, nb::ndim<2>> positions,
                                      const std::vector<const EdgeIndex*>& views, int num_threads) {
-  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
-                                                 inverse_depths, ideal, positions, views);
+  const ObservedCurves curves =
+      ToObservedCurves(rotation, translation, focal, undistorted, inverse_depths, positions, views);
   std::pair<std::vector<double>, std::vector<double>> found;
   {
     nb::gil_scoped_release release;
     found = ObservationResiduals(curves, num_threads);
   }
-  const size_t count = ideal.shape(0);
+  const size_t count = undistorted.shape(0);
   return nb::make_tuple(ToArray(std::move(found.first), {count, views.size()}),
                         ToArray(std::move(found.second), {count}));
 }
 
 OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, double focal,
-                                  Points2D ideal, Doubles inverse_depths,
+                                  Points2D undistorted, Doubles inverse_depths,
                                   InArray<double, nb::ndim<2>> positions,
                                   const std::vector<const EdgeIndex*>& views,
                                   const EdgeIndex& reference, Longs indices, Longs offsets,
                                   int reach, int window, int num_threads) {
-  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
-                                                 inverse_depths, ideal, positions, views);
-  const size_t count = ideal.shape(0);
+  const ObservedCurves curves =
+      ToObservedCurves(rotation, translation, focal, undistorted, inverse_depths, positions, views);
+  const size_t count = undistorted.shape(0);
   if (indices.size() != count) throw std::invalid_argument("curves and indices differ in length");
   CheckOffsets(offsets, count);
   for (size_t i = 0; i < count; ++i) {
@@ -169,17 +208,17 @@ OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, do
 }
 
 OutArray<double> SlidePositionsArray(Rotation rotation, Translation translation, double focal,
-                                     Points2D ideal, Doubles inverse_depths,
+                                     Points2D undistorted, Doubles inverse_depths,
                                      InArray<double, nb::ndim<2>> positions,
                                      const std::vector<const EdgeIndex*>& views, int num_threads) {
-  const ObservedCurves curves = ToObservedCurves(rotation, translation, focal, ideal,
-                                                 inverse_depths, ideal, positions, views);
+  const ObservedCurves curves =
+      ToObservedCurves(rotation, translation, focal, undistorted, inverse_depths, positions, views);
   std::vector<double> moved;
   {
     nb::gil_scoped_release release;
     moved = SlidePositions(curves, num_threads);
   }
-  return ToArray(std::move(moved), {size_t(ideal.shape(0)), views.size()});
+  return ToArray(std::move(moved), {size_t(undistorted.shape(0)), views.size()});
 }
 
 nb::tuple CountAroundArrays(Points2D pixels, Doubles depths, Doubles margins, Longs curves,
@@ -216,23 +255,28 @@ void BindChains(nb::module_& m) {
   m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
         "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");
+  m.def("separations", &SeparationsArray, "view"_a, "points"_a, "offsets"_a, "steps"_a, "rows"_a,
+        "positions"_a, "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
+        "(2, n) pixels across an edge between its points at rows and places at offsets from them: "
+        "as they project, and as the chains are apart that observe them at positions, or, where "
+        "those are negative, nearest; NaN where not known.");
   m.def("sum_observations", &SumObservationsArray, "rotation"_a, "translation"_a, "focal"_a,
-        "ideal"_a, "inverse_depths"_a, "directions"_a, "positions"_a, "views"_a,
+        "undistorted"_a, "inverse_depths"_a, "directions"_a.none(), "positions"_a, "views"_a,
         "robust_scale_px"_a, "num_threads"_a,
         "(7, N) sums over the observations of each point of a reference view's curves: of weight "
         "times "
         "slope slope, slope residual, slope across, across across, across residual; of the squared "
         "speed; their number.");
   m.def("observation_residuals", &ObservationResidualsArrays, "rotation"_a, "translation"_a,
-        "focal"_a, "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
+        "focal"_a, "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
-  m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a, "ideal"_a,
-        "inverse_depths"_a, "positions"_a, "views"_a, "reference"_a, "indices"_a, "offsets"_a,
-        "reach"_a, "window"_a, "num_threads"_a,
+  m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a,
+        "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "reference"_a, "indices"_a,
+        "offsets"_a, "reach"_a, "window"_a, "num_threads"_a,
         "(2, N) information on inverse depth and gradient, in units of the noise of gray, from the "
         "gray along the chains that observe curves and along the reference view's own.");
   m.def("slide_positions", &SlidePositionsArray, "rotation"_a, "translation"_a, "focal"_a,
-        "ideal"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
+        "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) positions nearest to the points on the chains that observed them.");
   m.def("count_around", &CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a, "curves"_a,
         "radius_px"_a, "slope"_a, "num_threads"_a,

@@ -17,9 +17,9 @@ struct ObservedCurves {
   Mat3 rotation;  // of the reference view
   Vec3 translation;
   double focal;
-  const double* ideal;           // (N, 2) pixels of the reference view
+  const double* undistorted;     // (N, 2) pixels of the reference view
   const double* inverse_depths;  // (N)
-  const double* directions;      // (N, 2) in which points may move in the reference view's image
+  const double* directions;      // (N, 2) in which points may move in its image; null for none
   const double* positions;       // (N, K) on the views' chains; NaN where nothing observes
   int64_t num_points;
   std::vector<const EdgeIndex*> views;
@@ -56,19 +56,22 @@ class CurveObserver {
   // Calls use(k, observation) for each view k that observes point i.
   template <typename Use>
   void Visit(int64_t i, const Use& use) const {
-    const double* d = curves_.directions + 2 * i;
     const Vec3 ray = RayOf(i);
-    const Vec3 turned = {d[0] / curves_.focal, d[1] / curves_.focal, 0};
     const int64_t num_views = int64_t(curves_.views.size());
+    const double* positions = curves_.positions + i * num_views;
+    const bool goes_on = i + 1 < curves_.num_points;
     for (int64_t k = 0; k < num_views; ++k) {
-      const double position = curves_.positions[i * num_views + k];
-      if (!std::isnan(position)) use(k, Observe(k, position, ray, turned, i));
+      // Where the next point is observed may be anywhere in memory.
+      if (goes_on && !std::isnan(positions[num_views + k])) {
+        curves_.views[k]->Prefetch(int64_t(positions[num_views + k]));
+      }
+      if (!std::isnan(positions[k])) use(k, Observe(k, positions[k], ray, i));
     }
   }
 
  private:
   Vec3 RayOf(int64_t i) const {
-    const double* x = curves_.ideal + 2 * i;
+    const double* x = curves_.undistorted + 2 * i;
     return {x[0] / curves_.focal, x[1] / curves_.focal, 1};
   }
 
@@ -83,8 +86,7 @@ class CurveObserver {
     return {f * local.x / local.z, f * local.y / local.z};
   }
 
-  Observation Observe(int64_t k, double position, const Vec3& ray, const Vec3& turned,
-                      int64_t i) const {
+  Observation Observe(int64_t k, double position, const Vec3& ray, int64_t i) const {
     const EdgeIndex& view = *curves_.views[k];
     const auto& [rotation, translation] = poses_[k];
     const double f = view.focal();
@@ -96,9 +98,14 @@ class CurveObserver {
     };
     const Vec2 tangent = view.tangent(int64_t(position)), normal = {-tangent.y, tangent.x};
     const Vec2 with_depth = moving(translation);
-    return {Dot(projected - view.At(position), normal), Dot(with_depth, normal),
-            Dot(moving(Multiply(rotation, turned)), normal), Dot(with_depth, tangent),
-            Dot(with_depth, with_depth)};
+    double across = 0;
+    if (curves_.directions) {
+      const double* d = curves_.directions + 2 * i;
+      const Vec3 turned = {d[0] / curves_.focal, d[1] / curves_.focal, 0};
+      across = Dot(moving(Multiply(rotation, turned)), normal);
+    }
+    return {Dot(projected - view.At(position), normal), Dot(with_depth, normal), across,
+            Dot(with_depth, tangent), Dot(with_depth, with_depth)};
   }
 
   const ObservedCurves& curves_;

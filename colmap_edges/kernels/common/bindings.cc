@@ -11,6 +11,7 @@
 #include "common/parallel.h"
 #include "common/piecewise.h"
 #include "common/polyline.h"
+#include "common/records.h"
 
 namespace colmap_edges {
 namespace {
@@ -25,6 +26,18 @@ void InitEdgeIndex(EdgeIndex* self, Points2D points, Points2D normals,
   new (self) EdgeIndex(ToVec2(points), ToVec2(normals), grays, ToVector(offsets),
                        {closed.data(), closed.data() + closed.size()},
                        MakePinholeView(rotation.data(), translation.data(), focal));
+}
+
+nb::tuple WalkRecordsArrays(InArray<uint8_t, nb::ndim<1>> data, int64_t first, uint64_t num_records,
+                            int64_t head_size, int64_t element_size) {
+  const int64_t size = int64_t(data.size());
+  Require(first >= 0 && first <= size, "the first record is outside the data");
+  Require(head_size >= 8 && element_size > 0,
+          "records have heads of 8 bytes or more, and elements");
+  Records found = WalkRecords(data.data(), size, first, num_records, head_size, element_size);
+  const size_t count = found.starts.size();
+  return nb::make_tuple(ToArray(std::move(found.starts), {count}),
+                        ToArray(std::move(found.counts), {count}), found.end);
 }
 
 nb::tuple ChainPointsArrays(const EdgeIndex& chains, Doubles positions) {
@@ -143,8 +156,13 @@ void BindCommon(nb::module_& m) {
       .def("__init__", &InitEdgeIndex, "points"_a, "normals"_a, "sides"_a, "offsets"_a, "closed"_a,
            "rotation"_a, "translation"_a, "focal"_a)
       .def_prop_ro("num_polylines", &EdgeIndex::num_polylines);
+  m.def("walk_records", &WalkRecordsArrays, "data"_a, "first"_a, "num_records"_a, "head_size"_a,
+        "element_size"_a,
+        "Byte offsets (N,) int64 of records one after the other in the (n,) bytes of a file, each\n"
+        "a head that ends in a count (8 bytes) and so many elements; the (N,) int64 counts; and\n"
+        "where the last one ends, n + 1 where the data end within a record.");
   m.def("chain_points", &ChainPointsArrays, "index"_a, "positions"_a,
-        "(N, 2) ideal pixels and (N, 2) unit tangents at fractional positions on chains.");
+        "(N, 2) undistorted pixels and (N, 2) unit tangents at fractional positions on chains.");
   m.def("douglas_peucker", &DouglasPeuckerArrays, "points"_a, "offsets"_a, "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
   m.def("cut_pieces", &CutPiecesArrays, "points"_a, "weights"_a, "offsets"_a, "costs"_a,

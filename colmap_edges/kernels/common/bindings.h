@@ -10,5 +10,6 @@ void BindImage(nanobind::module_& m);
 void BindChains(nanobind::module_& m);
 void BindFaces(nanobind::module_& m);
 void BindPaper(nanobind::module_& m);
+void BindPoses(nanobind::module_& m);
 
 }  // namespace colmap_edges

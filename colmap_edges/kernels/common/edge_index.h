@@ -1,7 +1,7 @@
-// One view's edge graph with its pose, ready for look-ups: dense polylines in ideal pixels and a
-// uniform grid over them. A place on a chain is one number, its position: the index of the point
-// before it plus the fraction of the way to the next one. The last point of a closed chain leads to
-// its first.
+// One view's edge graph with its pose, ready for look-ups: dense polylines in undistorted pixels
+// and a uniform grid over them. A place on a chain is one number, its position: the index of the
+// point before it plus the fraction of the way to the next one. The last point of a closed chain
+// leads to its first.
 #pragma once
 
 #include <algorithm>
@@ -39,7 +39,7 @@ class Lazy {
 
 class EdgeIndex {
  public:
-  // points, normals: (N, 2) ideal pixels; sides: (N, 2) gray on the dark and the bright side;
+  // points, normals: (N, 2) undistorted pixels; sides: (N, 2) gray on the dark and the bright side;
   // offsets: (P + 1) polylines; closed: (P).
   EdgeIndex(const std::vector<Vec2>& points, const std::vector<Vec2>& normals,
             const std::vector<Sides>& sides, std::vector<int64_t> offsets,
@@ -153,7 +153,11 @@ class EdgeIndex {
     VisitRows(center, radius, visit, [=](int64_t) { return std::make_pair(left, right); });
   }
 
-  // The same, of which those farther than `margin` from a line may be left out.
+  // The nearest of the points within a radius for which accept(i), or -1.
+  template <typename Accept>
+  int64_t Nearest(const Vec2& center, double radius, const Accept& accept) const;
+
+  // The same as VisitNear, but points farther than `margin` from a line may be left out.
   template <typename Visit>
   void VisitAlong(const Line2D& line, double margin, const Vec2& center, double radius,
                   const Visit& visit) const;
@@ -178,6 +182,12 @@ class EdgeIndex {
     return std::clamp<int64_t>(int64_t((y - low_[1]) / kCell), 0, rows_ - 1);
   }
   int64_t CellOf(const Vec2& x) const { return Row(x[1]) * columns_ + Column(x[0]); }
+
+  // Whether there may be points within the square of half-width `radius` around a place.
+  bool Reaches(const Vec2& center, double radius) const {
+    return !points_.empty() && center.x + radius >= low_.x && center.x - radius <= high_.x &&
+           center.y + radius >= low_.y && center.y - radius <= high_.y;
+  }
 
   // VisitNear in the cells of each row r between those of a pair columns(r).
   template <typename Visit, typename Columns>
@@ -288,10 +298,7 @@ void EdgeIndex::VisitAlong(const Line2D& line, double margin, const Vec2& center
 template <typename Visit, typename Columns>
 void EdgeIndex::VisitRows(const Vec2& center, double radius, const Visit& visit,
                           const Columns& columns) const {
-  if (points_.empty() || center[0] + radius < low_[0] || center[0] - radius > high_[0] ||
-      center[1] + radius < low_[1] || center[1] - radius > high_[1]) {
-    return;
-  }
+  if (!Reaches(center, radius)) return;
   for (int64_t r = Row(center[1] - radius); r <= Row(center[1] + radius); ++r) {
     const auto [left, right] = columns(r);
     const int32_t end = cell_offsets_[r * columns_ + right + 1];
@@ -301,6 +308,50 @@ void EdgeIndex::VisitRows(const Vec2& center, double radius, const Visit& visit,
       if (std::abs(dx) <= radius && std::abs(dy) <= radius) visit(int64_t(p.index), dx, dy);
     }
   }
+}
+
+template <typename Accept>
+int64_t EdgeIndex::Nearest(const Vec2& center, double radius, const Accept& accept) const {
+  if (!Reaches(center, radius)) return -1;
+  constexpr int kBlock = 32;  // points whose distances are found before one is looked at
+  double best = radius * radius;
+  int64_t nearest = -1;
+  const int64_t left = Column(center.x - radius), right = Column(center.x + radius);
+  const auto search = [&](int64_t r) {
+    int32_t k = cell_offsets_[r * columns_ + left];
+    const int32_t end = cell_offsets_[r * columns_ + right + 1];
+    while (k < end) {
+      double distances2[kBlock];
+      int32_t near[kBlock];
+      int count = 0;
+      // Without branches, which would be guessed wrong as often as not.
+      for (const int32_t stop = std::min(k + kBlock, end); k < stop; ++k) {
+        const CellPoint& p = cell_points_[k];
+        const double dx = p.xy[0] - center.x, dy = p.xy[1] - center.y;
+        const double distance2 = dx * dx + dy * dy;
+        distances2[count] = distance2, near[count] = p.index;
+        count += distance2 <= best;
+      }
+      for (int c = 0; c < count; ++c) {
+        if (distances2[c] > best || (distances2[c] == best && nearest >= 0)) continue;
+        if (accept(int64_t(near[c]))) best = distances2[c], nearest = near[c];
+      }
+    }
+  };
+  // Rows beside that of the center only if they may hold something nearer.
+  const int64_t middle = Row(center.y);
+  search(middle);
+  for (int64_t r = middle - 1; r >= Row(center.y - radius); --r) {
+    const double gap = center.y - (low_.y + kCell * double(r + 1));
+    if (gap > 0 && gap * gap > best) break;
+    search(r);
+  }
+  for (int64_t r = middle + 1; r <= Row(center.y + radius); ++r) {
+    const double gap = low_.y + kCell * double(r) - center.y;
+    if (gap > 0 && gap * gap > best) break;
+    search(r);
+  }
+  return nearest;
 }
 
 }  // namespace colmap_edges

@@ -1,4 +1,4 @@
-// Projective geometry of ideal pinhole views: rays, epipolar lines, triangulation.
+// Projective geometry of pinhole views: rays, epipolar lines, triangulation.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 
 namespace colmap_edges {
 
-// A pinhole view in ideal pixels: x_cam = R x_world + t, pixel = focal_px * (x, y) / z.
+// A pinhole view in undistorted pixels: x_cam = R x_world + t, pixel = focal_px * (x, y) / z.
 struct PinholeView {
   Mat3 R;  // cam_from_world
   Vec3 t;
@@ -20,12 +20,12 @@ struct PinholeView {
   Vec3 Rotate(const Vec3& v) const { return Multiply(R, v); }
   Vec3 RotateBack(const Vec3& v) const { return MultiplyTransposed(R, v); }
   Vec3 FromWorld(const Vec3& point) const { return Rotate(point) + t; }
-  // Direction in the world, length 1, of the ray through an ideal pixel.
+  // Direction in the world, length 1, of the ray through an undistorted pixel.
   Vec3 Ray(Vec2 pixel) const {
     const Vec3 d = RotateBack({pixel.x, pixel.y, focal_px});
     return (1 / Norm(d)) * d;
   }
-  // Writes the ideal pixel of a world point; false behind the view.
+  // Writes the undistorted pixel of a world point; false behind the view.
   bool Project(const Vec3& point, Vec2* pixel) const {
     const Vec3 p = FromWorld(point);
     if (!(p.z > 0)) return false;
@@ -104,7 +104,7 @@ inline bool SolveSymmetric(const std::array<double, 6>& A, const Vec3& b, Vec3* 
   return true;
 }
 
-// One observation of a point: a view and an ideal pixel in it.
+// One observation of a point: a view and an undistorted pixel in it.
 struct Sighting {
   const PinholeView* view;
   Vec2 pixel;

@@ -14,7 +14,7 @@ namespace {
 
 using namespace nb::literals;
 using Pairs = InArray<int32_t, nb::shape<-1, 2>>;
-using Table = InArray<double, nb::ndim<2>>;
+using Table = InArray<float, nb::ndim<2>>;
 
 std::vector<NodePair> ToPairs(const Pairs& edges, int64_t num_nodes) {
   std::vector<NodePair> pairs(edges.shape(0));

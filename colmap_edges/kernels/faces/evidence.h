@@ -38,11 +38,10 @@ struct ObservedPoint {
 
 // Depths and costs of the labels of a view's cells: its planes, then none.
 struct ViewCosts {
-  std::vector<int32_t> planes;        // of the labels
-  std::vector<double> costs, depths;  // (cells, planes + 1)
+  std::vector<int32_t> planes;       // of the labels
+  std::vector<float> costs, depths;  // (cells, planes + 1)
+  std::vector<bool> hopeless;        // (cells, planes + 1), of which other views are not asked
 };
-
-struct NeighborVotes;
 
 class FaceScene {
  public:
@@ -80,8 +79,10 @@ class FaceScene {
   // any.
   std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;
 
-  // `labels`: of all views, planes or -1, to agree with; empty at first.
-  ViewCosts Costs(int32_t v, const std::vector<std::vector<int32_t>>& labels) const;
+  // By what is observed.
+  ViewCosts Costs(int32_t v) const;
+  // By the labels of all views, planes or -1.
+  void AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels, ViewCosts* made) const;
 
  private:
   bool IsOn(int32_t point, int32_t plane) const {
@@ -90,10 +91,7 @@ class FaceScene {
     return std::binary_search(begin, end, plane);
   }
   void AddPoints(int32_t v, ViewCosts* made) const;
-  void AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label, int32_t plane,
-                NeighborVotes* votes) const;
-  void AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
-                    ViewCosts* made) const;
+  void AddSights(int32_t v, ViewCosts* made) const;
 
   std::vector<std::vector<ObservedPoint>> sights_;
   std::vector<std::vector<double>> nearest_;
@@ -186,10 +184,11 @@ constexpr int kPatchRadius = 4, kPatchStep = 2;  // pixels of the small pictures
 
 // The gray around a cell, and how much it varies there.
 struct Patch {
-  std::array<Vec2, 25> pixels;
-  std::array<double, 25> grays;
+  static constexpr int kSide = 2 * (kPatchRadius / kPatchStep) + 1;
+
+  std::array<float, kSide * kSide> xs, ys, grays;
   int count = 0;
-  double sum = 0, squares = 0;
+  float sum = 0, squares = 0;
 
   Patch(const FaceView& view, int32_t cell) {
     const Vec2 middle = view.CellCenter(cell);
@@ -197,48 +196,55 @@ struct Patch {
       for (int dx = -kPatchRadius; dx <= kPatchRadius; dx += kPatchStep) {
         const int64_t x = int64_t(middle.x) + dx, y = int64_t(middle.y) + dy;
         if (x < 0 || y < 0 || x >= view.width() || y >= view.height()) continue;
-        const double gray = view.gray[y * view.width() + x];
-        pixels[count] = {x + 0.5, y + 0.5}, grays[count++] = gray;
+        const float gray = view.gray[y * view.width() + x];
+        xs[count] = float(x) + 0.5f, ys[count] = float(y) + 0.5f, grays[count++] = gray;
         sum += gray, squares += gray * gray;
       }
     }
   }
-  double variance() const { return squares / count - sum * sum / count / count; }
+  float variance() const { return squares / count - sum * sum / count / count; }
 
   // Share of the variance of both that they have not in common, from 0 to 1, each brightness apart;
   // NaN where the other view does not see all of it.
-  double Difference(const Mat3& homography, const FaceView& other, double noise) const {
-    double sum_b = 0, squares_b = 0, products = 0;
+  float Difference(const Mat3& homography, const FaceView& other, float noise) const {
+    std::array<float, 9> h;
+    std::copy(homography.begin(), homography.end(), h.begin());
+    std::array<float, kSide * kSide> at_x, at_y;
+    bool inside = true;
     for (int i = 0; i < count; ++i) {
-      const Vec3 p = Multiply(homography, {pixels[i].x, pixels[i].y, 1});
-      const double x = p.x / p.z - 0.5, y = p.y / p.z - 0.5;
-      if (!(x >= 0 && y >= 0 && x < other.width() - 1 && y < other.height() - 1)) return NAN;
-      const int32_t column = int32_t(x), row = int32_t(y);
-      const double s = x - column, t = y - row;
+      const float scale = 1 / (h[6] * xs[i] + h[7] * ys[i] + h[8]);
+      at_x[i] = (h[0] * xs[i] + h[1] * ys[i] + h[2]) * scale - 0.5f;
+      at_y[i] = (h[3] * xs[i] + h[4] * ys[i] + h[5]) * scale - 0.5f;
+    }
+    const float right = float(other.width() - 1), bottom = float(other.height() - 1);
+    for (int i = 0; i < count; ++i)
+      inside &= at_x[i] >= 0 && at_y[i] >= 0 && at_x[i] < right && at_y[i] < bottom;
+    if (!inside) return NAN;
+    float sum_b = 0, squares_b = 0, products = 0;
+    for (int i = 0; i < count; ++i) {
+      const int32_t column = int32_t(at_x[i]), row = int32_t(at_y[i]);
+      const float s = at_x[i] - column, t = at_y[i] - row;
       const uint8_t* at = other.gray + size_t(row) * other.width() + column;
       const uint8_t* below = at + other.width();
-      const double b =
+      const float b =
           (1 - t) * ((1 - s) * at[0] + s * at[1]) + t * ((1 - s) * below[0] + s * below[1]);
       sum_b += b, squares_b += b * b, products += grays[i] * b;
     }
-    const double aa = variance(), bb = squares_b / count - sum_b * sum_b / count / count;
-    const double ab = products / count - sum * sum_b / count / count;
-    return std::min(1.0, (aa + bb - 2 * ab) / (aa + bb + 2 * noise));
+    const float aa = variance(), bb = squares_b / count - sum_b * sum_b / count / count;
+    const float ab = products / count - sum * sum_b / count / count;
+    return std::min(1.f, (aa + bb - 2 * ab) / (aa + bb + 2 * noise));
   }
 };
 
-// What neighbouring views say of a place on a plane.
-struct NeighborVotes {
-  double through = 0, there = 0;               // by the points they observe
-  double agree = 0, disagree = 0, hidden = 0;  // by the planes they were labelled
-  std::array<double, 3> differences;           // of gray
+// What neighbouring views observe at a place on a plane.
+struct NeighborSights {
+  double through = 0, there = 0;      // by the points they observe
+  std::array<double, 3> differences;  // of gray
   int tried = 0;
 
   double Cost(const EvidenceWeights& weights) const {
-    double cost = weights.seen_through * Saturated(through, 2) -
-                  weights.seen_there * Saturated(there, 2) - weights.agree * Saturated(agree, 2) +
-                  weights.disagree * Saturated(disagree, 2);
-    cost += weights.hidden * hidden / (1 + hidden + agree + disagree);
+    const double cost =
+        weights.seen_through * Saturated(through, 2) - weights.seen_there * Saturated(there, 2);
     if (tried == 0) return cost;
     const auto end = differences.begin() + tried;
     return cost + weights.correlation *
@@ -248,93 +254,133 @@ struct NeighborVotes {
   }
 };
 
-inline void FaceScene::AddLabel(const FaceView& other, Vec2 pixel, double depth, int32_t label,
-                                int32_t plane, NeighborVotes* votes) const {
-  if (label < 0) return;
-  if (label == plane) {
-    ++votes->agree;
-    return;
+// What neighbouring views were labelled at a place on a plane.
+struct NeighborLabels {
+  double agree = 0, disagree = 0, hidden = 0;
+
+  void Add(const FaceScene& scene, const FaceView& other, Vec2 pixel, double depth, int32_t label,
+           int32_t plane, bool same_side) {
+    if (label < 0 || (label == plane && !same_side)) return;
+    if (label == plane) {
+      ++agree;
+      return;
+    }
+    const double tolerance = scene.weights.depth_tolerance;
+    const double theirs =
+        scene.planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
+    if (theirs > depth * (1 + tolerance)) {
+      ++disagree;
+    } else if (same_side) {
+      (theirs < depth * (1 - tolerance) ? hidden : agree) +=
+          theirs < depth * (1 - tolerance) ? 1 : 0.5;
+    }
   }
-  const double theirs = planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
-  if (theirs > depth * (1 + weights.depth_tolerance)) {
-    ++votes->disagree;
-  } else if (theirs < depth * (1 - weights.depth_tolerance)) {
-    ++votes->hidden;
-  } else {
-    votes->agree += 0.5;
+  double Cost(const EvidenceWeights& weights) const {
+    return weights.disagree * Saturated(disagree, 2) - weights.agree * Saturated(agree, 2) +
+           weights.hidden * hidden / (1 + hidden + agree + disagree);
   }
+};
+
+inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
+  return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
 }
 
-inline void FaceScene::AddNeighbors(int32_t v, const std::vector<std::vector<int32_t>>& labels,
-                                    ViewCosts* made) const {
+inline void FaceScene::AddSights(int32_t v, ViewCosts* made) const {
   const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
   const double tolerance = weights.depth_tolerance;
   const size_t num_neighbors = neighbors[v].size();
   std::vector<Mat3> homographies;
-  for (int32_t k = 0; k < num_planes; ++k)
-    for (const int32_t u : neighbors[v])
-      homographies.push_back(PlaneHomography(view, planes[made->planes[k]], views[u]));
+  std::vector<uint8_t> same_side;
+  for (const int32_t k : made->planes) {
+    for (const int32_t u : neighbors[v]) {
+      homographies.push_back(PlaneHomography(view, planes[k], views[u]));
+      same_side.push_back(SameSide(planes[k], view, views[u]));
+    }
+  }
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const Vec3 ray = view.RayOfCell(cell);
     const Patch patch(view, cell);
     const bool has_texture = weights.correlation > 0 && patch.variance() > kGrayNoise;
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
-      if (std::isnan(made->depths[i]) || made->costs[i] > kHopeless) continue;
+      made->hopeless[i] = std::isnan(made->depths[i]) || made->costs[i] > kHopeless;
+      if (made->hopeless[i]) continue;
       const Vec3 point = view.pose.center + made->depths[i] * ray;
-      NeighborVotes votes;
+      NeighborSights sights;
       for (size_t j = 0; j < num_neighbors; ++j) {
-        const int32_t u = neighbors[v][j];
-        const FaceView& other = views[u];
+        const FaceView& other = views[neighbors[v][j]];
         Vec2 pixel;
         double at;
         if (!other.Project(point, &pixel, &at)) continue;
-        const int32_t c = other.CellAt(pixel);
-        const double nearest = nearest_[u][c];
-        votes.through += nearest > at * (1 + 2 * tolerance);
-        votes.there += std::abs(nearest - at) < tolerance / 2 * at;
-        if (has_texture && votes.tried < int(votes.differences.size())) {
+        const double nearest = nearest_[neighbors[v][j]][other.CellAt(pixel)];
+        sights.through += nearest > at * (1 + 2 * tolerance);
+        if (!same_side[k * num_neighbors + j]) continue;
+        sights.there += std::abs(nearest - at) < tolerance / 2 * at;
+        if (has_texture && sights.tried < int(sights.differences.size())) {
           const double d = patch.Difference(homographies[k * num_neighbors + j], other, kGrayNoise);
-          if (!std::isnan(d)) votes.differences[votes.tried++] = d;
+          if (!std::isnan(d)) sights.differences[sights.tried++] = d;
         }
-        if (!labels.empty()) AddLabel(other, pixel, at, labels[u][c], made->planes[k], &votes);
       }
-      made->costs[i] += votes.Cost(weights);
+      made->costs[i] += sights.Cost(weights);
     }
   }
 }
 
-inline ViewCosts FaceScene::Costs(int32_t v,
-                                  const std::vector<std::vector<int32_t>>& labels) const {
+inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels,
+                                 ViewCosts* made) const {
+  const FaceView& view = views[v];
+  const int32_t num_planes = int32_t(made->planes.size());
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const Vec3 ray = view.RayOfCell(cell);
+    for (int32_t k = 0; k < num_planes; ++k) {
+      const size_t i = size_t(cell) * (num_planes + 1) + k;
+      if (made->hopeless[i]) continue;
+      const Vec3 point = view.pose.center + made->depths[i] * ray;
+      const int32_t plane = made->planes[k];
+      NeighborLabels votes;
+      for (const int32_t u : neighbors[v]) {
+        const FaceView& other = views[u];
+        Vec2 pixel;
+        double at;
+        if (other.Project(point, &pixel, &at))
+          votes.Add(*this, other, pixel, at, labels[u][other.CellAt(pixel)], plane,
+                    SameSide(planes[plane], view, other));
+      }
+      made->costs[i] += float(votes.Cost(weights));
+    }
+  }
+}
+
+inline ViewCosts FaceScene::Costs(int32_t v) const {
   const FaceView& view = views[v];
   ViewCosts made;
   std::vector<int32_t> counts;
   made.planes = PlanesOf(v, kMinCells, &counts);
   const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
-  made.depths.assign(size_t(view.num_cells()) * num_labels, NAN);
-  made.costs.assign(size_t(view.num_cells()) * num_labels, 0);
+  const size_t size = size_t(view.num_cells()) * num_labels;
+  made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const Vec3 ray = view.RayOfCell(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);
       const Vec3 point = view.pose.center + depth * ray;
       if (!(Norm(point - center) <= reach)) continue;
-      made.depths[size_t(cell) * num_labels + k] = depth;
+      made.depths[size_t(cell) * num_labels + k] = float(depth);
       if (extents[made.planes[k]].Holds(point))
-        made.costs[size_t(cell) * num_labels + k] -= weights.inside;
+        made.costs[size_t(cell) * num_labels + k] -= float(weights.inside);
     }
   }
   AddPoints(v, &made);
-  AddNeighbors(v, labels, &made);
+  AddSights(v, &made);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    double* costs = &made.costs[size_t(cell) * num_labels];
+    float* costs = &made.costs[size_t(cell) * num_labels];
     for (int32_t k = 0; k < num_planes; ++k) {
-      costs[k] += 1 + weights.unsupported * std::exp(-counts[made.planes[k]] / 15.0);
+      costs[k] += float(1 + weights.unsupported * std::exp(-counts[made.planes[k]] / 15.0));
       if (std::isnan(made.depths[size_t(cell) * num_labels + k]))
-        costs[k] = std::numeric_limits<double>::infinity();
+        costs[k] = std::numeric_limits<float>::infinity();
     }
-    costs[num_planes] = weights.no_plane;
+    costs[num_planes] = float(weights.no_plane);
   }
   return made;
 }

@@ -16,8 +16,8 @@ namespace colmap_edges {
 struct LabelProblem {
   int32_t num_nodes = 0, num_labels = 0;
   std::vector<NodePair> edges;
-  const double* costs = nullptr;    // (num_nodes, num_labels); infinite where a label cannot be
-  const double* depths = nullptr;   // (num_nodes, num_labels); NaN of labels without a surface
+  const float* costs = nullptr;     // (num_nodes, num_labels); infinite where a label cannot be
+  const float* depths = nullptr;    // (num_nodes, num_labels); NaN of labels without a surface
   const double* weights = nullptr;  // of the edges
   double crossing_factor = 1;       // part of the weight where surfaces cross
 
@@ -52,10 +52,13 @@ class Expansion {
       : problem_(problem), flow_(problem.num_nodes, problem.edges) {
     labels_.resize(problem.num_nodes);
     for (int32_t i = 0; i < problem.num_nodes; ++i) {
-      const double* costs = problem.costs + size_t(i) * problem.num_labels;
+      const float* costs = problem.costs + size_t(i) * problem.num_labels;
       labels_[i] = int32_t(std::min_element(costs, costs + problem.num_labels) - costs);
     }
   }
+
+  // Begins with these labels in place of the cheapest of every node.
+  void Start(const std::vector<int32_t>& labels) { labels_ = labels; }
 
   // Lets one label after the other take what lowers the sum, until none does or `max_sweeps`.
   const std::vector<int32_t>& Run(int max_sweeps) {

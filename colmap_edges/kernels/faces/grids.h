@@ -25,8 +25,8 @@ struct FaceView {
 
   // World direction through a pixel, one unit deep.
   Vec3 RayThrough(Vec2 pixel) const {
-    const Vec2 ideal = pixel - principal;
-    return pose.RotateBack({ideal.x / pose.focal_px, ideal.y / pose.focal_px, 1});
+    const Vec2 undistorted = pixel - principal;
+    return pose.RotateBack({undistorted.x / pose.focal_px, undistorted.y / pose.focal_px, 1});
   }
   Vec2 CellCenter(int32_t cell) const {
     return {(cell % columns + 0.5) * kCellPx, (cell / columns + 0.5) * kCellPx};

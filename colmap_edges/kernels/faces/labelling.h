@@ -1,6 +1,7 @@
 // Labels of the cells of all views, round by round, and how far views agree on them.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -21,10 +22,10 @@ struct BorderCosts {
 
 using ViewLabels = std::vector<std::vector<int32_t>>;  // of the cells of all views; -1: no plane
 
-inline std::vector<int32_t> LabelView(const FaceScene& scene, int32_t v, const ViewLabels& before,
-                                      const BorderCosts& borders, int max_sweeps) {
-  const FaceView& view = scene.views[v];
-  const ViewCosts made = scene.Costs(v, before);
+// Labels of a view's cells from what they cost; `start`: labels to begin with, planes or -1.
+inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& made,
+                                      const std::vector<int32_t>& start, const BorderCosts& borders,
+                                      int max_sweeps) {
   LabelProblem problem;
   problem.num_nodes = view.num_cells(), problem.num_labels = int32_t(made.planes.size()) + 1;
   problem.edges = CellPairs(view.columns, view.rows);
@@ -36,7 +37,17 @@ inline std::vector<int32_t> LabelView(const FaceScene& scene, int32_t v, const V
     weights.push_back(borders.weight *
                       (std::exp(-slopes.Between(pair) / borders.slope_scale) + borders.least));
   problem.weights = weights.data();
-  std::vector<int32_t> labels = Expansion(problem).Run(max_sweeps);
+  Expansion expansion(problem);
+  if (!start.empty()) {
+    std::vector<int32_t> first;
+    for (const int32_t plane : start)
+      first.push_back(
+          plane < 0 ? problem.num_labels - 1
+                    : int32_t(std::lower_bound(made.planes.begin(), made.planes.end(), plane) -
+                              made.planes.begin()));
+    expansion.Start(first);
+  }
+  std::vector<int32_t> labels = expansion.Run(max_sweeps);
   for (int32_t& label : labels) label = label == problem.num_labels - 1 ? -1 : made.planes[label];
   return labels;
 }
@@ -45,11 +56,21 @@ inline std::vector<int32_t> LabelView(const FaceScene& scene, int32_t v, const V
 // its neighbours were labelled the time before.
 inline ViewLabels LabelViews(const FaceScene& scene, const BorderCosts& borders, int num_rounds,
                              int max_sweeps, int num_threads) {
-  ViewLabels labels;
+  ViewLabels labels(scene.views.size());
+  std::vector<ViewCosts> observed(scene.views.size());
   for (int round = 0; round < num_rounds; ++round) {
     ViewLabels next(scene.views.size());
     ParallelFor(int64_t(scene.views.size()), num_threads, [&](int64_t v, int) {
-      next[v] = LabelView(scene, int32_t(v), labels, borders, max_sweeps);
+      ViewCosts& costs = observed[v];
+      if (round == 0) costs = scene.Costs(int32_t(v));
+      if (round == 0) {
+        next[v] = LabelView(scene.views[v], costs, {}, borders, max_sweeps);
+      } else {
+        ViewCosts agreed = costs;
+        scene.AddLabels(int32_t(v), labels, &agreed);
+        next[v] = LabelView(scene.views[v], agreed, labels[v], borders, max_sweeps);
+      }
+      if (round == num_rounds - 1) costs = {};
     });
     labels.swap(next);
   }
@@ -81,13 +102,16 @@ inline std::vector<CellSupport> SupportOf(const FaceScene& scene, const ViewLabe
       double at;
       if (!other.Project(support.point, &pixel, &at)) continue;
       const int32_t label = labels[u][other.CellAt(pixel)];
-      ++support.holding;
-      if (label < 0) continue;
+      const bool same_side = SameSide(scene.planes[plane], view, other);
+      support.holding += same_side;
+      if (label < 0 || (label == plane && !same_side)) continue;
       const double theirs = label == plane ? at
                                            : scene.planes[label].DepthAlong(
                                                  other.pose.center, other.RayThrough(pixel));
       if (theirs > at * (1 + tolerance)) {
         ++support.through;
+      } else if (!same_side) {
+        continue;
       } else if (theirs < at * (1 - tolerance)) {
         ++support.hidden;
       } else {

@@ -126,7 +126,7 @@ def test_empty_view_observes_nothing():
     one = np.array([[0.0, 0.0, 1.0]])
     found = _kernels.associate([view], one, one, np.zeros(1, np.int8), 4.0, 0.9, 1)
     assert found.tolist() == [[-1]]
-    assert known.graph_from_ideal(known.row(1)[0], [], [], []).num_polylines == 0
+    assert known.graph_from_undistorted(known.row(1)[0], [], [], []).num_polylines == 0
 
 
 def test_positions_slide_along_their_chains():

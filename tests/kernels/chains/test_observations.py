@@ -9,7 +9,7 @@ from random_chains import FOCAL, edge_index, neighbor, random_chains, random_pos
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
-def observed_reference(reference, ideal, inverse_depths, directions, positions, view, pose):
+def observed_reference(reference, undistorted, inverse_depths, directions, positions, view, pose):
     """Residuals, slopes, slopes across and speeds of the points in one view; NaN where unseen."""
     seen = np.isfinite(positions)
     rotation = pose[0] @ reference[0].T
@@ -22,11 +22,13 @@ def observed_reference(reference, ideal, inverse_depths, directions, positions, 
 
     at, tangent = _kernels.chain_points(view, positions[seen])
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    here = projected(ideal[seen], inverse_depths[seen])
+    here = projected(undistorted[seen], inverse_depths[seen])
     step = 1e-6
-    moving = (projected(ideal[seen], inverse_depths[seen] + step) - here) / step
-    shifted = (projected(ideal[seen] + step * directions[seen], inverse_depths[seen]) - here) / step
-    result = np.full((4, len(ideal)), np.nan)
+    moving = (projected(undistorted[seen], inverse_depths[seen] + step) - here) / step
+    shifted = (
+        projected(undistorted[seen] + step * directions[seen], inverse_depths[seen]) - here
+    ) / step
+    result = np.full((4, len(undistorted)), np.nan)
     for row, vectors in enumerate((here - at, moving, shifted)):
         result[row, seen] = np.sum(vectors * normal, axis=1)
     result[3, seen] = np.linalg.norm(moving, axis=1)
@@ -39,15 +41,17 @@ def test_sums_over_observations_are_those_of_finite_differences():
     chains = [random_chains(rng) for _ in poses]
     views = [edge_index(*parts, pose) for parts, pose in zip(chains, poses, strict=True)]
     count = 600
-    ideal, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
+    undistorted, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
     directions = rng.normal(size=(count, 2))
     positions = np.column_stack([rng.uniform(0, len(parts[0]), count) for parts in chains])
     positions[rng.random(positions.shape) < 0.3] = np.nan
     positions[0] = np.nan
-    curves = (*reference, FOCAL, ideal, inverse)
+    curves = (*reference, FOCAL, undistorted, inverse)
     residuals, slopes, across, speeds = np.stack(
         [
-            observed_reference(reference, ideal, inverse, directions, positions[:, k], view, pose)
+            observed_reference(
+                reference, undistorted, inverse, directions, positions[:, k], view, pose
+            )
             for k, (view, pose) in enumerate(zip(views, poses, strict=True))
         ],
         axis=2,
@@ -124,11 +128,11 @@ def test_side_gray_is_that_of_plain_sums(reach):
     )
     offsets, window = np.array([0, 5, 45, 120, 200]), 4
     count = offsets[-1]
-    ideal, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
+    undistorted, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
     indices = rng.integers(0, len(chains[0][0]), count)
     positions = np.column_stack([rng.uniform(0, len(c[0]), count) for c in chains[1:]])
     positions[rng.random(positions.shape) < 0.2] = np.nan
-    curves = (*reference, FOCAL, ideal, inverse)
+    curves = (*reference, FOCAL, undistorted, inverse)
     information, gradient = np.zeros(count), np.zeros(count)
     for k, pose in enumerate(poses):
         rotation = pose[0] @ reference[0].T
@@ -138,7 +142,7 @@ def test_side_gray_is_that_of_plain_sums(reach):
             for i in range(first, last):
                 if np.isnan(positions[i, k]):
                     continue
-                local = rotation @ [*ideal[i] / FOCAL, 1] + inverse[i] * translation
+                local = rotation @ [*undistorted[i] / FOCAL, 1] + inverse[i] * translation
                 moving = FOCAL * (translation[:2] - local[:2] / local[2] * translation[2])
                 tangent = _kernels.chain_points(views[k], positions[i : i + 1, k])[1][0]
                 driven = smooth_gray(indices[i], 0.0, reach, grays[0], *chains[0][2:])

@@ -13,7 +13,7 @@ INDEXES = [make_edge_index(graph_of(view, []), view) for view in VIEWS]
 
 
 def project(view, point):
-    return view.project_ideal(np.array([point]))[0][0]
+    return view.project_undistorted(np.array([point]))[0][0]
 
 
 def test_kernel_triangulates_like_numpy():

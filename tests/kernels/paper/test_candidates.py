@@ -22,7 +22,7 @@ def wiggly(view, rng):
         rng.uniform(-300, 300, 2) + np.cumsum(rng.normal(scale=scale, size=(n, 2)), axis=0)
         for n, scale in zip(lengths, (2.0, 1.0, 6.0), strict=True)
     ]
-    return rounded(replace(graph, ideal=np.concatenate(walks)))
+    return rounded(replace(graph, undistorted=np.concatenate(walks)))
 
 
 RNG = np.random.default_rng(0)
@@ -33,14 +33,16 @@ INDEXES = [make_edge_index(graph, view) for graph, view in zip(GRAPHS, VIEWS, st
 def random_starts(count):
     """(count,) views, and positions on their chains."""
     views = RNG.integers(0, 3, count).astype(np.int32)
-    sizes = np.array([len(graph.ideal) for graph in GRAPHS])
+    sizes = np.array([len(graph.undistorted) for graph in GRAPHS])
     return views, RNG.uniform(0, sizes[views])
 
 
 def test_near_polylines_are_those_of_brute_force():
     views, positions = random_starts(300)
     radii = RNG.uniform(0, 60, 300)
-    pixels = np.array([GRAPHS[v].ideal[int(p)] for v, p in zip(views, positions, strict=True)])
+    pixels = np.array(
+        [GRAPHS[v].undistorted[int(p)] for v, p in zip(views, positions, strict=True)]
+    )
     pixels += RNG.normal(scale=20, size=(300, 2))
     pixels[0] = np.nan
     pixels[1] = 1e6
@@ -59,14 +61,14 @@ def test_near_polylines_are_those_of_brute_force():
         found = slice(offsets[q], offsets[q + 1])
         assert polylines[found].tolist() == list(expected)
         np.testing.assert_allclose(distances[found], list(expected.values()), atol=1e-9)
-        at = at_positions(graph, places[found], graph.ideal)[0]
+        at = at_positions(graph, places[found], graph.undistorted)[0]
         gaps = np.linalg.norm(at - pixels[q], axis=1)
         np.testing.assert_allclose(gaps, distances[found], atol=1e-9)
         assert graph.polyline_ids[places[found].astype(int)].tolist() == list(expected)
 
 
 def epipolar_line(view, position, other):
-    pixel = at_positions(GRAPHS[view], np.array([position]), GRAPHS[view].ideal)[0]
+    pixel = at_positions(GRAPHS[view], np.array([position]), GRAPHS[view].undistorted)[0]
     return epipolar_lines(fundamental_matrix(VIEWS[view], VIEWS[other]), pixel)[0]
 
 
@@ -90,7 +92,7 @@ def test_candidates_in_spheres_are_the_crossings_in_their_circles():
         found = []
         for other in np.delete(np.arange(3), view):
             places, pixels = crossings(GRAPHS[other], epipolar_line(view, position, other))
-            middle, depth = VIEWS[other].project_ideal(centers[s : s + 1])
+            middle, depth = VIEWS[other].project_undistorted(centers[s : s + 1])
             inside = np.linalg.norm(pixels - middle, axis=1) <= (
                 radii[s] * VIEWS[other].focal_px / depth
             )
@@ -128,7 +130,7 @@ def test_views_without_edges_are_searchable():
 def test_places_off_the_chains_are_refused():
     labels, anywhere = np.zeros(9, np.int32), np.tile([0.0, np.inf], (3, 1))
     one = np.zeros(1, np.int32)
-    for position in (-0.5, float(len(GRAPHS[0].ideal)), np.nan):
+    for position in (-0.5, float(len(GRAPHS[0].undistorted)), np.nan):
         with pytest.raises(ValueError, match="not on a chain"):
             _kernels.candidates_in_pecs(INDEXES, one, np.array([position]), labels, anywhere, 1)
     with pytest.raises(ValueError, match="view index"):

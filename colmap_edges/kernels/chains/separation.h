@@ -1,0 +1,43 @@
+// How far apart a view sees two edges that run side by side, and how far apart they project.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "chains/association.h"
+#include "common/edge_index.h"
+
+namespace colmap_edges {
+
+// Places beside each other on two edges, (n, 3) each: the one, from it to the other, and from it
+// to the next point of its edge.
+struct SidePlaces {
+  const Vec3 *points, *offsets, *steps;
+};
+
+struct Separation {
+  double projected, seen;  // pixels across the edge; NaN where not known
+};
+
+// `known` are the positions at which the view observes the one and the other; where negative, the
+// nearest that does so within the parameters' distance is looked for.
+inline Separation Separate(const EdgeIndex& view, const SidePlaces& places, int64_t i,
+                           const double* known, const AssociationParameters& parameters) {
+  const auto project = [&](const Vec3& point) {
+    Vec2 pixel{NAN, NAN};
+    view.pose().Project(point, &pixel);
+    return pixel;
+  };
+  const Vec3 &start = places.points[i], &step = places.steps[i], end = start + places.offsets[i];
+  const Vec2 chord = project(start + 0.5 * step) - project(start - 0.5 * step);
+  const Vec2 normal = 1 / (Norm(chord) + 1e-300) * Vec2{-chord.y, chord.x};
+  const auto position = [&](double observed, const Vec3& point) {
+    return observed >= 0 ? observed : Associate(view, point, step, 0, parameters);
+  };
+  const double first = position(known[0], start), second = position(known[1], end);
+  const bool both = first >= 0 && second >= 0;
+  return {Dot(project(end) - project(start), normal),
+          both ? Dot(view.At(second) - view.At(first), normal) : NAN};
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,34 @@
+// Records of different lengths one after the other in a file: heads that end in a count.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+#include <vector>
+
+namespace colmap_edges {
+
+struct Records {
+  std::vector<int64_t> starts, counts;
+  int64_t end = 0;  // of the last one; one byte past the data where they end within a record
+};
+
+// Walks `num_records` records from byte `first` on: a head of `head_size` bytes, whose last eight
+// are the number of elements of `element_size` bytes that follow it.
+inline Records WalkRecords(const uint8_t* data, int64_t size, int64_t first, uint64_t num_records,
+                           int64_t head_size, int64_t element_size) {
+  Records result;
+  int64_t at = first;
+  for (uint64_t i = 0; i < num_records; ++i) {
+    uint64_t count;
+    if (head_size > size - at) return result.end = size + 1, result;
+    std::memcpy(&count, data + at + head_size - sizeof(count), sizeof(count));
+    if (count > uint64_t(size - at - head_size) / uint64_t(element_size))
+      return result.end = size + 1, result;
+    result.starts.push_back(at), result.counts.push_back(int64_t(count));
+    at += head_size + int64_t(count) * element_size;
+  }
+  result.end = at;
+  return result;
+}
+
+}  // namespace colmap_edges
