@@ -1,14 +1,14 @@
 """3D edges, straight and curved, for COLMAP models, and meshes that follow them.
 
-`reconstruct(reconstruction, image_path, options)` gives the edges of a pycolmap.Reconstruction and
-`mesh(reconstruction, edges)` a mesh that follows them; the modules hold the stages. Names are
-imported when first used, so that the command line starts at once.
+`reconstruct(reconstruction, image_path, options)` returns the edges of a pycolmap.Reconstruction,
+and `mesh(reconstruction, edges)` a mesh that follows them. Names are imported on first use, so
+that the command line starts fast.
 """
 
 from __future__ import annotations
 
-# pycolmap brings compression symbols of its own, which corrupt memory where they are found before
-# those of zlib. Loaded here, zlib comes first whatever module of this package imports pycolmap.
+# pycolmap exports compression symbols that corrupt memory if they are found before those of zlib.
+# Importing zlib here makes it come first, whichever module imports pycolmap.
 import zlib  # noqa: F401
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -21,8 +21,11 @@ if TYPE_CHECKING:
     from colmap_edges.evaluation.readers.results import WrittenEdges, read_edges
     from colmap_edges.export.graph import to_networkx
     from colmap_edges.export.meshes import write_mesh
+    from colmap_edges.export.tables import EdgeTables, to_pandas
     from colmap_edges.options import PipelineOptions, preset
     from colmap_edges.pipeline.reconstruct import EdgeReconstruction, reconstruct
+    from colmap_edges.surfaces.faces.finding import Faces
+    from colmap_edges.surfaces.faces.outlines import Face
     from colmap_edges.surfaces.mesh import Mesh
     from colmap_edges.surfaces.mesher import mesh
 
@@ -31,7 +34,10 @@ __all__ = [
     "ColmapEdgesError",
     "Curves3D",
     "EdgeReconstruction",
+    "EdgeTables",
     "Edges3D",
+    "Face",
+    "Faces",
     "Mesh",
     "PipelineOptions",
     "WrittenEdges",
@@ -42,13 +48,17 @@ __all__ = [
     "read_edges",
     "reconstruct",
     "to_networkx",
+    "to_pandas",
     "write_mesh",
 ]
 _MODULES = {
     "ColmapEdgesError": "errors",
     "Curves3D": "core.curves3d",
     "EdgeReconstruction": "pipeline.reconstruct",
+    "EdgeTables": "export.tables",
     "Edges3D": "core.edges3d",
+    "Face": "surfaces.faces.outlines",
+    "Faces": "surfaces.faces.finding",
     "Mesh": "surfaces.mesh",
     "PipelineOptions": "options",
     "WrittenEdges": "evaluation.readers.results",
@@ -58,6 +68,7 @@ _MODULES = {
     "read_edges": "evaluation.readers.results",
     "reconstruct": "pipeline.reconstruct",
     "to_networkx": "export.graph",
+    "to_pandas": "export.tables",
     "write_mesh": "export.meshes",
 }
 

@@ -11,10 +11,10 @@ from colmap_edges.errors import OptionError
 
 T = TypeVar("T", bound="Options")
 MAX_SHOWN = 60  # characters of a value in a message
-# What is taken for an option of a type, and how messages call that.
+# Accepted types for an option of each type, and their name in messages.
 KINDS: dict[type, tuple[Any, str]] = {
     bool: (bool, "True or False"),
-    int: (Integral, "a whole number"),
+    int: (Integral, "an integer"),
     float: (Real, "a number"),
     str: (str, "a word"),
 }
@@ -30,36 +30,35 @@ def option(
     given_px: bool = False,
     source: str | None = None,
 ) -> Any:
-    """Declare one option: its default, whose type is the option's, and one line of help.
+    """Declare an option: a dataclass field with default, range and help.
 
-    It gets a flag, a key of the TOML file and a line of docs/options.md.
+    An option has a flag, a TOML key and a row in docs/options.md.
 
     Args:
-        default: what holds when nothing else is said.
+        default: default value; its type is the option's.
         help: one line, with the unit.
-        within: smallest and largest value; numbers need both, so that no number that a user
-            gives can stop a run, or keep it from ending.
-        choices: of a word, those that there are.
+        within: minimum and maximum; required for numbers, so that no value breaks a run.
+        choices: allowed values of a string option.
         basic: whether the short help of the command line shows the option.
-        given_px: whether it is a length in pixels of the given images that stages need in those of
-            the upsampled images; `colmap_edges.options.resolved` converts it.
-        source: where the value comes from, of a `constant`.
+        given_px: whether it is a length in pixels of the given images, which
+            `colmap_edges.options.resolved` converts to pixels of the upsampled images.
+        source: origin of the value, for a `constant`.
 
     Raises:
-        TypeError: for a number without a range, or a range of what is none.
+        TypeError: if a number has no range, or another type has one.
     """
     is_number = isinstance(default, int | float) and not isinstance(default, bool)
     if is_number != (within is not None):
-        raise TypeError(f"{help!r}: numbers, and nothing else, have a smallest and a largest value")
+        raise TypeError(f"{help!r}: numbers need a range, other types must not have one")
     declared = {"within": within, "choices": choices, "basic": basic, "given_px": given_px}
     return field(default=default, metadata={"help": help, "source": source, **declared})
 
 
 def constant(default: Any, meaning: str, source: str, **declared: Any) -> Any:
-    """Declare one constant of the method: a field as `option` makes, but nothing for users.
+    """Declare a constant of the method: a field as of `option`, without flag and TOML key.
 
-    It has no flag and no key. Tests and scripts/halve_and_double.py set it from Python, within its
-    range. docs/constants.md lists it with its meaning and its source, where its value comes from.
+    Tests and scripts/halve_and_double.py set it from Python, within its range. docs/constants.md
+    lists it with its meaning and its source, the origin of its value.
     """
     return option(default, meaning, source=source, **declared)
 
@@ -70,7 +69,7 @@ def is_constant(entry: Field[Any]) -> bool:
 
 
 class Options:
-    """Base of the option groups: holds every field to its declared type and range."""
+    """Base of the option groups: checks type and range of every field."""
 
     def __post_init__(self) -> None:
         """Raise `OptionError` for the first value of another type or outside its range."""
@@ -80,19 +79,19 @@ class Options:
 
 
 def group_prefix(group: type[Options]) -> str:
-    """What stands before the names of a group's options in flags, files and messages.
+    """The prefix of a group's option names in flags, files and messages.
 
-    COLMAP's name of the group and a dot; nothing for what concerns the whole run.
+    It is the group's name and a dot; empty for options of the whole run.
     """
     name = group.__name__.removesuffix("Options")
     return "" if name == "Pipeline" else f"{name}."
 
 
 def checked(name: str, value: Any, entry: Field[Any]) -> Any:
-    """`value` as the type of the option `entry`: of numpy's numbers Python's.
+    """`value` converted to the type of the option `entry`.
 
     Raises:
-        OptionError: when it is of another type, or not in the range or among the choices.
+        OptionError: if it has another type, or is outside the range or the choices.
     """
     if entry.default_factory is not MISSING:
         return checked_group(name, value, entry.default_factory)
@@ -109,10 +108,10 @@ def checked(name: str, value: Any, entry: Field[Any]) -> Any:
 
 
 def checked_group(name: str, value: Any, kind: Callable[[], Any]) -> Any:
-    """`value` if it is a group of the class `kind`.
+    """`value`, checked to be an option group of the class `kind`.
 
     Raises:
-        OptionError: when it is not.
+        OptionError: if it is not.
     """
     if not isinstance(value, type(kind())):
         raise OptionError(f"{name} is {shown(value)}; it must be {type(kind()).__name__}(...)")
@@ -120,21 +119,21 @@ def checked_group(name: str, value: Any, kind: Callable[[], Any]) -> Any:
 
 
 def range_text(within: tuple[float, float], between: str) -> str:
-    """The ends of a range, as short as they can be written."""
+    """A range as text, in the shortest notation."""
     return between.join(f"{bound:.10g}" for bound in within)
 
 
 def shown(value: Any) -> str:
-    """A value in a message, which is one short line whatever it is."""
+    """A value as one short line for a message."""
     try:
         text = " ".join((str(value) if isinstance(value, Real) else repr(value)).split())
-    except ValueError:  # Python does not write out whole numbers of thousands of digits
+    except ValueError:  # Python refuses to print integers of thousands of digits
         return "a number of thousands of digits"
     return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "..."
 
 
 def derived(group: T, **values: Any) -> T:
-    """`group` with values that were made from others; beyond a range's end they are that end."""
+    """`group` with computed values, clipped to their ranges."""
     for entry in fields(group):  # type: ignore[arg-type]
         within = entry.metadata.get("within")
         if within and entry.name in values:

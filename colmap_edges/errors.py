@@ -1,4 +1,4 @@
-"""Errors that a user can act on: each names what, where and the remedy in one line."""
+"""Errors for users: each message is one line with the problem, its place and the remedy."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from contextlib import contextmanager
 
 
 class ColmapEdgesError(Exception):
-    """Bad input, options or environment; its message is one clear line for the user."""
+    """Invalid input, options or environment; the message is one line for the user."""
 
 
 class ImageError(ColmapEdgesError):
-    """An image file is damaged; a run can go on without it."""
+    """A damaged image file; the run can continue without it."""
 
 
 class NotAFileError(ColmapEdgesError, OSError):
-    """A pipe, a device or a folder is where a file should be."""
+    """The path is a pipe, device or folder where a file is expected."""
 
 
 class OptionError(ColmapEdgesError, ValueError):
@@ -24,16 +24,16 @@ class OptionError(ColmapEdgesError, ValueError):
 
 
 def check_type(name: str, value: object, kinds: tuple[type, ...], others: str = "") -> None:
-    """Check what a function was given.
+    """Check the type of a function's argument.
 
     Args:
-        name: of the argument.
-        value: the argument.
-        kinds: what it may be.
-        others: in words, what else it may be.
+        name: name of the argument.
+        value: value of the argument.
+        kinds: accepted types.
+        others: further accepted values, in words.
 
     Raises:
-        ColmapEdgesError: when it is none of `kinds`.
+        ColmapEdgesError: if the value has none of these types.
     """
     if not isinstance(value, kinds):
         wanted = [f"{kind.__module__.split('.')[0]}.{kind.__name__}" for kind in kinds]
@@ -43,16 +43,16 @@ def check_type(name: str, value: object, kinds: tuple[type, ...], others: str = 
 
 
 def printable(text: str) -> str:
-    """`text` with control characters, line breaks too, and what else is no sign, as escapes.
+    """`text` with control characters, line breaks and other unprintable characters escaped.
 
-    Names of files may hold them, and steer the terminal that shows them.
+    File names may contain them, and terminals would execute them.
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 @contextmanager
 def exit_on_error(*others: type[Exception]) -> Iterator[None]:
-    """End a script whose input is bad, or that meets one of `others`, with one line and exit 1."""
+    """Exit a script with one line and status 1 on a ColmapEdgesError or one of `others`."""
     known: tuple[type[Exception], ...] = (ColmapEdgesError, *others)
     try:
         yield

@@ -1,1 +1,1 @@
-"""The command line: parse, call the pipeline, say what came out, exit."""
+"""The command line: parses flags, calls the pipeline, prints a summary."""

@@ -1,4 +1,4 @@
-"""Errors as the command line shows them: one line and an exit code."""
+"""Error handling of the command line: one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
     except OptionError as error:
         command = click.get_current_context().command
         raise click.UsageError(with_dashes(str(error), command)) from error
-    except BrokenPipeError as error:  # what reads the output has seen enough
+    except BrokenPipeError as error:  # the reader of our output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise click.exceptions.Exit(1) from error
     except (ColmapEdgesError, OSError, MemoryError) as error:

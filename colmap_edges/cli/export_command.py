@@ -1,4 +1,4 @@
-"""The command `export`: the edges of an output folder in the format of another program."""
+"""The command `export`: writes the edges of an output folder in another program's format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from colmap_edges.cli.help import Command
 from colmap_edges.cli.terminal import say
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
-STRUCTURES = "structures"  # name of the folder of LIMAP's lines
+STRUCTURES = "structures"  # folder name required by LIMAP
 
 
 @click.command(cls=Command, name="export")
@@ -21,7 +21,7 @@ STRUCTURES = "structures"  # name of the folder of LIMAP's lines
     "--run_path",
     type=FOLDER,
     required=True,
-    help="Output folder of reconstruct or mesh, or LIMAP's",
+    help="Output folder of reconstruct, mesh or LIMAP",
 )
 @click.option(
     "--output_path",
@@ -30,9 +30,9 @@ STRUCTURES = "structures"  # name of the folder of LIMAP's lines
     help="File to write: .step, .stp, .dxf, .svg, .glb, .obj or .ply; or a folder named "
     "structures, for LIMAP",
 )
-@click.option("--svg", metavar="IMAGE", help="Name of the image whose view an .svg shows")
-@click.option("--overwrite", is_flag=True, help="Replace an earlier file")
-@click.option("--verbose", is_flag=True, help="Show where errors arise")
+@click.option("--svg", metavar="IMAGE", help="Image into which an .svg projects the edges")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file")
+@click.option("--verbose", is_flag=True, help="Show the traceback of errors")
 def export(verbose: bool, **values: Any) -> None:
     """Write the edges of an output folder for another program."""
     with one_line_errors(verbose):
@@ -40,13 +40,13 @@ def export(verbose: bool, **values: Any) -> None:
 
 
 def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: bool) -> str:
-    """Write edges in the format that the name of the output says.
+    """Write edges in the format given by the output's suffix.
 
     Returns:
-        What was written, in a line.
+        A line of text about the written file.
 
     Raises:
-        ColmapEdgesError: there are no edges, no such format or image, or a file is there already.
+        ColmapEdgesError: the edges, the format or the image do not exist, or the output exists.
     """
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.evaluation.readers.results import read_edges
@@ -60,16 +60,18 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
             ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
         )
     if output_path.exists() and not overwrite:
-        raise ColmapEdgesError(f"{output_path} is there already; --overwrite replaces it")
+        raise ColmapEdgesError(
+            f"{output_path} exists already; choose another path or add --overwrite"
+        )
     if run_path.resolve() in output_path.resolve().parents:
-        raise ColmapEdgesError(f"{output_path} is inside of {run_path}; give a path outside of it")
+        raise ColmapEdgesError(f"{output_path} is inside {run_path}; give a path outside of it")
     written = read_edges(run_path)
     output_path.parent.mkdir(parents=True, exist_ok=True)
     if write is None:
         from colmap_edges.export.limap import write_structures
 
         count = write_structures(written.edges, written.curves, written.model, output_path)
-        return f"{count:,} lines in {output_path}; LIMAP reads them beside the model of {run_path}"
+        return f"{count:,} lines in {output_path}; LIMAP reads them with the model of {run_path}"
     write(written, output_path, svg)
     return (
         f"{written.curves.num_curves:,} curves of {written.edges.num_edges:,} edges: {output_path}"
@@ -77,7 +79,7 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
 
 
 def writers() -> dict[str, Callable[[Any, Path, str | None], None]]:
-    """What writes each kind of file, by suffix."""
+    """Writer functions by file suffix."""
     from colmap_edges.export.dxf import write_dxf
     from colmap_edges.export.edges import write_obj, write_ply
     from colmap_edges.export.glb import write_glb
@@ -101,16 +103,16 @@ def writers() -> dict[str, Callable[[Any, Path, str | None], None]]:
 
 
 def write_view(written: Any, path: Path, name: str | None) -> None:
-    """Write what the image of a name sees.
+    """Write the edges projected into the image named `name`.
 
     Raises:
-        ColmapEdgesError: no posed image has the name.
+        ColmapEdgesError: there is no posed image of that name.
     """
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.export.svg import write_svg
 
     names = [view.name for view in written.model.views]
     if name not in names:
-        raise ColmapEdgesError(f"no posed image is named {name!r}; there is {names[0]!r}, ...")
+        raise ColmapEdgesError(f"no posed image is named {name!r}; names look like {names[0]!r}")
     index = names.index(name)
     write_svg(written.edges, written.curves, written.model.views[index], index, path)

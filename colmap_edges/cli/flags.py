@@ -1,4 +1,4 @@
-"""Command-line flags, and keys of the TOML file, from the option dataclasses."""
+"""Command-line flags and TOML keys, made from the option dataclasses."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ MAX_KEY = 60  # characters of a key in a message
 
 
 class ZeroOrOne(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """A truth value as COLMAP writes it, 0 or 1; true and false are taken, too."""
+    """A boolean flag as in COLMAP: 0 or 1; true and false are accepted, too."""
 
     name = "0|1"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> bool:
-        """Make a truth value of what was given."""
+        """Convert the given text to a boolean."""
         words = {"0": False, "1": True, "false": False, "true": True}
         if str(value).lower() not in words:
             self.fail(f"{value!r} is neither 0 nor 1", param, ctx)
@@ -40,22 +40,22 @@ class ZeroOrOne(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class Word(click.Choice):  # type: ignore[type-arg, unused-ignore]
-    """One of some words in any case; messages spell them as help does."""
+    """A case-insensitive choice; messages use the spelling of the help."""
 
     def __init__(self, choices: Iterable[str]) -> None:
         """Take one of `choices`."""
         super().__init__(tuple(choices), case_sensitive=False)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Find the word that was meant."""
+        """Convert the given text to one of the choices."""
         for word in self.choices:
             if str(value).lower() == word.lower():
                 return str(word)
-        self.fail(f"{value!r} is none of {', '.join(self.choices)}", param, ctx)
+        self.fail(f"{value!r} is not one of: {', '.join(self.choices)}", param, ctx)
 
 
 def normalize(token: str) -> str:
-    """Flags are found whatever their case and with - for _."""
+    """A flag in lower case with underscores, for case-insensitive lookup."""
     return token.lower().replace("-", "_")
 
 
@@ -74,10 +74,10 @@ def flag_type(kind: Any, metadata: Mapping[str, Any]) -> tuple[Any, str]:
 
 
 class Flag(click.Option):
-    """A flag that knows whether the short help shows it."""
+    """A flag that may be shown in the full help only."""
 
     def __init__(self, *args: Any, basic: bool = True, **kwargs: Any) -> None:
-        """Make a flag as click does."""
+        """Make a click option; `basic` flags are in the short help."""
         super().__init__(*args, **kwargs)
         self.basic = basic
 
@@ -98,12 +98,12 @@ def make_flag(entry: Field[Any], kind: Any, prefix: str = "") -> click.Option:
 
 
 def parameter_name(flag: str) -> str:
-    """The name under which click keeps the value of a flag."""
+    """The parameter name by which click stores the value of a flag."""
     return normalize(flag).replace(".", "__")
 
 
 def make_flags(names: set[str]) -> list[click.Option]:
-    """Make the flags of the named fields of PipelineOptions; a group gives one an option."""
+    """Make the flags of the named fields of PipelineOptions; a group gives one flag per option."""
     flags = []
     hints = get_type_hints(PipelineOptions)
     for entry in fields(PipelineOptions):
@@ -127,17 +127,17 @@ def group_flags(group: type[Options]) -> list[click.Option]:
 
 
 def options_from_flags(values: dict[str, Any]) -> PipelineOptions:
-    """Make the options from the values of flags; those that are None are as in the preset.
+    """Make the options from the values of flags; flags that are None keep the preset's value.
 
     Raises:
-        OptionError: when a value is out of its range.
+        OptionError: if a value is outside its range.
     """
     start = chosen_preset(values.get("method"), values.get("quality"))
     return changed_options(start, "", values)
 
 
 def changed_options(group: T, prefix: str, values: dict[str, Any]) -> T:
-    """One group, and the groups within it, with the values of flags."""
+    """An option group, with nested groups, updated by the values of flags."""
     chosen: dict[str, Any] = {}
     for name, kind in get_type_hints(type(group)).items():
         if is_group(kind):
@@ -148,7 +148,7 @@ def changed_options(group: T, prefix: str, values: dict[str, Any]) -> T:
 
 
 def flags_by_name(command: click.Command) -> dict[str, click.Parameter]:
-    """The flags of a command, and of those of a group of commands, by their normalized names."""
+    """The flags of a command and its subcommands, by normalized name."""
     own = {
         normalize(flag.removeprefix("--")): param
         for param in command.params
@@ -160,20 +160,20 @@ def flags_by_name(command: click.Command) -> dict[str, click.Parameter]:
 
 
 def with_dashes(message: str, command: click.Command) -> str:
-    """A message about options with the names that are flags of `command` spelled as flags."""
+    """A message in which names of options that `command` has as flags get leading dashes."""
     names = {param.opts[0].removeprefix("--") for param in flags_by_name(command).values()}
     words = message.split(" ")
     return " ".join(f"--{word}" if word.strip(",;:") in names else word for word in words)
 
 
 def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
-    """Values by parameter name of a TOML file with the flags' names as keys.
+    """Read a TOML file with flags as keys; returns its values by parameter name.
 
-    One file serves all commands: keys that only others know are left aside.
+    One file serves all commands: keys of other commands are ignored.
 
     Raises:
-        click.UsageError: when it cannot be read, holds a key that no command has, or a value of
-            another type than its flag's.
+        click.UsageError: if the file cannot be read, a key belongs to no command, or a value has
+            the wrong type.
     """
     own = flags_by_name(ctx.command)
     known = {**flags_by_name(ctx.find_root().command), **own}
@@ -183,7 +183,7 @@ def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
         if param is None:
             spelled = {n: p.opts[0].removeprefix("--") for n, p in known.items()}
             near = difflib.get_close_matches(normalize(key)[:MAX_KEY], known, 1, 0)
-            hint = f"; the nearest is {spelled[near[0]]}" if near else ""
+            hint = f"; did you mean {spelled[near[0]]}?" if near else ""
             raise click.UsageError(f"{path}: unknown key {key[:MAX_KEY]}{hint}")
         kinds, what = toml_kinds(param.type)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
@@ -194,11 +194,11 @@ def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
 
 
 def toml_kinds(flag_type: Any) -> tuple[tuple[type, ...], str]:
-    """The types of TOML's values for a flag of a type, and how messages call them."""
+    """The TOML types accepted for a flag type, and their name in messages."""
     if isinstance(flag_type, ZeroOrOne | click.types.BoolParamType):
         return (bool, int), "true or false"
     if isinstance(flag_type, click.types.IntParamType):
-        return (int,), "a whole number"
+        return (int,), "an integer"
     if isinstance(flag_type, click.types.FloatParamType):
         return (int, float), "a number"
     if isinstance(flag_type, click.types.FuncParamType):  # of --rerun
@@ -207,10 +207,10 @@ def toml_kinds(flag_type: Any) -> tuple[tuple[type, ...], str]:
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; keys of tables are joined by a dot.
+    """Read a TOML file; nested keys are joined by dots.
 
     Raises:
-        click.UsageError: when that cannot be done.
+        click.UsageError: if the file cannot be read.
     """
     if sys.version_info >= (3, 11):
         import tomllib
@@ -221,11 +221,13 @@ def load_toml(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise click.UsageError(f"cannot read {path}: {error}") from error
     except RecursionError as error:
-        raise click.UsageError(f"cannot read {path}: tables or lists are too deep") from error
+        raise click.UsageError(
+            f"cannot read {path}: tables or lists are nested too deeply"
+        ) from error
 
 
 def flatten(tables: dict[str, Any]) -> dict[str, Any]:
-    """Keys of tables joined by a dot."""
+    """Nested tables as one table with dotted keys."""
     flat = {}
     for key, value in tables.items():
         if isinstance(value, dict):

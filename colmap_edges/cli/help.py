@@ -1,4 +1,4 @@
-"""The help of commands: flags under the names of their groups, the basic ones or all."""
+"""The help of commands: basic or all flags, grouped by option group."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class Command(click.Command):
     """A command that lists the flags of each option group under the group's name."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Make a command as click does, with --help_full."""
+        """Make a click command with the flag --help_full."""
         super().__init__(*args, **kwargs)
         self.params.append(full_help_flag())
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the flags, those of no group first; --help_full writes all."""
+        """Write the flags without a group, then those of each group; --help_full writes all."""
         groups: dict[str, list[tuple[str, str]]] = {}
         left_out = 0
         for param in self.get_params(ctx):
@@ -37,7 +37,7 @@ class Command(click.Command):
 
 
 def show_full_help(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
-    """Write the help with every flag and exit."""
+    """Print the full help and exit."""
     if value and not ctx.resilient_parsing:
         ctx.meta[FULL] = True
         click.echo(ctx.get_help(), color=ctx.color)
@@ -47,7 +47,7 @@ def show_full_help(ctx: click.Context, _param: click.Parameter, value: bool) -> 
 def full_help_flag(
     help: str = "Show all options, also those of single steps, and exit",
 ) -> click.Option:
-    """Make the flag that shows every flag."""
+    """Make the flag --help_full."""
     return click.Option(
         ["--help_full"],
         is_flag=True,

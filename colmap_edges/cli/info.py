@@ -1,4 +1,4 @@
-"""What a folder holds, in a few lines."""
+"""Short descriptions of models and output folders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def describe(path: Path) -> str:
     """Describe a COLMAP model, an output folder, or the model of a workspace.
 
     Raises:
-        ColmapEdgesError: when `path` is none of them.
+        ColmapEdgesError: if `path` is neither.
     """
     if (path / REPORT_NAME).is_file():
         return describe_output(path)
@@ -30,7 +30,7 @@ def describe(path: Path) -> str:
 
 
 def describe_model(model: Model) -> str:
-    """Counts of a model, its cameras, and the spread of its track lengths."""
+    """Counts of a model, its camera models and its track lengths."""
     cameras = model.reconstruction.cameras
     kinds = sorted({f"{c.model.name} {c.width}x{c.height}" for c in cameras.values()})
     lines = [
@@ -45,11 +45,13 @@ def describe_model(model: Model) -> str:
 
 
 def describe_output(path: Path) -> str:
-    """What a run made: its command, stages, edges and model."""
+    """The command, stages, edges and model of an output folder."""
     try:
         lines = report_lines(read_json(path / REPORT_NAME))
     except (KeyError, TypeError, AttributeError) as error:
-        raise ColmapEdgesError(f"{path / REPORT_NAME} is damaged: no {error}; run again") from error
+        raise ColmapEdgesError(
+            f"{path / REPORT_NAME} is damaged: the key {error} is missing; run again"
+        ) from error
     if (path / "sparse").is_dir():
         model = describe_model(load_model(path / "sparse"))
         lines += ["sparse:", *(f"  {line}" for line in model.split("\n"))]
@@ -57,7 +59,7 @@ def describe_output(path: Path) -> str:
 
 
 def report_lines(report: dict[str, Any]) -> list[str]:
-    """The command of a run and what its stages did."""
+    """The command of a run and the counts of its stages."""
     lines = [f"output of colmap-edges {report['command']}"]
     for stage in report["stages"]:
         lines.append(f"{stage['name']}: {stage['wall_s']} s, {stage['peak_mb']} MB")
@@ -66,7 +68,7 @@ def report_lines(report: dict[str, Any]) -> list[str]:
 
 
 def count_lines(counts: dict[str, Any], indent: str) -> list[str]:
-    """Counts one a line, nested ones further in."""
+    """Counts, one per line, nested ones indented."""
     lines = []
     for key, value in counts.items():
         nested = isinstance(value, dict)

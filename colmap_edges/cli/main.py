@@ -1,4 +1,4 @@
-"""The command line: parse, call the pipeline, say what came out, exit."""
+"""Entry point of the command line: parses flags and calls the commands."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 @click.command(cls=Command, name="info")
 @click.argument("path", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--verbose", is_flag=True, help="Show where errors arise")
+@click.option("--verbose", is_flag=True, help="Show the traceback of errors")
 def info(path: Path, verbose: bool) -> None:
-    """Say what PATH holds: a COLMAP model, or an output folder."""
+    """Describe the COLMAP model or output folder at PATH."""
     with one_line_errors(verbose):
         from colmap_edges.cli.info import describe
 
@@ -47,32 +47,34 @@ def info(path: Path, verbose: bool) -> None:
 
 
 @click.command(cls=Command, name="evaluate")
-@click.option("--run_path", type=FOLDER, required=True, help="Output folder of mesh")
-@click.option("--input_path", type=FOLDER, required=True, help="COLMAP model it started from")
+@click.option("--run_path", type=FOLDER, required=True, help="Output folder of colmap-edges mesh")
+@click.option(
+    "--input_path", type=FOLDER, required=True, help="COLMAP model that the run started from"
+)
 @click.option(
     "--reference_path",
     type=click.Path(path_type=Path, exists=True),
-    help="Depth maps, mesh or point cloud; without it half of the model's points are held out",
+    help="Reference depth maps, mesh or point cloud; by default half of the SfM points",
 )
 @click.option(
     "--curves_path",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="True 3D curves (.npz or .ply)",
+    help="Reference 3D curves (.npz or .ply)",
 )
 @click.option(
-    "--image_path", type=FOLDER, help="Images, for --held_out_views and pictures of edges"
+    "--image_path", type=FOLDER, help="Images, needed for --held_out_views and pictures of edges"
 )
 @click.option(
     "--held_out_views",
     type=click.IntRange(0, 1_000_000),
     default=0,
     show_default=True,
-    help="Judge edges in every n-th image, left out of their reconstruction; 0 does not",
+    help="Leave every n-th image out of the reconstruction and evaluate edges in it; 0 disables",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an earlier evaluation")
-@click.option("--verbose", is_flag=True, help="Log each step; show where errors arise")
+@click.option("--overwrite", is_flag=True, help="Replace an existing evaluation")
+@click.option("--verbose", is_flag=True, help="Log each step; show the traceback of errors")
 def evaluate(verbose: bool, **values: Any) -> None:
-    """Judge an output folder: errors of its mesh and edges, with pictures."""
+    """Evaluate an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
         from colmap_edges.colmap import model  # noqa: F401 - heavy imports, after parsing
         from colmap_edges.evaluation import run as evaluation
@@ -91,16 +93,16 @@ def evaluate(verbose: bool, **values: Any) -> None:
     is_eager=True,
     expose_value=False,
     callback=show_version,
-    help="Show the versions of this program and of what it computes with, and exit",
+    help="Show the versions of this program and its libraries, and exit",
 )
 def cli() -> None:
-    """3D edges, straight and curved, for COLMAP models, and meshes that follow them."""
+    """Reconstruct straight and curved 3D edges of COLMAP models, and meshes that follow them."""
 
 
-cli.params.append(full_help_flag("Show this; after a command, all of its options, and exit"))
+cli.params.append(full_help_flag("Show this help; after a command, all of its options, and exit"))
 cli.add_command(
     make_run_command(
-        "detect", "Detect 2D edge graphs: one .npz and one overlay an image.", DETECT_FLAGS
+        "detect", "Detect 2D edge graphs: one .npz and one overlay per image.", DETECT_FLAGS
     )
 )
 cli.add_command(
@@ -122,8 +124,8 @@ cli.add_command(export)
 
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0, 1 on bad input, 2 on bad usage, 130 on Ctrl-C."""
-    # Each image or view has a thread of its own; those of BLAS would wait for them at full speed,
-    # and round by how many they are. It looks when numpy is loaded, by the command that needs it.
+    # Images and views are processed by our own threads. BLAS threads would compete with them, and
+    # make rounding depend on their number. BLAS reads the setting when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_streams()
     HEEDED[:] = heeded_signals()
@@ -140,7 +142,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     except Exception:
         if not STOPPED:
             raise
-        # Some libraries take the signal, raised inside them, for an error of their own.
+        # Some libraries turn an interrupt into an exception of their own.
         say("Interrupted; nothing was written.", err=True)
         sys.exit(128 + STOPPED[0])
     sys.exit(code if isinstance(code, int) else 0)

@@ -16,6 +16,7 @@ from colmap_edges.cli.help import Command
 from colmap_edges.cli.terminal import HEEDED, heed, progress_bars, say
 from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
+from colmap_edges.runtime.stages import Progress
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
@@ -24,7 +25,7 @@ DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "random_seed", "detection"
 
 
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
-    """Take what the TOML file says as defaults; flags of the command line go before."""
+    """Use the values of the TOML file as defaults; flags on the command line override them."""
     if value:
         ctx.default_map = read_config(ctx, value)
 
@@ -41,20 +42,20 @@ def preset_flags() -> list[click.Option]:
             ["--quality"],
             type=Word(QUALITIES),
             metavar="|".join(QUALITIES),
-            help="Preset: low is faster, high compares more views; other flags go before [medium]",
+            help="Preset: low is faster, high matches more views; other flags override it [medium]",
         ),
         click.Option(
             ["--method"],
             type=Word(METHODS),
             metavar="|".join(METHODS),
-            help="Trace by depths along chains, or trace and mesh as Bignoli et al. do, with their "
-            "values; other flags go before [chains]",
+            help="Trace edges by depths along chains, or trace and mesh as in the paper of Bignoli "
+            "et al.; other flags override its values [chains]",
         ),
     ]
 
 
 def recording_target(value: str) -> str:
-    """Take what --rerun says: 0, 1 or the name of a recording."""
+    """Check the value of --rerun: 0, 1 or the name of a recording."""
     if value in ("0", "1") or value.lower().endswith(".rrd"):
         return value
     raise click.BadParameter(f"{value!r} is neither 0, 1 nor a FILE.rrd")
@@ -64,30 +65,31 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
     """Make the flags of a command that runs stages."""
     return [
         path_flag(
-            "workspace_path", "COLMAP workspace: has images and sparse/0; gives the paths below"
+            "workspace_path",
+            "COLMAP workspace with images and sparse/0; default of paths",
         ),
         path_flag("image_path", "Folder of the images [WORKSPACE/images]"),
         path_flag("input_path", "Folder of the COLMAP model, bin or txt [WORKSPACE/sparse/0]"),
-        path_flag("output_path", "Folder to make; appears when all is done [WORKSPACE/edges]"),
+        path_flag("output_path", "Output folder, made at the end [WORKSPACE/edges]"),
         path_flag(
             "mask_path",
-            "Folder of masks named as COLMAP's, IMAGE.png, or one mask of all images: no edges are "
-            "looked for where they are black",
+            "Folder of masks named as in COLMAP, IMAGE.png, or one mask for all images; edges in "
+            "black areas are ignored",
         ),
         path_flag(
             "edge_path",
-            "Folder of edge images of another detector, IMAGE.png, white on black: their edges are "
-            "taken in place of EdgeDrawing's",
+            "Folder of edge images of another detector, IMAGE.png, white on black; used instead of "
+            "EdgeDrawing",
         ),
         path_flag(
             "cache_path",
-            "Folder of results that later runs find again: made when missing, can be deleted",
+            "Cache folder for results that later runs reuse; can be deleted at any time",
         ),
         click.Option(
             ["--scheduler"],
             default="",
             metavar="ADDRESS",
-            help="Let a dask.distributed cluster work, such as tcp://host:8786; needs --cache_path",
+            help="dask cluster, such as tcp://host:8786; needs --cache_path",
         ),
         *(preset_flags() if "tracing" in names else []),
         click.Option(
@@ -96,27 +98,27 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             is_eager=True,
             expose_value=False,
             callback=load_config,
-            help="TOML file with flags as keys, groups as tables; flags given here go before",
+            help="TOML file with flags as keys, groups as tables; the command line overrides it",
         ),
         click.Option(
             ["--rerun"],
             type=recording_target,
             metavar="0|1|FILE.rrd",
             default="0",
-            help="Show the run in rerun's viewer as it goes, or record it for the viewer [0]",
+            help="Show the run live in the rerun viewer (1), or record it to a file [0]",
         ),
-        click.Option(["--overwrite"], is_flag=True, help="Replace an earlier output"),
+        click.Option(["--overwrite"], is_flag=True, help="Replace an existing output"),
         click.Option(
             ["--verbose"],
             is_flag=True,
-            help="Log each step; say what each stage did; show where errors arise",
+            help="Log each step, list the results of each stage, show the traceback of errors",
         ),
         *make_flags(names),
     ]
 
 
 def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
-    """Make the command that runs the pipeline up to the stage `name`."""
+    """Make the command `name`, which runs the pipeline up to that stage."""
 
     def callback(**values: Any) -> None:
         with one_line_errors(values["verbose"]):
@@ -127,23 +129,37 @@ def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
 
 def run_command(name: str, values: dict[str, Any]) -> None:
     """Run one command with the values of its flags and print the summary."""
+    started = time.perf_counter()
     options = options_from_flags(values)
+    paths = paths_from_flags(values, name != "mesh" or options.use_edges)
+    with progress_bars() as progress:
+        progress("read", 0, 1)  # before the imports, which take a second
+        report = run_stages(name, values, paths, options, progress)
     from colmap_edges.cli.summary import summary
+
+    if values["rerun"] not in ("0", "1"):
+        say(f"The recording in {values['rerun']} opens in rerun's viewer: rerun {values['rerun']}")
+    seconds = time.perf_counter() - started
+    say(*summary(report, paths["output_path"], seconds, values["verbose"]))
+
+
+def run_stages(
+    name: str,
+    values: dict[str, Any],
+    paths_of_flags: dict[str, Any],
+    options: PipelineOptions,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Import what the stages need, run them, and return the report."""
     from colmap_edges.pipeline.paths import Paths
-    from colmap_edges.pipeline.run import run  # heavy imports, after parsing
+    from colmap_edges.pipeline.run import run
     from colmap_edges.report.rerun_viewer import open_viewer
 
     heed(HEEDED)
-    started = time.perf_counter()
     optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
-    needs_images = name != "mesh" or options.use_edges
-    paths = Paths(**paths_from_flags(values, needs_images), **optional)
-    target, overwrite = values["rerun"], values["overwrite"]
-    with (
-        open_viewer(target, paths.output_path, overwrite, paths.inputs) as viewer,
-        progress_bars() as progress,
-    ):
-        report = run(
+    paths, overwrite = Paths(**paths_of_flags, **optional), values["overwrite"]
+    with open_viewer(values["rerun"], paths.output_path, overwrite, paths.inputs) as viewer:
+        return run(
             name,
             paths,
             options,
@@ -152,14 +168,10 @@ def run_command(name: str, values: dict[str, Any]) -> None:
             scheduler=values["scheduler"],
             viewer=viewer,
         )
-    if target not in ("0", "1"):
-        say(f"The recording in {target} opens in rerun's viewer: rerun {target}")
-    seconds = time.perf_counter() - started
-    say(*summary(report, paths.output_path, seconds, values["verbose"]))
 
 
 def paths_from_flags(values: dict[str, Any], needs_images: bool) -> dict[str, Any]:
-    """The paths of a run; those that are needed and not given come from the workspace."""
+    """The paths of a run; required paths that are not given are taken from the workspace."""
     workspace = values["workspace_path"]
     finders: dict[str, Callable[[Path], Path]] = {
         "input_path": find_model,

@@ -1,4 +1,4 @@
-"""What a run says at its end: what came out, and the one file to open."""
+"""The summary printed at the end of a run: results, findings and the file to open."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from colmap_edges.report.outcome import VIEWERS, outcome
 
-# The first of these that a run made is where to look.
+# The summary points to the first of these files that exists.
 LOOK_AT = {
     "report.html": "in any web browser",
     "mesh.ply": "in MeshLab, Blender or CloudCompare",
@@ -20,13 +20,13 @@ LOOK_AT = {
 
 
 def summary(report: dict[str, Any], output: Path, seconds: float, verbose: bool) -> list[str]:
-    """Say what came out in a user's words; last, which file to open.
+    """The lines of the summary: findings, results and, last, the file to open.
 
     Args:
-        report: what report.json holds.
-        output: the folder that was made.
-        seconds: how long the run took.
-        verbose: also say what each stage did, and name every file.
+        report: the contents of report.json.
+        output: the output folder.
+        seconds: duration of the run.
+        verbose: also list the counts of each stage and every file.
     """
     lines = details(report, output, seconds) if verbose else []
     for finding in report["findings"]:
@@ -34,12 +34,12 @@ def summary(report: dict[str, Any], output: Path, seconds: float, verbose: bool)
     for name, text in outcome(report).items():
         lines.append(f"{name + ':':9} {text}")
     found = ((name, how) for name, how in LOOK_AT.items() if (output / name).exists())
-    name, how = next(found, ("", "what came out"))
+    name, how = next(found, ("", "the results"))
     return [*lines, f"{'Look at:':9} {output / name} ({how})"]
 
 
 def details(report: dict[str, Any], output: Path, seconds: float) -> list[str]:
-    """What each stage did and in which time, and what each file is."""
+    """The duration and counts of each stage, and a description of each file."""
     lines = []
     for stage in report["stages"]:
         counts = (f"{value:,} {key.replace('_', ' ')}" for key, value in scalars(stage["counts"]))

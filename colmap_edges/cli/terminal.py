@@ -1,4 +1,4 @@
-"""The terminal: text with control characters escaped, logs, progress bars, signals."""
+"""Terminal output (with control characters escaped), logging, progress bars, signals."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from colmap_edges.errors import printable
 from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
-HEEDED: list[int] = []  # signals that end a run
-STOPPED: list[int] = []  # signals that asked the run to stop
+HEEDED: list[int] = []  # signals handled during a run
+STOPPED: list[int] = []  # signals received so far
 
 
 def show_usage_error(error: click.ClickException) -> None:
-    """Write what click says of a mistake in the command line."""
+    """Print click's message about a usage error."""
     text = io.StringIO()
     error.show(file=text)
     say(*text.getvalue().rstrip("\n").split("\n"), err=True)
 
 
 def say(*lines: str, err: bool = False) -> None:
-    """Write lines to standard output or error; no name in them can steer the terminal."""
-    with suppress(OSError) if err else nullcontext():  # there is nobody else to tell
+    """Print lines to standard output or error, with control characters escaped."""
+    with suppress(OSError) if err else nullcontext():  # nothing else can report it
         click.echo("\n".join(map(printable, lines)), err=err)
 
 
 def open_streams() -> None:
-    """Open the standard streams that were closed, to nowhere, and let all write what they can.
+    """Open closed standard streams to the null device, and replace unencodable characters.
 
-    Otherwise the next files opened would be taken for them, and libraries would write into those.
+    Otherwise the next opened files would get their descriptors, and libraries would write there.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -49,11 +49,13 @@ def open_streams() -> None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # letters that the locale does not have
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # characters outside the locale's encoding
 
 
 class LogFormatter(logging.Formatter):
-    """Formats records so that no name in them can steer the terminal."""
+    """Formats log records with control characters escaped."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         """The record's line."""
@@ -65,9 +67,9 @@ class LogFormatter(logging.Formatter):
 
 
 def start_logging(verbose: bool) -> None:
-    """Log warnings to standard error, and with `verbose` all that this program logs.
+    """Log warnings to standard error; with `verbose` also this program's debug messages.
 
-    What the libraries log of their own work would bury it.
+    Debug messages of libraries are not shown.
     """
     handler = logging.StreamHandler()
     handler.setFormatter(LogFormatter("%(levelname)s %(name)s: %(message)s"))
@@ -77,7 +79,7 @@ def start_logging(verbose: bool) -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
-    """Yield a function that shows one bar a stage on standard error, if that is a terminal."""
+    """Yield a function that shows one progress bar per stage if standard error is a terminal."""
     if not sys.stderr.isatty():
         yield no_progress
         return
@@ -98,19 +100,19 @@ def progress_bars() -> Iterator[Progress]:
 
 
 def heeded_signals() -> list[int]:
-    """The signals that end a run: not those that its parent had ignored, as nohup does."""
+    """The signals that end a run, without those that the parent ignores (as nohup does)."""
     return [number for number in ending_signals() if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def heed(signals: list[int]) -> None:
-    """Let signals end the run; to be called after pycolmap is loaded, which sets its own."""
+    """Install signal handlers; call it after importing pycolmap, which installs its own."""
     for number in signals:
         signal.signal(number, on_signal)
 
 
 def on_signal(number: int, _frame: Any) -> None:
-    """Leave as on an error, so that what was begun is cleaned up."""
+    """Raise an exception so that unfinished output is cleaned up."""
     if STOPPED and number not in (signal.SIGINT, signal.SIGTERM):
-        return  # shell and kernel both tell that a terminal closed
+        return  # both shell and kernel send SIGHUP when a terminal closes
     STOPPED.append(number)
     raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)

@@ -1,1 +1,1 @@
-"""COLMAP models: reading, checking, writing, workspaces, triangulation."""
+"""COLMAP models: reading, validation, writing, workspaces, triangulation."""

@@ -1,7 +1,7 @@
-"""COLMAP's binary model files as bytes: check them before use, read points, append edge points.
+"""Validation, reading and appending of COLMAP's binary model files without pycolmap.
 
-pycolmap hangs or kills the process on some damaged files, and takes seconds for what numpy
-reads or appends in milliseconds; the formats are simple and fixed.
+pycolmap hangs or crashes on some damaged files, and takes seconds where numpy reads or appends in
+milliseconds. The formats are simple and fixed.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, order_of, ranks_of
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.input_files import open_file, read_bytes
 
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
@@ -31,16 +32,15 @@ POINT3D = np.dtype(
 )
 TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
 IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
-NO_POINT3D = np.iinfo(np.uint64).max  # of a point2D that observes none
+NO_POINT3D = np.iinfo(np.uint64).max  # id of a point2D without point3D
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
-GATHERED = 100_000  # records at once: their bytes' places take many times their memory
 MODEL_NAMES = ("cameras", "images", "points3D", "rigs", "frames")
 
 
 @dataclass(frozen=True)
 class ImageSpan:
-    """Where one image lies in images.bin; its points2D are at points_start:end."""
+    """Byte range of an image in images.bin; its points2D are at points_start:end."""
 
     image_id: int
     start: int
@@ -51,7 +51,7 @@ class ImageSpan:
 
 @dataclass(frozen=True)
 class ModelPoints:
-    """The points of a model as they are in its files.
+    """The points of a model, as stored in its files.
 
     Attributes:
         points2D: by image id, (n,) `POINT2D` records of its points2D.
@@ -63,10 +63,10 @@ class ModelPoints:
 
 
 def check_are_files(folder: Path) -> None:
-    """Check that what is named as a model's files can be opened as one: pycolmap waits for pipes.
+    """Check that a model's files are regular files; pycolmap blocks on pipes.
 
     Raises:
-        OSError: when one cannot.
+        OSError: if one cannot be opened.
     """
     for name, suffix in product(MODEL_NAMES, (".bin", ".txt")):
         if os.path.lexists(folder / (name + suffix)):
@@ -74,7 +74,7 @@ def check_are_files(folder: Path) -> None:
 
 
 def is_binary(folder: Path) -> bool:
-    """Whether a folder holds a binary model, which is what pycolmap reads if it does."""
+    """Whether a folder holds a binary model, which pycolmap prefers to a text model."""
     return all((folder / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D"))
 
 
@@ -82,7 +82,7 @@ def read_points(folder: Path) -> ModelPoints:
     """Read the points of the binary model in a folder.
 
     Raises:
-        ColmapEdgesError: when a file is truncated or has bytes too many.
+        ColmapEdgesError: if a file is truncated or too long.
     """
     images, points3D = folder / "images.bin", folder / "points3D.bin"
     data = read_bytes(images)
@@ -96,14 +96,14 @@ def read_points(folder: Path) -> ModelPoints:
 
 
 def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None:
-    """Check sizes, counts and references of a binary model; text models are not looked at.
+    """Check sizes, counts and references of a binary model; text models are not checked.
 
     Args:
-        folder: where cameras.bin, images.bin and points3D.bin are.
+        folder: folder of cameras.bin, images.bin and points3D.bin.
         parameters_of_model: number of parameters by COLMAP's camera model id.
 
     Raises:
-        ColmapEdgesError: when a file is truncated, has bytes too many or points nowhere.
+        ColmapEdgesError: if a file is truncated, too long, or has invalid references.
     """
     if not is_binary(folder):
         return
@@ -122,21 +122,21 @@ def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None
 
 
 def check_text_files(folder: Path, num_records: dict[str, int]) -> None:
-    """Check that text files of a model hold as many records as they should, the last one whole.
+    """Check that text files of a model hold all records, and complete ones.
 
     Args:
-        folder: where the .txt files are.
+        folder: folder of the .txt files.
         num_records: records by file name without suffix; an image is two lines, else it is one.
 
     Raises:
-        ColmapEdgesError: when a file is cut short.
+        ColmapEdgesError: if a file is truncated.
     """
     for name, count in num_records.items():
         path = folder / f"{name}.txt"
         with path.open("rb") as file:
             lines = [line[-1:] for line in file if not line.startswith(b"#")]
         if len(lines) != count * (2 if name == "images" else 1) or b"".join(lines).strip(b"\n"):
-            raise damaged(path, "it is cut short")
+            raise damaged(path, "it is truncated")
 
 
 def damaged(path: Path, why: str) -> ColmapEdgesError:
@@ -145,7 +145,7 @@ def damaged(path: Path, why: str) -> ColmapEdgesError:
 
 
 class Reader:
-    """Reads little-endian fields one after another and knows when the file ends too early."""
+    """Reads consecutive little-endian fields and detects truncated files."""
 
     def __init__(self, path: Path) -> None:
         """Read the whole file."""
@@ -165,13 +165,13 @@ class Reader:
             raise damaged(self.path, f"it ends after {len(self.data)} bytes, within a record")
 
     def end(self) -> None:
-        """Check that nothing follows."""
+        """Check that the end of the file is reached."""
         if self.at != len(self.data):
             raise damaged(self.path, f"{len(self.data) - self.at} bytes follow its last record")
 
 
 def check_cameras(path: Path, parameters_of_model: dict[int, int]) -> None:
-    """Check that cameras.bin holds as many cameras, of known models, as it says."""
+    """Check that cameras.bin holds the stated number of cameras, of known models."""
     reader = Reader(path)
     for _ in range(reader.take(COUNT)[0]):
         camera_id, model, _width, _height = reader.take(CAMERA_HEAD)
@@ -182,7 +182,7 @@ def check_cameras(path: Path, parameters_of_model: dict[int, int]) -> None:
 
 
 def check_rigs(path: Path) -> None:
-    """Check that rigs.bin holds as many rigs and sensors as it says."""
+    """Check that rigs.bin holds the stated numbers of rigs and sensors."""
     reader = Reader(path)
     for _ in range(reader.take(COUNT)[0]):
         num_sensors = reader.take(struct.Struct("<II"))[1]
@@ -194,7 +194,7 @@ def check_rigs(path: Path) -> None:
 
 
 def check_frames(path: Path) -> None:
-    """Check that frames.bin holds as many frames and data ids as it says."""
+    """Check that frames.bin holds the stated numbers of frames and data ids."""
     reader = Reader(path)
     for _ in range(reader.take(COUNT)[0]):
         frame = reader.take(struct.Struct("<II7dI"))
@@ -204,7 +204,7 @@ def check_frames(path: Path) -> None:
 
 
 def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
-    """Check that a quaternion is not zero, which COLMAP silently takes for no rotation."""
+    """Check that a quaternion is not zero, which COLMAP silently reads as the identity."""
     if not any(quaternion):
         raise damaged(path, "a pose has a rotation of zeros")
 
@@ -213,7 +213,7 @@ def image_records(data: bytes, path: Path) -> list[ImageSpan]:
     """Find every image in the bytes of images.bin; `path` is for messages.
 
     Raises:
-        ColmapEdgesError: when the bytes end too early or too late.
+        ColmapEdgesError: if the data is truncated or too long.
     """
     records = []
     at = COUNT.size
@@ -246,7 +246,7 @@ def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None
 
 
 def check_points3D(path: Path, images: list[ImageSpan]) -> None:
-    """Check the records of points3D.bin and that each track points at an existing point2D."""
+    """Check the records of points3D.bin and that all tracks refer to existing points2D."""
     data = read_bytes(path)
     starts, lengths = point3D_records(data, path)
     heads = gather(data, starts, POINT3D)
@@ -270,33 +270,30 @@ def check_points3D(path: Path, images: list[ImageSpan]) -> None:
 
 
 def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
-    """Offsets (N,) of the points in the bytes of points3D.bin and their track lengths (N,)."""
-    starts, lengths = [], []
-    at = COUNT.size
-    length_at = POINT3D.itemsize - COUNT.size
-    try:
-        for _ in range(COUNT.unpack_from(data)[0]):
-            length = COUNT.unpack_from(data, at + length_at)[0]
-            starts.append(at)
-            lengths.append(length)
-            at += POINT3D.itemsize + length * TRACK_ELEMENT.itemsize
-    except (struct.error, OverflowError):
-        at = len(data) + 1
+    """(N,) byte offsets of the points in points3D.bin, and their (N,) track lengths."""
+    if len(data) < COUNT.size:
+        raise damaged(path, f"it ends after {len(data)} bytes, within a record")
+    starts, lengths, at = _kernels.walk_records(
+        np.frombuffer(data, np.uint8),
+        COUNT.size,
+        COUNT.unpack_from(data)[0],
+        POINT3D.itemsize,
+        TRACK_ELEMENT.itemsize,
+    )
     if at > len(data):
         raise damaged(path, f"it ends after {len(data)} bytes, within a record")
     if at != len(data):
         raise damaged(path, f"{len(data) - at} bytes follow its last record")
-    return np.array(starts, np.int64), np.array(lengths, np.int64)
+    return starts, lengths
 
 
 def gather(data: bytes, offsets: IntArray, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Records of `dtype` at byte `offsets` (N,) of `data`."""
-    raw, within = np.frombuffer(data, np.uint8), np.arange(dtype.itemsize)
-    records = np.empty(len(offsets), dtype)
-    for start in range(0, len(offsets), GATHERED):
-        places = offsets[start : start + GATHERED, None] + within
-        records[start : start + GATHERED] = raw[places].view(dtype).reshape(-1)
-    return records
+    """(N,) records of `dtype` at (N,) byte `offsets` of `data`."""
+    if len(offsets) == 0:
+        return np.empty(0, dtype)
+    count = len(data) - dtype.itemsize + 1  # one record from each byte on, over each other
+    every: NDArray[np.void] = np.ndarray(count, dtype, data, strides=1)
+    return every[offsets]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,7 +301,7 @@ class NewPoints:
     """Points to append to a binary model.
 
     Attributes:
-        ids: (N,) point3D ids, none of them in the model yet.
+        ids: (N,) point3D ids, unused in the model.
         xyz: (N, 3) float64, world units.
         rgb: (N, 3) uint8.
         errors: (N,) float64 mean reprojection errors, pixels.
@@ -329,7 +326,7 @@ def append_points(folder: Path, points: NewPoints) -> None:
 
 
 def append_points2D(path: Path, points: NewPoints) -> IntArray:
-    """Append the observations to their images; return the point2D index (T,) of each."""
+    """Append the observations to their images; returns their (T,) point2D indices."""
     data = read_bytes(path)
     owners = np.repeat(points.ids, np.diff(points.track_offsets))
     indices = np.empty(len(owners), np.int64)
@@ -358,7 +355,7 @@ def append_points3D(path: Path, points: NewPoints, point2D_indices: IntArray) ->
     heads["error"], heads["track_length"] = points.errors, np.diff(points.track_offsets)
     elements = np.empty(len(point2D_indices), TRACK_ELEMENT)
     elements["image_id"], elements["point2D_idx"] = points.track_image_ids, point2D_indices
-    # A head, its track, the next head: parts of so many bytes in turn.
+    # The lengths of the alternating parts: a point's record, its track, the next record.
     parts = np.full((len(heads), 2), POINT3D.itemsize)
     parts[:, 1] = np.diff(points.track_offsets) * TRACK_ELEMENT.itemsize
     of_head = np.repeat(np.tile([True, False], len(heads)), parts.ravel())

@@ -1,4 +1,4 @@
-"""COLMAP models as arrays: reading them, and what is checked when they are read."""
+"""Reading of COLMAP models into arrays, with validation."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class Model:
         track_offsets: (N + 1,) int64; observations of point i are track_offsets[i]:[i + 1].
         track_views: (T,) int32 indices into `views`.
         track_points2D: (T, 2) float64 observed image pixels, COLMAP's origin.
-        unposed_names: images of the model that have no pose.
-        reconstruction: the pycolmap.Reconstruction it was made from; never written to.
-        far_point3D_ids: (F,) int64 ids of its points at infinity, which are left out here.
+        unposed_names: names of images without pose.
+        reconstruction: the pycolmap.Reconstruction that it was made from; never modified.
+        far_point3D_ids: (F,) int64 ids of points at infinity, which are left out here.
     """
 
     views: tuple[View, ...]
@@ -69,7 +69,7 @@ class Model:
 
     @property
     def scale(self) -> float:
-        """By which its images are enlarged, or below 1 reduced, for detection; the largest."""
+        """The largest upsampling factor of its images for detection; below 1 if downsampled."""
         return max(view.scale for view in self.views)
 
     def at_scale(self, scale: float) -> Model:
@@ -77,7 +77,7 @@ class Model:
         return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
 
     def selected(self, points: BoolArray, observations: BoolArray) -> Model:
-        """The model of some of the (N,) points and (T,) observations; these are of such points."""
+        """The model with masked (N,) points and (T,) observations; these belong to kept points."""
         lengths = np.bincount(self.track_points[observations], minlength=len(points))
         return replace(
             self,
@@ -91,7 +91,7 @@ class Model:
 
     @cached_property
     def track_points(self) -> IntArray:
-        """(T,) point of each observation."""
+        """(T,) point index of each observation."""
         return owners_of(self.track_offsets)
 
     @cached_property
@@ -104,11 +104,11 @@ def load_model(path: Path | str) -> Model:
     """Read a COLMAP model folder (bin or txt, any version pycolmap reads).
 
     Raises:
-        ColmapEdgesError: when the folder holds no readable model.
+        ColmapEdgesError: if the folder holds no readable model.
     """
     path = Path(path)
     level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # the error says it all
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
         check_are_files(path)
         check_model_files(path, camera_parameter_counts())
@@ -126,22 +126,24 @@ def load_model(path: Path | str) -> Model:
 
 
 def camera_parameter_counts() -> dict[int, int]:
-    """Number of parameters of every camera model, by COLMAP's id of the model."""
+    """Number of parameters of each camera model, by COLMAP's model id."""
     models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
     cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
     return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
 
 
 def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
-    """Take a pycolmap.Reconstruction apart into arrays; it is kept, not changed.
+    """Convert a pycolmap.Reconstruction to arrays; it is kept unchanged.
 
     Args:
         reconstruction: the model.
-        points: its points, where they are at hand.
+        points: its points, if already read.
+
+    Returns:
+        The model without points at infinity.
 
     Raises:
-        ColmapEdgesError: when a pose, camera or point is none, or parts do not fit together. Points
-            at infinity are left out.
+        ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent.
     """
     check_type("reconstruction", reconstruction, (pycolmap.Reconstruction,), "the model's folder")
     try:
@@ -176,12 +178,12 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
 
 
 def points_of(reconstruction: Any) -> ModelPoints:
-    """The points of a reconstruction; by way of files, which is the fastest."""
+    """The points of a reconstruction, through temporary files, which is fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
         try:
             return read_points(Path(folder))
-        except (ColmapEdgesError, OSError) as error:  # pycolmap is silent on a full disk
+        except (ColmapEdgesError, OSError) as error:  # pycolmap does not report a full disk
             raise ColmapEdgesError(
                 f"cannot write the model's points to {Path(folder).parent}: the disk is full "
                 f"({error}); free space there or set TMPDIR to another folder"
@@ -189,10 +191,10 @@ def points_of(reconstruction: Any) -> ModelPoints:
 
 
 def check_values(model: Model) -> None:
-    """Check that points are numbers, their ids leave room for more, and names of images differ.
+    """Check that points are finite, ids leave room for more, and image names are unique.
 
     Raises:
-        ColmapEdgesError: naming the first that is not.
+        ColmapEdgesError: naming the first violation.
     """
     for view, following in pairwise(model.views):
         if view.name == following.name:
@@ -205,9 +207,9 @@ def check_values(model: Model) -> None:
 
 
 def without_far_points(model: Model) -> Model:
-    """The model without points at infinity, which tell nothing; their ids are kept.
+    """The model without points at infinity, whose depth is undefined; their ids are recorded.
 
-    Written models have all points that were given.
+    Written models contain them.
     """
     near = within_reach(model.points3D_xyz, model.camera_centers)
     if near.all():
@@ -224,7 +226,7 @@ def view_from_image(image: Any, scale: float = 1.0) -> View:
         name=image.name,
         width=image.camera.width,
         height=image.camera.height,
-        camera=copy.copy(image.camera),  # the original dies with the reconstruction
+        camera=copy.copy(image.camera),  # the original is freed with the reconstruction
         rotation=np.array(matrix[:, :3]),
         translation=np.array(matrix[:, 3]),
         scale=scale,
@@ -234,14 +236,14 @@ def view_from_image(image: Any, scale: float = 1.0) -> View:
 def tracks_by_point(
     points2D: Sequence[NDArray[np.void]], point3D_ids: IntArray
 ) -> tuple[IntArray, Int32Array, FloatArray]:
-    """CSR of the observations of each point: offsets (N + 1,), views (T,), pixels (T, 2).
+    """Observations in CSR by point: offsets (N + 1,), views (T,), pixels (T, 2).
 
     Args:
         points2D: `POINT2D` records of each view.
         point3D_ids: (N,) ascending.
 
     Raises:
-        ColmapEdgesError: when a view observes a point that is not among them.
+        ColmapEdgesError: if a view observes an unknown point.
     """
     observed = [of_view[of_view["point3D_id"] != NO_POINT3D] for of_view in points2D]
     every = np.concatenate([np.zeros(0, POINT2D), *observed])
@@ -260,15 +262,15 @@ def tracks_by_point(
 
 
 def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:
-    """Distances (T,) in pixels of each observation from the projection of its edge point.
+    """(T,) reprojection errors of the observations of edge points, in pixels.
 
-    NaN where the point lies behind the camera.
+    NaN for points behind the camera.
     """
     points = edges.points[edges.observations.points]
     return track_residuals(model.views, points, edges.observations.views, edges.observations.pixels)
 
 
 def frames_of_views(model: Model) -> IntArray:
-    """(V,) COLMAP's id of the frame that each view's image belongs to."""
+    """(V,) COLMAP's frame id of each view's image."""
     images = model.reconstruction.images
     return np.array([images[view.image_id].frame_id for view in model.views], np.int64)

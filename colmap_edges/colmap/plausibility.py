@@ -1,6 +1,6 @@
-"""Rejects implausible cameras, poses and points before anything is computed from them.
+"""Rejection of implausible cameras, poses and points.
 
-Values that are numbers but make no sense turn up far away, as overflows and empty results.
+Such values would otherwise show up much later, as overflows or empty results.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from numpy.typing import NDArray
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.errors import ColmapEdgesError
 
-MAX_COORDINATE = 1e30  # world units; products of five, as geometry takes them, are still numbers
+MAX_COORDINATE = 1e30  # world units; products of five coordinates stay finite
 MAX_SIDE_PX = 2**31 - 1
-MIN_FOCAL, MAX_FOCAL = 1e-3, 1e6  # sides of the image; fisheye lenses have 0.2, telescopes 1e4
+MIN_FOCAL, MAX_FOCAL = 1e-3, 1e6  # in image sides; fisheye lenses have 0.2, telescopes 1e4
 MAX_PARAMETER = 1e12
-# Distance, in those of cameras from each other and of points from cameras, from which a point is at
-# infinity: rays to it are parallel to less than a hundredth of a pixel.
+# Distance beyond which a point is at infinity, relative to the distances between cameras and from
+# cameras to points: its viewing rays are parallel up to a hundredth of a pixel.
 MAX_REACH = 1e6
-MAX_POINT3D_ID = 2**62  # beyond, edge points might find no ids left
+MAX_POINT3D_ID = 2**62  # larger ids leave none for edge points
 
 
 def check_camera(camera: Any, name: str) -> None:
-    """Check that a pycolmap.Camera is one whose images can be worked on.
+    """Check that a pycolmap.Camera is plausible and supported.
 
     Raises:
-        ColmapEdgesError: when it is not; `name` is that of an image it took.
+        ColmapEdgesError: if it is not; `name` is the name of one of its images.
     """
     if not (0 < camera.width <= MAX_SIDE_PX and 0 < camera.height <= MAX_SIDE_PX):
         raise ColmapEdgesError(
-            f"the camera of image {name} has the size {camera.width}x{camera.height}, which is no "
-            "image's; write the model again"
+            f"the camera of image {name} has the impossible size {camera.width}x{camera.height}; "
+            "write the model again"
         )
     params = np.asarray(camera.params)
     focal_lengths = params[camera.focal_length_idxs()]
@@ -53,28 +53,29 @@ def check_camera(camera: Any, name: str) -> None:
         or not ((ratios >= MIN_FOCAL) & (ratios <= MAX_FOCAL)).all()
     ):
         raise ColmapEdgesError(
-            f"the camera of image {name}, {camera.width}x{camera.height}, has the parameters "
-            f"{camera.params_to_string()}, which are no lens's; calibrate it again or leave the "
-            "image out"
+            f"the camera of image {name}, {camera.width}x{camera.height}, has implausible "
+            f"parameters: {camera.params_to_string()}; calibrate it again or deregister the image"
         )
 
 
 def check_pose(cam_from_world: Any, name: str) -> None:
-    """Check that a pycolmap.Rigid3d is a pose.
+    """Check that a pycolmap.Rigid3d is a plausible pose.
 
     Raises:
-        ColmapEdgesError: when it is not; `name` is that of its image.
+        ColmapEdgesError: if it is not; `name` is the image's name.
     """
     matrix = np.asarray(cam_from_world.matrix())
     if not np.isfinite(matrix).all():
         raise ColmapEdgesError(f"the pose of image {name} is not finite; deregister it")
     if np.abs(matrix[:, 3]).max() > MAX_COORDINATE:
         raise ColmapEdgesError(
-            f"the pose of image {name} has the translation {matrix[:, 3].tolist()}, which is "
-            "nowhere; deregister it"
+            f"the pose of image {name} has the implausible translation {matrix[:, 3].tolist()}; "
+            "deregister it"
         )
     length = float(np.linalg.norm(cam_from_world.rotation.quat))
-    if abs(length - 1) > 1e-3:  # COLMAP takes one that it cannot normalize for no rotation at all
+    if (
+        abs(length - 1) > 1e-3
+    ):  # COLMAP replaces quaternions that it cannot normalise by the identity
         raise ColmapEdgesError(
             f"the rotation of image {name} is a quaternion of length {length:g}, not 1; "
             "deregister it"
@@ -82,23 +83,23 @@ def check_pose(cam_from_world: Any, name: str) -> None:
 
 
 def check_ids(point3D_ids: NDArray[np.uint64]) -> None:
-    """Check that (N,) ids of points leave room for those of edge points.
+    """Check that (N,) point ids leave room for those of edge points.
 
     Raises:
-        ColmapEdgesError: when they do not.
+        ColmapEdgesError: if they do not.
     """
     largest = int(point3D_ids.max(initial=0))
     if largest > MAX_POINT3D_ID:
         raise ColmapEdgesError(
-            f"point3D {largest} of the model leaves no ids for edge points, which come after it; "
+            f"point3D {largest} of the model leaves no ids for edge points, which need larger; "
             f"give the points ids up to {MAX_POINT3D_ID}"
         )
 
 
 def within_reach(points: FloatArray, centers: FloatArray) -> BoolArray:
-    """(N,) whether (N, 3) world points are near enough to (V, 3) camera centres to be of use.
+    """(N,) whether (N, 3) world points are closer than infinity, given (V, 3) camera centres.
 
-    Points at infinity tell no depth, and coordinates so large leave no digits for the others.
+    Points at infinity have no defined depth, and their coordinates would cost precision.
     """
     near = np.asarray((np.abs(points) <= MAX_COORDINATE).all(axis=1), bool)
     if not near.any() or not len(centers):

@@ -1,4 +1,4 @@
-"""Limits the number of SfM points that tracing uses in each view."""
+"""Limit on the number of SfM points per view used for tracing."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.view import rows_by_view
 
-MAX_OBSERVED = 100_000  # SfM points a view; COLMAP extracts 8,192 features of an image by default
+MAX_OBSERVED = 100_000  # SfM points per view; COLMAP extracts 8,192 features per image by default
 
 
 def thinned(model: Model, random_seed: int, max_observed: int = MAX_OBSERVED) -> Model:
-    """The model with at most so many observations of SfM points in each view.
+    """The model with a limited number of SfM observations per view.
 
-    Dense models have millions, of which neighbours, depths and what hides edges are told no better.
-    Views take the same random points as far as they observe them, so that they still share them.
+    Dense models have millions of points, which do not improve view selection, depth ranges or
+    occlusion tests. All views prefer the same random points, so that views still share points.
 
     Args:
-        model: the model; it is returned as it is where no view observes more.
-        random_seed: decides which points are left out.
-        max_observed: most points that one view observes.
+        model: the model; returned unchanged if no view exceeds the limit.
+        random_seed: seed of the random choice of points.
+        max_observed: maximum number of observations per view.
 
     Returns:
-        A model of the points that are still observed, for tracing only: `reconstruction` has all.
+        A model for tracing with the remaining points; its `reconstruction` is complete.
     """
     counts = np.bincount(model.track_views, minlength=len(model.views))
     if counts.max(initial=0) <= max_observed:

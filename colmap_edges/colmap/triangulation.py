@@ -1,4 +1,4 @@
-"""Images at known poses -> sparse COLMAP model: SIFT, matching and triangulation by pycolmap."""
+"""Sparse COLMAP model of images with known poses: SIFT, matching, triangulation by pycolmap."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def posed_image(
     """The image file `path` at a known pose.
 
     Raises:
-        ColmapEdgesError: the file holds no picture.
+        ColmapEdgesError: if the file is not an image.
     """
     height, width = read_picture(path).shape[:2]
     return PosedImage(
@@ -81,13 +81,17 @@ def triangulate(
         The pycolmap.Reconstruction written.
 
     Raises:
-        ColmapEdgesError: fewer than two images, or one cannot be found.
+        ColmapEdgesError: if there are fewer than two images, or one is missing.
     """
     if len(images) < 2:
-        raise ColmapEdgesError(f"{image_path}: {len(images)} posed images; two are needed")
+        raise ColmapEdgesError(
+            f"{image_path}: {len(images)} images with poses; triangulation needs at least two"
+        )
     missing = [image.name for image in images if not (image_path / image.name).is_file()]
     if missing:
-        raise ColmapEdgesError(f"{image_path} holds no {missing[0]}, which has a pose")
+        raise ColmapEdgesError(
+            f"{image_path} holds no image {missing[0]}, which has a pose; give the folder that does"
+        )
     pycolmap.set_random_seed(random_seed)
     output_path.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch, quiet_colmap():
@@ -159,7 +163,7 @@ def match(
 
 
 def neighbor_pairs(images: Sequence[PosedImage], num_neighbors: int) -> list[tuple[int, int]]:
-    """Pairs (a, b), a < b, of images one of which is among the nearest of the other."""
+    """Pairs (a, b), a < b, of images at least one of which is a nearest neighbour of the other."""
     centers = np.array([image.center for image in images])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     np.fill_diagonal(distances, np.inf)

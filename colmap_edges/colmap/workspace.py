@@ -1,4 +1,4 @@
-"""COLMAP's workspace folders: where the images and the sparse model are."""
+"""Locations of images and sparse model in COLMAP's workspace folders."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def is_model(folder: Path) -> bool:
 def find_model(workspace: Path) -> Path:
     """The sparse model of a workspace.
 
-    That in sparse/0; else in sparse, as undistortion writes it; else the first of the others that
-    mapping made.
+    The model in sparse/0, or in sparse (as written by undistortion), or else the first of the other
+    models in sparse.
 
     Raises:
         ColmapEdgesError: when there is none.

@@ -1,4 +1,4 @@
-"""COLMAP models with edge points or refined poses: as files, and as pycolmap.Reconstruction."""
+"""COLMAP models with edge points or refined poses, as files or pycolmap.Reconstruction."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from colmap_edges.errors import ColmapEdgesError
 
 
 def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> Model:
-    """A model with other poses and points, on a copy of the reconstruction.
+    """A model with changed poses and points, with a copy of the reconstruction.
 
     Args:
         model: the model to start from; it is not changed.
-        motions: (F, 3, 4) motion of the world before each frame's pose, frames by ascending id.
-        points3D_xyz: (N, 3) the points, as they lie after the motions.
+        motions: (F, 3, 4) rigid motion applied before each frame's pose, frames by ascending id.
+        points3D_xyz: (N, 3) the new points.
     """
     moved = pycolmap.Reconstruction(model.reconstruction)
     for frame_id, motion in zip(np.unique(frames_of_views(model)), motions, strict=True):
@@ -63,18 +63,18 @@ def write_model(
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
 
-    Cameras, poses and SfM points are written as they are; each observation of an edge point is
-    appended to its image's points2D, so that old indices stay.
+    Cameras, poses and SfM points are unchanged. Observations of edge points are appended to the
+    points2D of their images, so that existing indices stay valid.
 
     Args:
         model: the input model; it is not changed.
         edges: the edge points and their tracks.
-        path: folder to write to; made when missing.
+        path: folder to write to; created if missing.
         output_type: BIN or TXT.
-        residuals: (T,) those of `observation_residuals`, where they are known already.
+        residuals: (T,) result of `observation_residuals`, if already computed.
 
     Returns:
-        (N,) ids of the edge points in the written model; those that are one node have one.
+        (N,) ids of the edge points in the written model; edge points of one node share an id.
     """
     path = Path(path)
     path.mkdir(exist_ok=True)
@@ -86,28 +86,28 @@ def write_model(
             append_points(path, points)
         else:
             write_text(with_points(model.reconstruction, points), path)
-    except ColmapEdgesError as error:  # pycolmap is silent on a full disk
+    except ColmapEdgesError as error:  # pycolmap does not report a full disk
         raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
     return ids_of_edge_points(edges, points)
 
 
 def check_text_names(model: Model) -> None:
-    """Check that the names of all images can stand in a text model, where a space ends them.
+    """Check that image names contain no whitespace, which ends a name in text models.
 
     Raises:
-        ColmapEdgesError: naming the first that cannot.
+        ColmapEdgesError: naming the first invalid one.
     """
     names = (view.name for view in model.views)
     bad = next((name for name in names if re.search(r"[ \t\n\v\f\r]", name)), None)
     if bad is not None:
         raise ColmapEdgesError(
-            f"image name {bad!r} has a space or line break, which no text model can hold; "
+            f"image name {bad!r} has a space or line break, which text models cannot hold; "
             "rename the image or write a binary model (--output_type BIN)"
         )
 
 
 def write_text(reconstruction: Any, path: Path) -> None:
-    """Write a text model and check that all of it was written."""
+    """Write a text model and check that it is complete."""
     reconstruction.write_text(str(path))
     names = {"cameras": "cameras", "images": "reg_images", "points3D": "points3D"}
     names |= {name: name for name in ("rigs", "frames") if (path / f"{name}.txt").is_file()}
@@ -130,7 +130,7 @@ def extend_reconstruction(
 
 
 def with_points(reconstruction: Any, points: NewPoints) -> Any:
-    """A copy of `reconstruction` with `points`; by way of files, which is the fastest."""
+    """A copy of `reconstruction` with `points`, made through files, which is fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
         check_model_files(Path(folder), camera_parameter_counts())
@@ -167,16 +167,16 @@ def new_points(
 
 
 def ids_of_edge_points(edges: Edges3D, points: NewPoints) -> IntArray:
-    """(N,) the ids that edge points have among new points."""
+    """(N,) ids of edge points among the new points."""
     ids: IntArray = points.ids[edges.distinct()[1]]
     return ids
 
 
 def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:
-    """The model as arrays with the points of all edges after its own, as the mesher takes them.
+    """The model with the edge points appended to its points, for the mesher.
 
-    Edge points that are one node have one id and stand there once for each edge; `reconstruction`
-    stays as it was.
+    Edge points of one node share an id, but are repeated for each edge. `reconstruction` is
+    unchanged.
     """
     observed = edges.observations
     offsets = model.track_offsets[-1] + observed.offsets[1:]

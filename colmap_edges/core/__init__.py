@@ -1,1 +1,1 @@
-"""What every stage works on: arrays, polylines, views and 3D edges."""
+"""Data types shared by all stages: arrays, polylines, views and 3D edges."""

@@ -1,4 +1,4 @@
-"""Types of arrays, and rows of different lengths in flat arrays (compressed sparse rows)."""
+"""Array types, and helpers for rows of different lengths in flat arrays (CSR)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
 Record = TypeVar("Record")
-Picture = NDArray[np.uint8]  # (H, W) gray values or (H, W, 3) colours
+Picture = NDArray[np.uint8]  # (H, W) intensities or (H, W, 3) colours
 
 
 def offsets_of(lengths: IntArray) -> IntArray:
@@ -27,38 +27,38 @@ def offsets_of(lengths: IntArray) -> IntArray:
 
 
 def joined_offsets(parts: Sequence[IntArray]) -> IntArray:
-    """CSR offsets of rows that come part by part, of the (n + 1,) offsets of each part."""
+    """CSR offsets of concatenated parts, given the (n + 1,) offsets of each part."""
     return offsets_of(np.concatenate([np.zeros(0, np.int64), *map(np.diff, parts)]))
 
 
 def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:
-    """(n,) the stable order of (n,) integers from 0 to below `limit`.
+    """(n,) indices that stably sort (n,) integers from 0 to below `limit`.
 
-    Those that fit 16 bits numpy sorts by their digits, ten times as fast as others.
+    Keys that fit 16 bits are converted, since numpy radix-sorts them ten times as fast.
     """
     fits = limit <= np.iinfo(np.uint16).max + 1
     return np.argsort(keys.astype(np.uint16) if fits else keys, kind="stable")
 
 
 def owners_of(offsets: IntArray) -> IntArray:
-    """(offsets[-1],) the row that each entry of (n + 1,) offsets belongs to."""
+    """(offsets[-1],) row index of each entry, for (n + 1,) offsets."""
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
 def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
-    """Indices of the entries of the chosen (m,) rows of (n + 1,) offsets, in the rows' order."""
+    """Indices of the entries of (m,) rows of (n + 1,) offsets, in the order of `rows`."""
     return ranges_of(offsets[rows], offsets[rows + 1])
 
 
 def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
-    """The integers from each of (n,) starts to before its (n,) end, one range after the other."""
+    """The concatenated half-open ranges from (n,) starts to (n,) ends."""
     lengths = ends - starts
     integers: IntArray = np.repeat(starts, lengths) + ranks_of(lengths)
     return integers
 
 
 def ranks_of(lengths: IntArray) -> IntArray:
-    """Place of each entry within its row, for rows of n lengths one after the other."""
+    """Index of each entry within its row, for n consecutive rows of the given lengths."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
@@ -72,7 +72,7 @@ def flattened(record: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
 
 
 def unflattened(kind: type[Record], arrays: Mapping[str, NDArray[Any]], prefix: str = "") -> Record:
-    """The dataclass that `flattened` took apart."""
+    """The dataclass of the given kind from the arrays of `flattened`; its inverse."""
     values = {}
     for name, of in get_type_hints(kind).items():
         inner = is_dataclass(of) and isinstance(of, type)

@@ -1,4 +1,4 @@
-"""3D edges said as what they are: lines, arcs, circles, ellipses and splines, with deviations."""
+"""3D edges as parametric curves: lines, arcs, circles, ellipses and splines, with deviations."""
 
 from __future__ import annotations
 
@@ -17,27 +17,26 @@ DEGREE = 3  # of splines
 
 @dataclass(frozen=True, kw_only=True)
 class Curves3D:
-    """Curves that 3D edges consist of, in the order in which they follow each other.
+    """Parametric curves that 3D edges consist of, consecutive along each edge.
 
     A line is o + t a for t from 0 to 1. A circle, an ellipse or an arc of one is
-    o + cos(t) a + sin(t) b, with a perpendicular to b and not shorter; a and b are as long as its
+    o + cos(t) a + sin(t) b, with a perpendicular to b and at least as long; their lengths are the
     radii. A spline is a cubic B-spline with clamped knots.
 
     Attributes:
         kinds: (C,) uint8 index into `KINDS`.
-        edges: (C,) int64 the edge each is of.
-        ranges: (C, 2) int64 first edge point of each and the one after its last, as indices into
-            `Edges3D.points`; on closed edges the last may be beyond the edge's, and go on from
-            its first.
+        edges: (C,) int64 edge of each curve.
+        ranges: (C, 2) int64 half-open range of the curve's edge points in `Edges3D.points`; on
+            closed edges, indices beyond the edge's last point wrap around to its first.
         frames: (C, 3, 3) float64 rows o, a and b, world units; b is 0 of lines, all of splines.
         spans: (C, 2) float64 first and last t: radians of arcs.
-        knot_offsets: (C + 1,) int64; the knots of curve c are those from knot_offsets[c] on.
+        knot_offsets: (C + 1,) int64; curve c has knots[knot_offsets[c]:knot_offsets[c + 1]].
         knots: (K,) float64 knots of splines, from 0 to their length, world units.
         control_points: (M, 3) float64, four fewer than knots for each spline, in the same order.
         position_sigmas: (C, 2) float64 standard deviations, world units: across a line at its
-            start and end; of a centre within its plane and off it; NaN of splines.
+            start and end; of a centre within its plane and across it; NaN for splines.
         direction_sigmas: (C,) float64 of a line's direction or of a plane's normal, radians.
-        radius_sigmas: (C, 2) float64 of the radii, world units; NaN where there is none.
+        radius_sigmas: (C, 2) float64 of the radii, world units; NaN for lines and splines.
         control_sigmas: (M,) float64 of control points in each direction, world units.
     """
 
@@ -91,7 +90,7 @@ class Curves3D:
 
     @property
     def radii(self) -> FloatArray:
-        """(C, 2) larger and smaller radius; NaN where there is none."""
+        """(C, 2) larger and smaller radius; NaN for lines and splines."""
         radii: FloatArray = np.linalg.norm(self.frames[:, 1:], axis=2)
         radii[(self.kinds == LINE) | (self.kinds == SPLINE)] = np.nan
         return radii
@@ -105,7 +104,7 @@ class Curves3D:
         return units
 
     def spline(self, curve: int) -> BSpline:
-        """The spline that a curve is."""
+        """A spline curve as scipy's BSpline."""
         first, last = self.knot_offsets[curve : curve + 2]
         before = DEGREE + 1
         points = int(np.count_nonzero(np.diff(self.knot_offsets[: curve + 1])))
@@ -114,14 +113,14 @@ class Curves3D:
         return BSpline(self.knots[first:last], control, DEGREE)
 
     def control_rows(self, curve: int) -> slice:
-        """The rows of `control_points` that belong to a curve; none unless it is a spline."""
+        """The rows of `control_points` of a curve; empty unless it is a spline."""
         before = (DEGREE + 1) * np.count_nonzero(np.diff(self.knot_offsets[: curve + 1]))
         first, last = self.knot_offsets[curve : curve + 2]
         count = max(0, last - first - DEGREE - 1)
         return slice(int(first - before), int(first - before + count))
 
     def at(self, owners: IntArray, places: FloatArray) -> FloatArray:
-        """(N, 3) points of the (N,) curves at (N,) places, from 0 at the start to 1 at the end."""
+        """(N, 3) points of the (N,) curves at (N,) parameters from 0 (start) to 1 (end)."""
         t = self.spans[owners, 0] + places * np.diff(self.spans[owners], axis=1)[:, 0]
         origin, a, b = np.moveaxis(self.frames[owners], 1, 0)
         straight = self.kinds[owners] == LINE
@@ -133,7 +132,7 @@ class Curves3D:
         return points
 
     def ends(self) -> FloatArray:
-        """(C, 2, 3) starts and ends."""
+        """(C, 2, 3) start and end points."""
         every = np.arange(self.num_curves)
         sides = (np.zeros(len(every)), np.ones(len(every)))
         return np.stack([self.at(every, side) for side in sides], axis=1)

@@ -1,4 +1,4 @@
-"""3D edges: what tracing makes, refinement moves, and model and exports write."""
+"""3D edges with points, observations and nodes: the result of tracing."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from colmap_edges.core.observations import Observations
 
 @dataclass(frozen=True, kw_only=True)
 class Nodes:
-    """Where ends of 3D edges meet: K corners, joints and T junctions, each one point.
+    """Points at which ends of 3D edges meet: K corners, joints and T junctions.
 
     Attributes:
         points: (K, 3) float64 world points.
         sigmas: (K,) float64 standard deviation of a point, world units.
-        observations: where views observe the K points: their tracks.
+        observations: tracks of the K points.
         colors: (K, 3) uint8 RGB.
-        through_points: (K,) int64 the edge point that is this node, of an edge that passes through
-            it and goes on (T junction); -1 is none.
+        through_points: (K,) int64 the edge point that coincides with the node on an edge passing
+            through it (T junction); -1 for none.
     """
 
     points: FloatArray
@@ -51,18 +51,18 @@ class Nodes:
 
 @dataclass(frozen=True, kw_only=True)
 class Edges3D:
-    """3D edges as polylines of edge points, each point with its track, all in CSR arrays.
+    """3D edges as polylines of edge points with tracks, in CSR arrays.
 
     Attributes:
         points: (N, 3) float64 edge points, world units; those of one edge are contiguous.
         edge_offsets: (E + 1,) int64; edge e is points[edge_offsets[e]:edge_offsets[e + 1]].
         closed: (E,) bool; the last point of a closed edge connects to its first.
-        observations: where views observe the N points: their tracks.
+        observations: tracks of the N points.
         sigmas: (N,) float64 standard deviation of a point, world units; NaN where unknown.
-        end_nodes: (E, 2) int32; edges with the same node id at an end meet there; -1 is none.
-        colors: (N, 3) uint8 RGB, the mean of the images where they observe the point.
-        nodes: the nodes that `end_nodes` numbers, where they have points of their own. The edge
-            points at such ends are copies of them.
+        end_nodes: (E, 2) int32 node at each end, -1 for none; edges that share a node meet there.
+        colors: (N, 3) uint8 RGB, mean colour of the observations.
+        nodes: the nodes that `end_nodes` refers to, where they have own points. Edge points at
+            such ends are copies of the node's point.
     """
 
     points: FloatArray
@@ -99,17 +99,17 @@ class Edges3D:
 
     @property
     def num_distinct(self) -> int:
-        """Number of physical points: edge points that are one node count once."""
+        """Number of distinct points: edge points of one node count once."""
         return int((self.node_ids < 0).sum()) + len(self.nodes.points)
 
     @property
     def edge_ids(self) -> IntArray:
-        """(N,) edge of each point."""
+        """(N,) edge index of each point."""
         return owners_of(self.edge_offsets)
 
     @cached_property
     def segments(self) -> Int32Array:
-        """(S, 2) successive edge points; closed edges return to their first."""
+        """(S, 2) pairs of consecutive edge points; closed edges also connect last and first."""
         first, last = self.edge_offsets[:-1], self.edge_offsets[1:] - 1
         starts = np.arange(self.num_points)
         ends = starts + 1
@@ -123,7 +123,7 @@ class Edges3D:
 
     @property
     def node_ids(self) -> IntArray:
-        """(N,) the node that an edge point is, -1 of all that are points of one edge alone."""
+        """(N,) node of each edge point; -1 for points that are no node."""
         ids = np.full(self.num_points, -1, np.int64)
         if len(self.nodes.points):
             tips = np.column_stack([self.edge_offsets[:-1], self.edge_offsets[1:] - 1])
@@ -134,9 +134,9 @@ class Edges3D:
         return ids
 
     def distinct(self) -> tuple[DistinctPoints, IntArray]:
-        """The physical points, each once, and the (N,) place of every edge point among them.
+        """The distinct points, and the (N,) index of every edge point among them.
 
-        Points of one edge alone come first, in their order, then the nodes.
+        Points of single edges come first, in their order, then the nodes.
         """
         ids = self.node_ids
         own = np.flatnonzero(ids < 0)
@@ -157,15 +157,15 @@ class Edges3D:
         closed: BoolArray,
         end_nodes: Int32Array,
     ) -> Edges3D:
-        """The points (n,) of these edges in another order, with their tracks, cut anew.
+        """These edges with (n,) selected points, reordered and cut into new edges, with tracks.
 
-        Nodes lose their points, as ends may no longer be where they were.
+        Nodes lose their points, since ends may have moved.
 
         Args:
             order: (n,) indices of the points.
             edge_offsets: (E' + 1,) offsets of the new edges.
-            closed: (E',) which of them are closed.
-            end_nodes: (E', 2) their nodes.
+            closed: (E',) whether each new edge is closed.
+            end_nodes: (E', 2) nodes of the new edges.
         """
         return Edges3D(
             points=self.points[order],
@@ -180,7 +180,7 @@ class Edges3D:
 
 @dataclass(frozen=True, kw_only=True)
 class DistinctPoints:
-    """Edge points and nodes, each physical point once.
+    """Edge points and nodes without duplicates.
 
     Attributes:
         points: (D, 3) float64 world points.
@@ -195,13 +195,12 @@ class DistinctPoints:
 
 @dataclass(frozen=True, kw_only=True)
 class TracedEdges:
-    """What tracing makes of the edge graphs of all views.
+    """The result of tracing the edge graphs of all views.
 
     Attributes:
-        edges: curves that lie still.
-        contours: view-dependent contours: curves that move over a body from view to view, as its
-            silhouette and its reflections do, but near its surface. They are used for meshing,
-            never written as edges.
+        edges: 3D edges, fixed in the scene.
+        contours: view-dependent contours, which move over a surface from view to view, as
+            silhouettes and reflections do. They are used for meshing, never written as edges.
     """
 
     edges: Edges3D
@@ -209,7 +208,7 @@ class TracedEdges:
 
 
 def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:
-    """(N, 3) colours of points from (T, 3) those of their observations; black without any."""
+    """(N, 3) mean colours of points, of the (T, 3) colours of their observations; else black."""
     counts = np.diff(offsets)
     points = owners_of(offsets)
     sums = np.column_stack([np.bincount(points, channel, len(counts)) for channel in values.T])

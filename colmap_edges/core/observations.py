@@ -1,4 +1,4 @@
-"""Observations of 3D points on the chains of views: where they are, and what is seen there."""
+"""Observations of 3D points on the chains of views."""
 
 from __future__ import annotations
 
@@ -27,16 +27,15 @@ Kind = TypeVar("Kind", bound="ChainObservations")
 
 @dataclass(frozen=True, kw_only=True)
 class ChainObservations:
-    """Places on chains at which points are observed, in CSR arrays by point.
+    """Positions on chains at which points are observed, in CSR arrays by point.
 
-    While curves are traced this is all that is known; `edges2d.edge_index.look_up` makes
-    `Observations` of what is left in the end.
+    Tracing uses these; `edges2d.edge_index.look_up` converts them to `Observations` in the end.
 
     Attributes:
         offsets: (N + 1,) int64; observations of point i are rows offsets[i]:offsets[i + 1].
-        views: (T,) int32 indices into the model's views; a view at most once a point.
-        positions: (T,) float64 places on the view's chains: index of the chain point before, in
-            the view's edge graph, plus the share of the way to the next; NaN where not known.
+        views: (T,) int32 indices into the model's views; each view at most once per point.
+        positions: (T,) float64 positions on the view's chains: index of a chain point in the
+            view's edge graph, plus the fraction of the way to the next one; NaN if unknown.
     """
 
     offsets: IntArray
@@ -52,7 +51,7 @@ class ChainObservations:
 
     @classmethod
     def concatenated(cls: type[Kind], parts: Sequence[Kind]) -> Kind:
-        """Observations of the points of all parts, one part after the other."""
+        """The concatenated observations of all parts."""
         parts = [cls.none(), *parts]
         lengths = np.concatenate([part.counts for part in parts])
         arrays = {n: np.concatenate([getattr(part, n) for part in parts]) for n in cls._rows()}
@@ -70,7 +69,7 @@ class ChainObservations:
 
     @classmethod
     def of_table(cls: type[Kind], views: IntArray, positions: FloatArray) -> Kind:
-        """Observations of N points from (N, K) positions in (K,) views; NaN where there is none."""
+        """Observations of N points from (N, K) positions in (K,) views; NaN for none."""
         known = np.isfinite(positions)
         columns = np.nonzero(known)[1]
         return cls(
@@ -80,17 +79,17 @@ class ChainObservations:
         )
 
     def select(self: Kind, points: IntArray) -> Kind:
-        """The observations of (n,) points, in their order."""
+        """The observations of (n,) selected points, in their order."""
         rows = entries_of(self.offsets, points)
         return self._taken(offsets_of(self.counts[points]), rows)
 
     def keep(self: Kind, mask: BoolArray) -> Kind:
-        """The observations where (T,) `mask` is true; points stay, maybe without any."""
+        """The observations where (T,) `mask` is true; all points stay."""
         left = offsets_of(mask.astype(np.int64))
         return self._taken(left[self.offsets], mask)
 
     def by_view(self) -> Iterator[tuple[int, IntArray]]:
-        """The views that observe anything, ascending, each with its rows, ascending."""
+        """Observing views, ascending, each with the ascending rows of its observations."""
         counts = np.bincount(self.views)
         present = np.flatnonzero(counts)
         order = order_of(self.views, len(counts))
@@ -103,7 +102,7 @@ class ChainObservations:
 
     @classmethod
     def _rows(cls) -> list[str]:
-        """Names of what has a row for each observation."""
+        """Names of the arrays with one row per observation."""
         return [entry.name for entry in fields(cls) if entry.name != "offsets"]
 
 
@@ -113,10 +112,10 @@ class Observations(ChainObservations):
 
     Attributes:
         offsets, views, positions: those of `ChainObservations`.
-        chains: (T,) int32 index of the polyline in the view's edge graph; -1 where not known.
-        pixels: (T, 2) float64 where the point is observed, image pixels, COLMAP's origin.
-        normals: (T, 2) float32 unit vectors perpendicular to the chain there, in ideal pixels; NaN
-            where not known.
+        chains: (T,) int32 index of the polyline in the view's edge graph; -1 if unknown.
+        pixels: (T, 2) float64 observed image pixels, COLMAP's origin.
+        normals: (T, 2) float32 unit normals of the chain there, in undistorted pixels; NaN if
+            unknown.
     """
 
     chains: Int32Array
@@ -130,11 +129,11 @@ class Observations(ChainObservations):
 
     @classmethod
     def of_pixels(cls, offsets: IntArray, views: Int32Array, pixels: FloatArray) -> Observations:
-        """Observations of which the pixels alone are known, not the chains.
+        """Observations with known pixels but unknown chains.
 
         Args:
-            offsets: (N + 1,) of the observations by point.
-            views: (T,) their views.
+            offsets: (N + 1,) CSR offsets of the observations by point.
+            views: (T,) views of the observations.
             pixels: (T, 2) image pixels, COLMAP's origin.
         """
         return cls(

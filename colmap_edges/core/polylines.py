@@ -1,7 +1,7 @@
-"""Pieces of curves joined end to end: which end is which, who goes on whom, in which order.
+"""Joining of curve pieces end to end, for chains in images and edges in space.
 
-Piece i has two ends, 2i at its first point and 2i + 1 at its last. Chains in an image and edges in
-space are joined alike; which ends may join, and at what cost, those know who ask.
+Piece i has two ends: 2i at its first point and 2i + 1 at its last. Callers decide which ends may
+join, and at what cost.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranks_of
 
 
 def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
-    """(2P,) index of the point at each end of P pieces, and of the one `reach` points inward.
+    """(2P,) index of the point at each end of P pieces, and of the point `reach` points inward.
 
-    On shorter pieces the latter is the other end.
+    On shorter pieces the latter is the opposite end.
     """
     first, last = offsets[:-1], offsets[1:] - 1
     tips = np.column_stack([first, last]).ravel()
@@ -25,14 +25,14 @@ def end_points(offsets: IntArray, reach: int) -> tuple[IntArray, IntArray]:
 def match_best_first(
     num_ends: int, a: IntArray, b: IntArray, allowed: BoolArray, costs: FloatArray
 ) -> IntArray:
-    """(num_ends,) the end that goes on each end, cheapest pairs first; -1 where none does.
+    """(num_ends,) the end joined to each end, -1 for none; greedy by ascending cost.
 
     Args:
         num_ends: twice the number of pieces.
-        a: (n,) ends that may join.
-        b: (n,) the ends they may join.
-        allowed: (n,) whether they may.
-        costs: (n,) what it costs; among equals the first pair wins.
+        a: (n,) first end of each candidate pair.
+        b: (n,) second end of each candidate pair.
+        allowed: (n,) whether the pair may be joined.
+        costs: (n,) cost of joining the pair; of equal costs the first pair wins.
     """
     partner = np.full(num_ends, -1, np.int64)
     for row in np.flatnonzero(allowed)[np.argsort(costs[allowed], kind="stable")]:
@@ -42,7 +42,7 @@ def match_best_first(
 
 
 def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
-    """Paths of joined pieces: lists of the end at which each piece is entered, and closedness."""
+    """Paths of joined pieces: the ends at which pieces are entered, and whether it is closed."""
     count = len(partner) // 2
     seen = [False] * count
     ends = partner.tolist()
@@ -63,10 +63,10 @@ def walk_joined(partner: IntArray) -> list[tuple[list[int], bool]]:
 def points_along(
     paths: list[tuple[list[int], bool]], begins: IntArray, stops: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """The points along paths of pieces, of which piece p has the points begins[p]:stops[p].
+    """The points along paths of pieces; piece p has the points begins[p]:stops[p].
 
     Returns:
-        The points of all paths one after the other, and (len(paths),) how many each has.
+        The concatenated points of all paths, and the (len(paths),) number of points of each.
     """
     ends = np.array([end for path, _ in paths for end in path], np.int64)
     path_ids = np.repeat(np.arange(len(paths)), [len(path) for path, _ in paths])
@@ -78,7 +78,7 @@ def points_along(
 
 
 def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
-    """(N, 3) directions along curves of (N, 3) points by central differences."""
+    """(N, 3) tangents of curves with (N, 3) points, by central differences."""
     first = np.repeat(offsets[:-1], np.diff(offsets))
     last = np.repeat(offsets[1:], np.diff(offsets)) - 1
     index = np.arange(len(points))

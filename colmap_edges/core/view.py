@@ -1,4 +1,4 @@
-"""A posed image: its camera, its pose, and how points and pixels go between world and image."""
+"""A posed image with its camera, and the conversions between pixels and world points."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, order_of
 
 
-def lift(view: View, ideal: FloatArray, inverse_depths: FloatArray) -> FloatArray:
-    """(N, 3) world points of (N, 2) ideal pixels at (N,) inverse depths."""
-    rays = np.column_stack([ideal / view.focal_px, np.ones(len(ideal))])
+def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> FloatArray:
+    """(N, 3) world points of (N, 2) undistorted pixels at (N,) inverse depths."""
+    rays = np.column_stack([undistorted / view.focal_px, np.ones(len(undistorted))])
     points: FloatArray = (rays / inverse_depths[:, None] - view.translation) @ view.rotation
     return points
 
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
-MAX_LENS_ERROR_PX = 0.1  # of a pixel that is undistorted and distorted again
+MAX_LENS_ERROR_PX = 0.1  # maximum round-trip error of undistorting and distorting
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
     """One posed image: COLMAP's image, its camera and its pose.
 
-    Pixels of a view come in two kinds: those of the image as it is (`points2D`, distorted,
-    COLMAP's origin) and *ideal* ones: what a pinhole camera of focal length `focal_px` with the
-    principal point at (0, 0) would see, of the image upsampled `scale` times. Geometry works in
-    ideal pixels.
+    A view has two kinds of pixels. Image pixels are those of the given image (distorted, COLMAP's
+    origin). Undistorted pixels are those of a pinhole camera of focal length `focal_px` with the
+    principal point at (0, 0), of the image upsampled `scale` times.
+    Geometry uses undistorted pixels.
     """
 
     image_id: int
@@ -41,7 +41,7 @@ class View:
     camera: Any  # pycolmap.Camera
     rotation: FloatArray  # (3, 3) of cam_from_world
     translation: FloatArray  # (3,) of cam_from_world
-    scale: float = 1.0  # by which the image is enlarged, or below 1 reduced, for detection
+    scale: float = 1.0  # upsampling factor for detection; below 1 if downsampled
 
     @cached_property
     def focal_px(self) -> float:
@@ -54,55 +54,66 @@ class View:
         center: FloatArray = -self.rotation.T @ self.translation
         return center
 
-    def ideal_from_image(self, points2D: FloatArray) -> FloatArray:
-        """Undistort (N, 2) image pixels to ideal pixels; NaN where the camera model cannot.
+    def undistorted_from_image(self, points2D: FloatArray) -> FloatArray:
+        """Undistort (N, 2) image pixels; NaN where the camera model cannot.
 
-        That is where its distortion has no inverse, or looks more than 90 degrees aside.
+        This happens where the distortion has no inverse, or rays are over 90 degrees off axis.
         """
         points2D = np.ascontiguousarray(points2D, np.float64)
-        ideal = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
-        if self.camera.model.name not in PINHOLES:  # COLMAP gives some pixels rays of others
-            off = np.abs(self.image_from_ideal(ideal) - points2D).max(axis=1, initial=0)
-            ideal[~(off < MAX_LENS_ERROR_PX)] = np.nan
-        return ideal
+        undistorted = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
+        if self.camera.model.name not in PINHOLES:  # COLMAP undistorts some pixels wrongly
+            off = np.abs(self.image_from_undistorted(undistorted) - points2D).max(axis=1, initial=0)
+            undistorted[~(off < MAX_LENS_ERROR_PX)] = np.nan
+        return undistorted
 
-    def image_from_ideal(self, ideal: FloatArray) -> FloatArray:
-        """Distort (N, 2) ideal pixels to image pixels; the inverse of `ideal_from_image`."""
-        rays = np.column_stack([np.asarray(ideal) / self.focal_px, np.ones(len(ideal))])
+    def image_from_undistorted(self, undistorted: FloatArray) -> FloatArray:
+        """Distort (N, 2) undistorted pixels to image pixels."""
+        rays = np.column_stack([np.asarray(undistorted) / self.focal_px, np.ones(len(undistorted))])
         return np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
 
     def rays(self, pixels: FloatArray) -> FloatArray:
-        """World directions (N, 3) through (N, 2) image pixels, one unit deep; NaN as above."""
-        ideal = self.ideal_from_image(pixels) / self.focal_px
-        directions: FloatArray = np.column_stack([ideal, np.ones(len(ideal))]) @ self.rotation
+        """(N, 3) viewing rays in world coordinates, of depth 1, of (N, 2) image pixels; or NaN."""
+        undistorted = self.undistorted_from_image(pixels) / self.focal_px
+        directions: FloatArray = (
+            np.column_stack([undistorted, np.ones(len(undistorted))]) @ self.rotation
+        )
         return directions
 
     def cam_from_world(self, points: FloatArray) -> FloatArray:
         """(N, 3) world points in camera coordinates; z is the depth."""
         return points @ self.rotation.T + self.translation
 
-    def project_ideal(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N, 2) ideal pixels and (N,) depths of (N, 3) world points; NaN pixels behind."""
+    def project_undistorted(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) undistorted pixels and (N,) depths of (N, 3) points; NaN behind the camera."""
         local = self.cam_from_world(points)
         depths = local[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            ideal = self.focal_px * local[:, :2] / np.where(depths > 0, depths, np.nan)[:, None]
-        return ideal, depths
+            undistorted = (
+                self.focal_px * local[:, :2] / np.where(depths > 0, depths, np.nan)[:, None]
+            )
+        return undistorted, depths
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, 2) image pixels (COLMAP's origin) and (N,) depths of (N, 3) world points."""
-        ideal, depths = self.project_ideal(points)
-        return self.image_from_ideal(ideal), depths
+        undistorted, depths = self.project_undistorted(points)
+        return self.image_from_undistorted(undistorted), depths
+
+    def holds_local(self, local: FloatArray) -> BoolArray:
+        """(N,) whether (N, 3) points in camera coordinates are in the image."""
+        depths = local[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rays = local / np.where(depths > 0, depths, np.nan)[:, None]
+        return self.holds(np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2), depths)
 
     def holds(self, pixels: FloatArray, depths: FloatArray) -> BoolArray:
-        """(N,) whether what projects to (N, 2) image pixels at (N,) depths is in the image."""
+        """(N,) whether (N, 2) projections with (N,) depths are in front and inside the image."""
         inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
         held: BoolArray = inside & (depths > 0)
         return held
 
 
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:
-    """Of each view the rows, ascending, of the (T,) views of observations that are its own."""
+    """The ascending rows of each view among the (T,) views of observations."""
     order = order_of(track_views, num_views)
     return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
 
@@ -110,7 +121,7 @@ def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[
 def views_with_rows(
     views: Sequence[View], track_views: NDArray[np.integer[Any]]
 ) -> Iterator[tuple[View, IntArray]]:
-    """Each view with the rows, ascending, of the (T,) views of observations that are its own."""
+    """Pairs of each view and its ascending rows among the (T,) views of observations."""
     return zip(views, rows_by_view(track_views, len(views)), strict=True)
 
 
@@ -120,9 +131,9 @@ def track_residuals(
     track_views: NDArray[np.integer[Any]],
     track_points2D: FloatArray,
 ) -> FloatArray:
-    """Distances (T,) in pixels of (T, 2) observations from projections of (T, 3) world points.
+    """(T,) reprojection errors in pixels of (T, 2) observations of (T, 3) world points.
 
-    NaN where the point lies behind the camera.
+    NaN for points behind the camera.
     """
     residuals = np.full(len(track_views), np.nan)
     for view, rows in views_with_rows(views, track_views):

@@ -1,1 +1,1 @@
-"""Errors of meshes, 3D edges and poses by the protocols of the field, and tables of them."""
+"""Errors of meshes, 3D edges and poses by established protocols, and tables of them."""

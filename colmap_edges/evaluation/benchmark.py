@@ -1,4 +1,4 @@
-"""From images to the paper's tables: scenes meshed by several methods, measured, resumable."""
+"""Benchmark of several methods on several scenes, as in the paper's tables; resumable."""
 
 from __future__ import annotations
 
@@ -33,15 +33,17 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way from a model to a mesh.
+    """A method of meshing a model.
 
     Attributes:
         use_edges: Whether edges are meshed, too.
-        paper: Whether the options are those nearest to the paper's way, its mesher included.
+        use_faces: Whether planar faces between edges are meshed, too.
+        paper: Whether the options are those of `--method paper`, including its mesher.
         meshing: Changed meshing options.
     """
 
     use_edges: bool
+    use_faces: bool = False
     paper: bool = False
     meshing: Mapping[str, Any] = field(default_factory=dict)
 
@@ -52,14 +54,15 @@ METHODS = {
     "COLMAP-like": Method(use_edges=False, meshing={"quality_weight": 1.0}),
     "paper": Method(use_edges=True, paper=True),
     "edges": Method(use_edges=True),
+    "faces": Method(use_edges=True, use_faces=True),
 }
 
 
 def pipeline_options(method: Method) -> PipelineOptions:
-    """The options that a method runs the pipeline with."""
+    """The pipeline options of a method."""
     options = preset("paper" if method.paper else "medium")
     meshing = replace(options.meshing, **method.meshing)
-    return replace(options, use_edges=method.use_edges, meshing=meshing)
+    return replace(options, use_edges=method.use_edges, use_faces=method.use_faces, meshing=meshing)
 
 
 def run(
@@ -72,21 +75,21 @@ def run(
 ) -> Record:
     """Mesh and measure every scene by every method, and write evaluation.json and evaluation.md.
 
-    What an earlier run finished is read again. A scene or method that fails is reported in its
-    place and does not stop the others.
+    Finished results of an earlier run are reused. A scene or method that fails is reported and does
+    not stop the others.
 
     Args:
-        scenes: What is meshed.
+        scenes: The scenes.
         output_path: Folder for models, meshes and tables.
         methods: Names in `METHODS`; peers of the scenes come after them.
-        baseline: Method or peer that the average variation is against; default: the first method.
-        progress: Told what is being done, line by line.
+        baseline: Method or peer to which the average variation refers; default: the first method.
+        progress: Called with a line of text for every step.
 
     Returns:
-        What evaluation.json holds: by scene, by method.
+        The content of evaluation.json, by scene and method.
 
     Raises:
-        ColmapEdgesError: There is no such method, the baseline is none of the rows, or
+        ColmapEdgesError: A method is unknown, the baseline is not among the rows, or
             `output_path` holds results from other images of a scene.
     """
     rows = list(dict.fromkeys([*methods, *(peer for scene in scenes for peer in scene.peers)]))
@@ -114,13 +117,13 @@ def check_names(methods: Sequence[str], baseline: str, rows: Sequence[str]) -> N
     """
     unknown = [method for method in methods if method not in METHODS]
     if unknown:
-        raise ColmapEdgesError(f"no method {unknown[0]}; choose from {', '.join(METHODS)}")
+        raise ColmapEdgesError(f"unknown method {unknown[0]}; choose from {', '.join(METHODS)}")
     if baseline and baseline not in rows:
-        raise ColmapEdgesError(f"no baseline {baseline}; the rows are {', '.join(rows)}")
+        raise ColmapEdgesError(f"unknown baseline {baseline}; choose from {', '.join(rows)}")
 
 
 def keep_image_names(scene: Scene, folder: Path) -> None:
-    """Write which images the scene's results are made from, or compare with what is written.
+    """Record the images of the scene's results, or compare them with the record.
 
     Raises:
         ColmapEdgesError: The folder holds results from other images.
@@ -129,7 +132,7 @@ def keep_image_names(scene: Scene, folder: Path) -> None:
     path = folder / "images.txt"
     if names and path.is_file() and read_text(path) != names:
         raise ColmapEdgesError(
-            f"{folder} holds results from other images, see {path.name} in it; "
+            f"{folder} holds results of other images (see {path.name} in it); "
             "choose another --output_path or remove it"
         )
     if names:
@@ -175,7 +178,7 @@ def evaluate_method(scene: Scene, method: str, folder: Path, run_path: Path) -> 
     folder.mkdir(parents=True, exist_ok=True)
     sparse_path = scene.sparse_path or triangulated(scene, folder / "sparse")
     model = load_model(sparse_path)
-    reference = scene.load_reference(model)  # first: meshing takes longest
+    reference = scene.load_reference(model)  # read first, since meshing takes longest
     if method in scene.peers:
         points = mesh_peer(scene.peers[method], model, run_path)
     else:
@@ -186,7 +189,7 @@ def evaluate_method(scene: Scene, method: str, folder: Path, run_path: Path) -> 
 
 
 def triangulated(scene: Scene, path: Path) -> Path:
-    """The sparse model of the scene's posed images, made once."""
+    """The sparse model triangulated from the scene's posed images; reused if it exists."""
     if not (path / "points3D.bin").is_file():
         partial = path.with_name(path.name + ".partial")
         triangulate(scene.posed, scene.image_path, partial)
@@ -197,7 +200,7 @@ def triangulated(scene: Scene, path: Path) -> Path:
 def mesh_own(
     method: Method, image_path: Path, sparse_path: Path, model: Model, run_path: Path
 ) -> Model:
-    """Run the pipeline into `run_path`; returns the points that count: the edges' or all."""
+    """Run the pipeline into `run_path`; returns the evaluated points: the edges' or all."""
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run as run_pipeline
 
@@ -231,10 +234,10 @@ def measure(
 
     Args:
         mesh: Triangle mesh with vertices and faces.
-        points: The points that a method adds, or all of one that adds none.
-        reference: What is true.
-        maps_path: Folder for error maps; none are made without.
-        sfm_points: The points that `points` are added to.
+        points: The points added by a method, or all points if it adds none.
+        reference: The reference.
+        maps_path: Folder for error maps, or None.
+        sfm_points: The SfM points to which `points` are added.
     """
     errors, of = point_errors(points, reference)
     record: Record = {"faces": len(mesh.faces), "notes": list(reference.notes)}
@@ -256,7 +259,7 @@ def measure(
 
 
 def point_errors(points: Model, reference: Reference) -> tuple[FloatArray, str]:
-    """Errors of points against the reference and what they are; none without a reference."""
+    """Errors of points against the reference, and their kind; empty without a reference."""
     xyz = points.points3D_xyz
     if reference.points is not None:
         return clouds.cloud_to_cloud(xyz, reference.points), "distance to the cloud"
@@ -271,5 +274,5 @@ def point_errors(points: Model, reference: Reference) -> tuple[FloatArray, str]:
 
 
 def point_record(errors: FloatArray, of: str, count: int) -> Record:
-    """Statistics of errors (N,), what they are of, and the number of points."""
+    """Statistics of errors (N,), their kind, and the number of points."""
     return (asdict(summarize(errors)) | {"of": of} if of else {}) | {"count": count}

@@ -1,4 +1,4 @@
-"""Quality without ground truth: points left out of the mesh, images left out of the edges."""
+"""Evaluation without ground truth, on held-out points and held-out images."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ class ViewErrors:
 
     Attributes:
         view: Name of the image.
-        points: Edge points that fall into the image unhidden.
+        points: Number of unoccluded edge points in the image.
         median_px: Median distance.
         within_1_px: Share within one pixel.
         within_2_px: Share within two pixels.
-        chance_2_px: Share of random pixels within two pixels of a detected edge: what edges in
-            the wrong places would reach.
+        chance_2_px: Share of random pixels within two pixels of a detected edge, as a baseline.
     """
 
     view: str
@@ -51,7 +50,7 @@ def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
 
 
 def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dict[str, Any]:
-    """Mesh half of the SfM points, with `edges` if given, and judge it by the other half.
+    """Mesh half of the SfM points, with `edges` if given, and compare it with the other half.
 
     Returns:
         Statistics of the depth errors at the observations of the other half, absolute (world
@@ -64,7 +63,9 @@ def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dic
 
     model = load_model(input_path)
     if len(model.points3D_xyz) < 20:
-        raise ColmapEdgesError(f"{input_path} holds too few points to leave half of them out")
+        raise ColmapEdgesError(
+            f"{input_path} holds too few points to leave half of them out; 20 are needed"
+        )
     used, left_out = split_points(model, seed)
     result = mesh(used, edges=edges)
     caster = RayCaster(result.vertices, result.faces)
@@ -77,9 +78,9 @@ def left_out_views(views: Sequence[View], every: int) -> list[View]:
 
 
 def unhidden_pixels(points: FloatArray, view: View, caster: RayCaster | None) -> FloatArray:
-    """Projections (M, 2) of those points (N, 3) that fall into the image unhidden.
+    """Projections (M, 2) of the points (N, 3) that are in the image and not occluded.
 
-    Hidden is what the mesh of `caster` covers by more than three pixels' length at its depth.
+    Points more than three pixels (at their depth) behind the mesh of `caster` are occluded.
     """
     pixels, depths = view.project(points)
     seen = view.holds(pixels, depths)
@@ -131,8 +132,8 @@ def left_out_view_errors(
 ) -> list[ViewErrors]:
     """Reconstruct edges without every `every`-th image and reproject them into those images.
 
-    Points are taken as hidden where a mesh of the used points and edges hides them. With
-    `pictures_path`, an overlay a view shows them coloured by distance, 0 to 3 pixels.
+    Occlusion is tested with a mesh of the used points and edges. With `pictures_path`, an overlay
+    per view shows the points coloured by distance, 0 to 3 pixels.
 
     Raises:
         ColmapEdgesError: Too few images are left, or an image cannot be read.
@@ -147,7 +148,8 @@ def left_out_view_errors(
     unused = left_out_views(model.views, every)
     if not unused or len(model.views) - len(unused) < 3:
         raise ColmapEdgesError(
-            f"{input_path}: {len(model.views)} images are too few to leave every {every}th out"
+            f"{input_path}: {len(model.views)} images are too few to leave out every {every}th; "
+            "raise --held_out_views"
         )
     options = options or PipelineOptions()
     reconstruction = without_poses(model, unused)

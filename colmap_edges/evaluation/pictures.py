@@ -23,7 +23,7 @@ _UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
 def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
     """Picture of |e| from 0 to `largest` (world units), with a colour bar below.
 
-    Dark grey: the reference is silent; magenta: the mesh does not answer.
+    Dark grey: no reference; magenta: no mesh.
     """
     known = np.isfinite(result.errors)
     level = np.clip(np.abs(np.where(known, result.errors, 0)) / largest, 0, 1) * 255
@@ -39,9 +39,9 @@ def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
 
 
 def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str = "depth") -> None:
-    """Write one error map a view into `folder`.
+    """Write one error map per view into `folder`.
 
-    All go from 0 to 1 % of the median reference depth, so those of different meshes compare.
+    All span 0 to 1 % of the median reference depth, so that different meshes can be compared.
     """
     known = [result.reference[result.reference > 0] for result in results]
     depths = np.concatenate(known) if known else np.empty(0)
@@ -57,7 +57,7 @@ def write_edge_overlays(
 ) -> None:
     """Write the faint image of each reference's view with the points of `points` it observes.
 
-    Colours are relative depth errors from 0 to 1 %; magenta: the reference is silent there.
+    Colours are relative depth errors from 0 to 1 %; magenta: no reference.
     """
     names = [view.name for view in points.views]
     observed = points.track_points

@@ -1,4 +1,4 @@
-"""The command `evaluate`: figures and pictures of how good an output folder is."""
+"""The command `evaluate`: errors of an output folder, as figures and pictures."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ def run(
     held_out_views: int = 0,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Judge the output of `colmap-edges mesh` and write RUN/evaluation/ with figures and pictures.
+    """Evaluate the output of `colmap-edges mesh` and write figures and pictures to RUN/evaluation/.
 
     Args:
-        run_path: Output folder: its mesh is judged, and edges.ply with sparse/ where there are.
+        run_path: Output folder; its mesh is evaluated, and edges.ply with sparse/ if present.
         input_path: COLMAP model the run started from.
         reference_path: Depth maps, mesh or point cloud; without it a mesh of half of the model's
-            points (and the run's edges) is judged by the other half.
-        curves_path: True 3D curves.
-        image_path: Images, for `held_out_views` and to draw edges on, coloured by depth error.
-        held_out_views: Judge edges in every n-th image, left out of their reconstruction; 0: not.
-        overwrite: Replace an earlier evaluation.
+            points (and the run's edges) is compared with the other half.
+        curves_path: Reference 3D curves.
+        image_path: Images, for `held_out_views` and for overlays of edges.
+        held_out_views: Leave out every n-th image and evaluate edges in it; 0 disables.
+        overwrite: Replace an existing evaluation.
 
     Returns:
-        What evaluation.json holds.
+        The content of evaluation.json.
 
     Raises:
         ColmapEdgesError: Something is missing; see its message.
@@ -50,7 +50,7 @@ def run(
     output = run_path / "evaluation"
     find_mesh(run_path)
     if os.path.lexists(output) and not overwrite:
-        raise ColmapEdgesError(f"{output} is there already; add --overwrite to replace it")
+        raise ColmapEdgesError(f"{output} exists already; add --overwrite to replace it")
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     with new_folder(output, EVALUATION, overwrite) as folder:
@@ -100,7 +100,7 @@ def judge(
 def draw_edge_points(
     run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
 ) -> None:
-    """Write the run's edge points over the images that have a reference depth; see `pictures`."""
+    """Draw the run's edge points over the images with reference depth; see `pictures`."""
     from colmap_edges.colmap.model import load_model
     from colmap_edges.evaluation import pictures
     from colmap_edges.evaluation.metrics import depth, edges
@@ -113,7 +113,7 @@ def draw_edge_points(
 
 
 def find_mesh(run_path: Path) -> Path:
-    """The mesh of an output folder, in whatever format it was written.
+    """The mesh of an output folder, of any format.
 
     Raises:
         ColmapEdgesError: There is none.
@@ -130,9 +130,9 @@ def find_mesh(run_path: Path) -> Path:
 
 
 def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
-    """Errors at left-out points of a mesh of the other half, without and (if any) with the edges.
+    """Errors of a mesh of half of the points at the other half, without and with the edges.
 
-    The edges were traced with all points, so only the mesh is judged by what it does not know.
+    The edges were traced with all points; only the mesh is made without the held-out ones.
     """
     from colmap_edges.colmap.model import load_model
     from colmap_edges.evaluation import held_out

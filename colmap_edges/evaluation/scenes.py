@@ -1,4 +1,4 @@
-"""Scenes of the benchmarks: images, poses, references and peers' results, found in folders."""
+"""Scenes of the benchmarks: images, poses, references and results of other systems."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from colmap_edges.evaluation.protocols.scene import views_named
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """What a scene is measured against; any part may be missing.
+    """The reference of a scene; any part can be missing.
 
     Attributes:
-        depths: Depth maps: meshes are judged by them, and points without `points`.
-        points: (N, 3) dense cloud: points are judged by their distance to it.
-        surface: Mesh: the same, where there is no cloud.
+        depths: Depth maps, for meshes, and for points if there is no cloud.
+        points: (N, 3) dense cloud, for points.
+        surface: Mesh, for points if there is no cloud.
         dtu: DTU's benchmark data.
-        notes: What cannot be measured and why, in sentences.
+        notes: Sentences on missing figures and their reasons.
     """
 
     depths: Sequence[depth.ReferenceDepth] = ()
@@ -40,7 +40,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """Images with what is known of them.
+    """A scene with its images, poses and reference.
 
     Attributes:
         name: Name in the tables and of the output folder.
@@ -50,7 +50,7 @@ class Scene:
         posed: Images with poses.
         peers: Results of other systems by name, see `peers.load`.
         unit: Unit of its lengths.
-        problem: Why it cannot be run; empty when it can.
+        problem: Reason why it cannot be run, or empty.
     """
 
     name: str
@@ -66,10 +66,10 @@ class Scene:
 def file_reference(
     path: Path | None, view_names: Sequence[str] = ()
 ) -> Callable[[Model], Reference]:
-    """Reader of a folder of depth maps, a mesh, a cloud (seen by the central view), or nothing.
+    """Reader of a folder of depth maps, a mesh, a cloud (seen by the central view), or None.
 
     Args:
-        path: File or folder of the reference, or none.
+        path: File or folder of the reference, or None.
         view_names: Views that see a mesh, or `all`; default: the central one.
     """
 
@@ -108,7 +108,7 @@ def mvsnet_reference(root: Path, scan: int) -> Callable[[Model], Reference]:
 
     def read(model: Model) -> Reference:
         depths = mvsnet.load_depths(root, scan, model)
-        missing = "No Points and no Depths of this scan: no errors are measured."
+        missing = "This scan has neither Points nor Depths: no errors are measured."
         return Reference(depths=depths, notes=[] if depths else [missing])
 
     return read
@@ -247,7 +247,7 @@ def parse_peers(entries: Sequence[str]) -> dict[str, str]:
     for entry in entries:
         name, sign, path = entry.partition("=")
         if not (name and sign and path):
-            raise ColmapEdgesError(f"{entry!r} names no peer; write NAME=PATH")
+            raise ColmapEdgesError(f"{entry!r} is not of the form NAME=PATH")
         found[name] = path
     return found
 
@@ -264,5 +264,7 @@ def peers_of(peer_paths: Mapping[str, str] | None, **values: Any) -> dict[str, P
             found[name] = Path(path.format(**values))
         except (KeyError, IndexError, ValueError, AttributeError) as error:
             known = " and ".join(f"{{{key}}}" for key in values)
-            raise ColmapEdgesError(f"the path of {name}, {path}: only {known} varies") from error
+            raise ColmapEdgesError(
+                f"the path of {name}, {path}, has an unknown placeholder; use {known}"
+            ) from error
     return found

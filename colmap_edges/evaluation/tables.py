@@ -1,4 +1,4 @@
-"""Records as Markdown tables."""
+"""Markdown tables of evaluation records."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def cell(value: Any) -> str:
 
 
 def mesh_tables(record: dict[str, Any]) -> str:
-    """Tables of what `scene.evaluate_mesh` returns."""
+    """Tables of the result of `scene.evaluate_mesh`."""
     parts = [f"{record['faces']:,} faces; errors in world units"]
     names = (*_ERROR_NAMES, *_SHARE_NAMES)
     if "depth" in record:
@@ -72,7 +72,7 @@ def score_table(scores: list[dict[str, float]]) -> str:
 
 
 def edge_tables(record: dict[str, Any]) -> str:
-    """Tables of what `scene.evaluate_edges` returns."""
+    """Tables of the result of `scene.evaluate_edges`."""
     parts = []
     if "curves" in record:
         parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
@@ -164,11 +164,11 @@ def _length_table(lengths: dict[str, Any]) -> str:
 
 
 def paper_tables(results: dict[str, Any], baseline: str) -> str:
-    """Tables laid out as the paper's, of what `benchmark.run` returns.
+    """Tables of the result of `benchmark.run`, with the paper's layout.
 
     Args:
         results: By scene, by method.
-        baseline: Method or peer that the average variation is against.
+        baseline: Method or peer to which the average variation refers.
     """
     parts = ["# Errors of points and meshes", _TABLE_NOTE.format(baseline=baseline)]
     parts += [_main_table(results, baseline)]
@@ -285,7 +285,7 @@ def _dtu_table(results: dict[str, Any]) -> str:
 
 
 def run_tables(record: dict[str, Any]) -> str:
-    """Tables of what `evaluation.run` returns."""
+    """Tables of the result of `evaluation.run`."""
     parts = []
     if "mesh" in record:
         parts.append(mesh_tables(record["mesh"]))

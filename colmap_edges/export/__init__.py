@@ -1,1 +1,1 @@
-"""3D edges and meshes as files for other programs."""
+"""Export of 3D edges and meshes to the file formats of other programs."""

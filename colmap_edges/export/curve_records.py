@@ -1,4 +1,4 @@
-"""Curves as records of edges.json, and back."""
+"""Conversion of curves to records of edges.json, and back."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Record = dict[str, Any]
 
 
 def curve_records(curves: Curves3D, edge_offsets: IntArray) -> list[Record]:
-    """One mapping a curve: its edge, its points there, kind, parameters and their deviations.
+    """One mapping per curve: edge, range of points, kind, parameters and standard deviations.
 
     Args:
         curves: the curves.
-        edge_offsets: (E + 1,) points of the edges that they are of.
+        edge_offsets: (E + 1,) offsets of the points of their edges.
     """
     records = []
     normals, radii = curves.normals, curves.radii
@@ -77,22 +77,22 @@ def spline_record(curves: Curves3D, curve: int) -> Record:
 
 
 def number(value: float) -> float | None:
-    """`value` to six digits, or None where JSON has no number for it."""
+    """`value` to six digits; None if it is not finite."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 def curves_of_records(records: Sequence[Record], edge_offsets: IntArray) -> Curves3D:
-    """The curves that `curve_records` told.
+    """The curves of records; the inverse of `curve_records`.
 
     Raises:
-        KeyError, IndexError, TypeError, ValueError: a record is none of a curve.
+        KeyError, IndexError, TypeError, ValueError: if a record is invalid.
     """
     parts = [curve_of(record, edge_offsets) for record in records]
     return Curves3D.concatenated(parts)
 
 
 def curve_of(record: Record, edge_offsets: IntArray) -> Curves3D:
-    """The one curve of a record."""
+    """The curve of a record."""
     kind, edge = KINDS.index(record["kind"]), int(record["edge"])
     points = np.array(record["points"], np.int64).reshape(1, 2)
     knots = np.array(record.get("knots", []), np.float64)
@@ -100,7 +100,7 @@ def curve_of(record: Record, edge_offsets: IntArray) -> Curves3D:
     if kind == SPLINE and len(knots) != len(control) + DEGREE + 1:
         raise ValueError("a spline has four knots more than control points")
     if not 0 <= edge < len(edge_offsets) - 1:
-        raise ValueError(f"a curve is of edge {edge}, which there is not")
+        raise ValueError(f"a curve belongs to edge {edge}, which does not exist")
     frame, span, positions, direction, radii = placed(record, kind, knots)
     return Curves3D(
         kinds=np.array([kind], np.uint8),

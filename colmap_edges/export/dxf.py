@@ -1,4 +1,4 @@
-"""Curves as DXF: LINE, ARC, CIRCLE, ELLIPSE and SPLINE entities, on a layer for each kind."""
+"""Export of curves as DXF: LINE, ARC, CIRCLE, ELLIPSE and SPLINE entities, a layer per kind."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from colmap_edges.core.curves3d import (
 )
 
 LAYERS = {kind: name.upper() for kind, name in enumerate(KINDS)}
-VERSION = "R2000"  # the oldest that has ellipses and splines
+VERSION = "R2000"  # oldest version with ellipses and splines
 
 
 def write_dxf(curves: Curves3D, path: Path) -> None:
-    """Write a DXF (R2000) with one entity a curve, on layers named as the kinds in capitals."""
+    """Write a DXF (R2000) with one entity per curve, and one layer per kind, named in capitals."""
     import ezdxf
 
     with fixed_dates(ezdxf):
@@ -43,7 +43,7 @@ def write_dxf(curves: Curves3D, path: Path) -> None:
 
 @contextmanager
 def fixed_dates(ezdxf: Any) -> Iterator[None]:
-    """Let ezdxf write no date and no random identifier: the same curves give the same file."""
+    """Let ezdxf write constant dates and identifiers, so that equal curves give equal files."""
     before = ezdxf.options.write_fixed_meta_data_for_testing
     ezdxf.options.write_fixed_meta_data_for_testing = True
     try:
@@ -53,7 +53,7 @@ def fixed_dates(ezdxf: Any) -> Iterator[None]:
 
 
 def add_entity(space: Any, curves: Curves3D, curve: int) -> None:
-    """Add what one curve is to a layout of ezdxf."""
+    """Add the entity of a curve to a layout of ezdxf."""
     kind = int(curves.kinds[curve])
     attributes: dict[str, Any] = {"layer": LAYERS[kind]}
     origin, a, b = curves.frames[curve]
@@ -74,7 +74,7 @@ def add_entity(space: Any, curves: Curves3D, curve: int) -> None:
 
 
 def add_round(space: Any, curves: Curves3D, curve: int, attributes: dict[str, Any]) -> None:
-    """Add a circle or an arc, whose centre and angles are in the plane's own coordinates."""
+    """Add a circle or an arc, with centre and angles in the coordinates of its plane."""
     from ezdxf.math import OCS
 
     origin, a, b = curves.frames[curve]

@@ -1,4 +1,4 @@
-"""3D edges as files: polylines as PLY and OBJ, JSON with what each edge is."""
+"""Export of 3D edges: polylines as PLY and OBJ, attributes and curves as JSON."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def write_ply(edges: Edges3D, path: Path) -> None:
 
 
 def write_obj(edges: Edges3D, path: Path) -> None:
-    """Write an OBJ with one `l` element an edge; closed edges name their first point again."""
+    """Write an OBJ with one `l` element per edge; closed edges repeat their first point."""
     with path.open("w", encoding="ascii") as file:
         file.write("# 3D edges by colmap-edges\n")
         file.write(formatted("v %.12g %.12g %.12g\n", edges.points))
@@ -60,12 +60,12 @@ def write_obj(edges: Edges3D, path: Path) -> None:
 
 
 def formatted(line: str, rows: FloatArray) -> str:
-    """A line, with a place for each column, for each of the rows; all at once, which is fast."""
+    """The rows formatted by a template line, all at once for speed."""
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 
 def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
-    """The edge points of each edge in turn; closed edges return to their first."""
+    """The point indices of each edge; those of closed edges end with the first point."""
     bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
     for first, last, closed in bounds:
         yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
@@ -79,12 +79,12 @@ def write_json(
     residuals: FloatArray,
     path: Path,
 ) -> None:
-    """Write what each edge and each node is, and the curves of the edges, one line each.
+    """Write edges, nodes and curves as JSON, one line each.
 
     Args:
-        edges: the edges; an edge's id is its place in them.
+        edges: the edges; an edge's id is its index.
         curves: the curves that they consist of.
-        model: the model whose views the tracks name.
+        model: the model whose views the tracks refer to.
         point3D_ids: (N,) ids of the edge points in the written model.
         residuals: (T,) distances of observations from projections, pixels.
         path: file to write.
@@ -109,7 +109,7 @@ def edge_records(
     point3D_ids: IntArray,
     residuals: FloatArray,
 ) -> list[dict[str, Any]]:
-    """One mapping an edge: id, point3D ids, closed, length, views, residual, end nodes, sigmas."""
+    """One mapping per edge: id, point3D ids, closed, length, views, residual, end nodes, sigmas."""
     image_ids = np.array([view.image_id for view in model.views], np.int64)
     lengths = edge_lengths(edges)
     records = []
@@ -134,10 +134,10 @@ def edge_records(
 
 
 def node_records(edges: Edges3D, model: Model, point3D_ids: IntArray) -> list[dict[str, Any]]:
-    """One mapping a node: id, point3D id, place, deviation, views, ends that meet, edge through.
+    """One mapping per node: id, point3D id, position, deviation, views, ends, edge through.
 
-    An end is an edge's id with 0 for its first and 1 for its last point; the edge that passes
-    through is its id with the place of the node among its points.
+    An end is an edge's id with 0 for its first and 1 for its last point. The edge passing through
+    is given by its id and the index of the node among its points.
     """
     nodes, node_ids = edges.nodes, edges.node_ids
     image_ids = np.array([view.image_id for view in model.views], np.int64)
@@ -167,10 +167,10 @@ def node_records(edges: Edges3D, model: Model, point3D_ids: IntArray) -> list[di
 
 
 def finite(value: float) -> float | None:
-    """`value` rounded to 1e-6, or None where JSON has no number for it."""
+    """`value` rounded to 1e-6; None if it is not finite."""
     return round(float(value), 6) if np.isfinite(value) else None
 
 
 def short(value: float) -> float | None:
-    """`value` to three digits, or None where JSON has no number for it."""
+    """`value` to three digits; None if it is not finite."""
     return float(f"{value:.3g}") if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Planar faces as a file: faces.json."""
+"""Writing and reading of planar faces as faces.json."""
 
 from __future__ import annotations
 
@@ -7,23 +7,27 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from colmap_edges.colmap.model import Model
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.input_files import read_text
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.faces.outlines import Face
 
 
 def write_faces(faces: Sequence[Face], model: Model, path: Path) -> None:
-    """Write faces as JSON: the whole file or none.
+    """Write faces as JSON, atomically.
 
     Raises:
-        ColmapEdgesError: when the file cannot be written.
+        ColmapEdgesError: if the file cannot be written.
     """
     records = {"faces": [record_of(face, model) for face in faces]}
     write_whole(path, json.dumps(records, allow_nan=False).encode(), "faces")
 
 
 def record_of(face: Face, model: Model) -> dict[str, Any]:
-    """What faces.json tells of a face; its views by COLMAP's ids."""
+    """The entry of a face in faces.json, with COLMAP's image ids."""
     return {
         "plane": face.plane,
         "normal": [float(x) for x in face.normal],
@@ -33,3 +37,34 @@ def record_of(face: Face, model: Model) -> dict[str, Any]:
         "outline": face.outline.tolist(),
         "holes": [hole.tolist() for hole in face.holes],
     }
+
+
+def read_faces(path: Path, model: Model) -> list[Face]:
+    """Read faces.json.
+
+    Args:
+        path: the file.
+        model: whose views the faces' views are, by their image_id.
+
+    Raises:
+        ColmapEdgesError: it cannot be read, is damaged, or names images that the model has not.
+    """
+    indices = {view.image_id: index for index, view in enumerate(model.views)}
+    try:
+        records = json.loads(read_text(path))["faces"]
+        return [face_of(record, indices) for record in records]
+    except (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise ColmapEdgesError(f"{path} holds no faces of its model: {error}") from error
+
+
+def face_of(record: dict[str, Any], indices: dict[int, int]) -> Face:
+    """The face of a record of faces.json; `indices` maps image ids to views."""
+    return Face(
+        plane=int(record["plane"]),
+        normal=np.array(record["normal"], np.float64).reshape(3),
+        offset=float(record["offset"]),
+        area=float(record["area"]),
+        views=np.array([indices[image_id] for image_id in record["image_ids"]], np.int64),
+        outline=np.array(record["outline"], np.float64).reshape(-1, 3),
+        holes=tuple(np.array(hole, np.float64).reshape(-1, 3) for hole in record["holes"]),
+    )

@@ -1,4 +1,4 @@
-"""3D edges as a binary glTF: a line strip an edge."""
+"""Export of 3D edges as binary glTF, one line strip per edge."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from colmap_edges.core.arrays import ByteArray, Float32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import polyline_indices
 
-HEAD = struct.Struct("<4sII")  # magic, version, length of all
+HEAD = struct.Struct("<4sII")  # magic, version, total length
 CHUNK = struct.Struct("<I4s")  # length, kind
 FLOAT, UNSIGNED_BYTE, UNSIGNED_INT = 5126, 5121, 5125
 LINE_STRIP = 3
-VERTICES, INDICES = 34962, 34963  # what a buffer view is for
+VERTICES, INDICES = 34962, 34963  # targets of buffer views
 
 
 def write_glb(edges: Edges3D, path: Path) -> None:
-    """Write a binary glTF with one line strip an edge, in the mean colour of its points.
+    """Write a binary glTF with one line strip per edge, in the mean colour of its points.
 
-    World coordinates are kept, in float32 as the format has it. Without edges nothing is written,
-    as the format knows no empty scene.
+    Coordinates are world coordinates in float32, as the format requires. Without edges no file is
+    written, since the format has no empty scenes.
     """
     if edges.num_edges == 0:
         return
@@ -46,7 +46,7 @@ def write_glb(edges: Edges3D, path: Path) -> None:
 
 
 def document(points: Float32Array, shades: ByteArray, counts: IntArray) -> dict[str, Any]:
-    """What a glTF says of (N, 3) points, (N, 4) RGBA and strips of (E,) indices, which follow."""
+    """The JSON part of a glTF of (N, 3) points, (N, 4) RGBA, and strips of (E,) indices."""
     strips = [
         {
             "attributes": {"POSITION": 0, "COLOR_0": 1},
@@ -77,7 +77,7 @@ def document(points: Float32Array, shades: ByteArray, counts: IntArray) -> dict[
 
 
 def accessors(points: Float32Array, shades: ByteArray, counts: IntArray) -> list[dict[str, Any]]:
-    """How the points, the colours and the indices of each strip lie in their buffer views."""
+    """The accessors of points, colours and each strip's indices in their buffer views."""
     positions = {
         "bufferView": 0,
         "componentType": FLOAT,

@@ -1,4 +1,4 @@
-"""3D edges as a networkx graph: corners and free ends are its nodes."""
+"""3D edges as a networkx graph, whose nodes are corners and free ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def to_networkx(edges: Edges3D) -> nx.MultiGraph:
     """The graph of the 3D edges, for the algorithms of networkx.
 
     Args:
-        edges: 3D edges, with nodes as `reconstruct` and `read_edges` give them.
+        edges: 3D edges with nodes, as returned by `reconstruct` and `read_edges`.
 
     Returns:
         A multigraph. Its nodes are the numbers of the edges' nodes, and (edge, 0) or (edge, 1) for

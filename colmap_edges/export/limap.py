@@ -1,4 +1,4 @@
-"""Curves as 3D lines in LIMAP 2.0's format: the folder `structures` beside a COLMAP model."""
+"""Export of curves as 3D lines in LIMAP 2.0's format, the folder `structures`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 
-CHORD_DEG = 10.0  # of a bent curve's turn that one line stands for
-NO_SCORE = 1.0  # of a 2D segment: LIMAP's of detectors without one
+CHORD_DEG = 10.0  # turn of a curve per chord
+NO_SCORE = 1.0  # LIMAP's score of 2D segments of detectors without scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Line3D:
     Attributes:
         ends: (2, 3) its ends, world units.
         views: (O,) views that observe it.
-        segments: (O, 2, 2) ends of what each observes, image pixels.
+        segments: (O, 2, 2) ends of the observed 2D segments, image pixels.
         sigma: standard deviation across it, world units.
     """
 
@@ -35,15 +35,15 @@ class Line3D:
 
 
 def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Path) -> int:
-    """Write the files of LIMAP 2.0's `structures`: lines, their 2D segments; bent ones as chords.
+    """Write LIMAP 2.0's `structures`: lines with 2D segments; bent curves as chords.
 
-    Lines that fewer than two views observe are left out.
+    Lines observed by fewer than two views are left out.
 
     Args:
         edges: the edges.
         curves: the curves that they consist of.
-        model: the model whose views observations name; LIMAP asks for it beside the folder.
-        folder: is made when missing.
+        model: the model whose views observations refer to; LIMAP needs it next to the folder.
+        folder: output folder, created if missing.
 
     Returns:
         The number of lines.
@@ -65,15 +65,15 @@ def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Pat
         num_points = images[view.image_id].num_points2D()
         content.append(struct.pack("<2IQ", view.image_id, num_points, len(found)))
         content += [struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index) for ends, index in found]
-        content.append(struct.pack("<2Q", 0, 0))  # no groups of points and lines, no links
+        content.append(struct.pack("<2Q", 0, 0))  # no groups and no links
     (folder / "structures2d.bin").write_bytes(b"".join(content))
-    for name in ("groups3D.bin", "wireframe3D.bin"):  # which LIMAP asks for
+    for name in ("groups3D.bin", "wireframe3D.bin"):  # required by LIMAP
         (folder / name).write_bytes(struct.pack("<Q", 0))
     return len(lines)
 
 
 def straight_lines(edges: Edges3D, curves: Curves3D) -> list[Line3D]:
-    """The lines among curves, and chords of the others."""
+    """Lines, and chords of all other curves."""
     found = []
     for curve in range(curves.num_curves):
         first, end = curves.ranges[curve].tolist()
@@ -94,7 +94,7 @@ def straight_lines(edges: Edges3D, curves: Curves3D) -> list[Line3D]:
 
 
 def chords_of(curves: Curves3D, curve: int) -> int:
-    """Number of lines that stand for a curve: one for each `CHORD_DEG` of its turn."""
+    """Number of chords of a curve: one per `CHORD_DEG` of its turn."""
     if curves.kinds[curve] == LINE:
         return 1
     points = curves.at(np.full(65, curve), np.linspace(0, 1, 65))
@@ -106,7 +106,7 @@ def chords_of(curves: Curves3D, curve: int) -> int:
 
 
 def observed_segments(edges: Edges3D, rows: IntArray) -> tuple[IntArray, FloatArray]:
-    """Views that observe two or more of (n,) edge points, with the first and last pixels there."""
+    """Views that observe at least two of (n,) edge points, with the first and last pixel."""
     observations = edges.observations.select(rows)
     views = observations.views
     order = np.argsort(views, kind="stable")

@@ -1,4 +1,4 @@
-"""Curves as STEP (AP214): lines, circles, ellipses and B-splines as edges of a wireframe."""
+"""Export of curves as a STEP (AP214) wireframe: lines, circles, ellipses, B-splines."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLIN
 from colmap_edges.errors import ColmapEdgesError
 
 PRODUCT = re.compile(r"PRODUCT\('[^']*',\s*'[^']*'")
-SMALLEST = 1e-7  # length of an edge that the kernel takes for none (Precision::Confusion)
+SMALLEST = 1e-7  # minimum length of an edge in OpenCASCADE (Precision::Confusion)
 
 
 def write_step(curves: Curves3D, path: Path) -> None:
-    """Write a STEP file with one edge a curve, through OpenCASCADE.
+    """Write a STEP file with one edge per curve, using OpenCASCADE.
 
-    STEP files are in millimetres: a unit of the world becomes one. Lines of no length are left
-    out, as the kernel has none.
+    STEP files are in millimetres; one world unit becomes one millimetre. Lines of length zero,
+    which OpenCASCADE does not support, are left out.
 
     Raises:
-        ColmapEdgesError: the kernel is not installed, or does not write.
+        ColmapEdgesError: if OpenCASCADE is not installed or writing fails.
     """
     try:
         from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
@@ -39,18 +39,20 @@ def write_step(curves: Curves3D, path: Path) -> None:
         if made.IsDone():
             builder.Add(compound, made.Edge())
     writer = STEPControl.STEPControl_Writer()
-    Interface.Interface_Static.SetIVal_s("write.step.assembly", 0)  # no part for each edge
+    Interface.Interface_Static.SetIVal_s("write.step.assembly", 0)  # a single part
     writer.Transfer(compound, STEPControl.STEPControl_StepModelType.STEPControl_AsIs)
     without_date(writer)
     if writer.Write(str(path)) != IFSelect.IFSelect_ReturnStatus.IFSelect_RetDone:
-        raise ColmapEdgesError(f"{path} cannot be written as STEP; is its folder there?")
-    # The kernel counts what it wrote in the name.
+        raise ColmapEdgesError(
+            f"cannot write {path} as STEP; check that its folder exists and is writable"
+        )
+    # OpenCASCADE appends a counter to the name.
     text = PRODUCT.sub("PRODUCT('edges','edges'", path.read_text(encoding="ascii"), count=1)
     path.write_text(text, encoding="ascii")
 
 
 def be_silent() -> None:
-    """Let OpenCASCADE print nothing but failures; it tells of every file otherwise."""
+    """Let OpenCASCADE print only failures."""
     from OCP.Message import Message, Message_Gravity
 
     for printer in Message.DefaultMessenger_s().Printers():
@@ -58,7 +60,7 @@ def be_silent() -> None:
 
 
 def without_date(writer: Any) -> None:
-    """Set a fixed date and the name of the program, so that the same curves give the same file."""
+    """Set a constant date and program name, so that equal curves give equal files."""
     from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
     from OCP.TCollection import TCollection_HAsciiString
 
@@ -68,7 +70,7 @@ def without_date(writer: Any) -> None:
 
 
 def geometry(curves: Curves3D, curve: int) -> tuple[Any, ...]:
-    """What OpenCASCADE makes an edge of: a curve and its first and last parameter, or points."""
+    """Arguments of OpenCASCADE's edge builder: a curve with its parameter range, or points."""
     from OCP import gp
 
     kind = int(curves.kinds[curve])
@@ -87,7 +89,7 @@ def geometry(curves: Curves3D, curve: int) -> tuple[Any, ...]:
 
 
 def spline_of(spline: Any) -> Any:
-    """OpenCASCADE's B-spline of scipy's."""
+    """Convert scipy's B-spline to OpenCASCADE's."""
     from OCP import gp
     from OCP.collections import Array1_double, Array1_gp_Pnt, Array1_int
     from OCP.Geom import Geom_BSplineCurve
@@ -99,7 +101,7 @@ def spline_of(spline: Any) -> Any:
 
 
 def filled(kind: Any, values: list[Any]) -> Any:
-    """An array of OpenCASCADE's, which counts from 1."""
+    """An OpenCASCADE array, whose indices start at 1."""
     array = kind(1, len(values))
     for place, value in enumerate(values):
         array.SetValue(place + 1, value)

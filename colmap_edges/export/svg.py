@@ -1,4 +1,4 @@
-"""Curves as one image sees them: SVG, a style a kind, dashed where the image does not see them."""
+"""Export of curves projected into one image as SVG, dashed where the image does not see them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 
 COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
-STEPS = 128  # parts in which a curve is drawn
-STEPS_OF_LINES = 32  # which lenses bend
-MAX_UNSEEN = 3  # points between seen ones that count as seen, too
+STEPS = 128  # segments of a drawn curve
+STEPS_OF_LINES = 32  # segments of a line, which distortion bends
+MAX_UNSEEN = 3  # maximum number of points between observed ones that count as observed, too
 HEAD = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"
  viewBox="0 0 {width} {height}">
 <title>{title}</title>
@@ -28,13 +28,13 @@ path {{ fill: none; stroke-width: {stroke:.3g}; stroke-linecap: round; stroke-li
 
 
 def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Path) -> None:
-    """Write what a view sees of curves: groups by kind, dashed where the view observes no edge.
+    """Write curves projected into a view, grouped by kind, dashed where they are not observed.
 
     Args:
         edges: the edges.
         curves: the curves that they consist of.
         view: the view.
-        index: its place in the model, as observations name it.
+        index: index of the view in the model.
         path: file to write.
     """
     seen = points_seen(edges, index)
@@ -60,7 +60,7 @@ def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Pa
 
 
 def points_seen(edges: Edges3D, index: int) -> BoolArray:
-    """(N,) whether a view observes an edge point, or others near by on both sides of it."""
+    """(N,) whether a view observes an edge point, or points nearby on both sides of it."""
     observed = np.zeros(edges.num_points, bool)
     observed[edges.observations.points[edges.observations.views == index]] = True
     where = np.arange(edges.num_points)
@@ -75,7 +75,7 @@ def points_seen(edges: Edges3D, index: int) -> BoolArray:
 def paths_of(
     edges: Edges3D, curves: Curves3D, curve: int, seen: BoolArray, view: View
 ) -> list[str]:
-    """The paths of one curve: its stretches in the image, seen ones and others apart."""
+    """The SVG paths of a curve: its stretches in the image, observed and unobserved."""
     steps = STEPS_OF_LINES if curves.kinds[curve] == LINE else STEPS
     places = np.linspace(0, 1, steps + 1)
     pixels, depths = view.project(curves.at(np.full(steps + 1, curve), places))
@@ -93,7 +93,7 @@ def paths_of(
 
 
 def stretches(states: IntArray) -> list[tuple[int, int, int]]:
-    """First index, the one after the last, and the state of each stretch of equal (n,) states."""
+    """Half-open index range and state of each stretch of equal (n,) states."""
     cuts = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
     return [(a, b, int(states[a])) for a, b in pairwise(cuts)]
 

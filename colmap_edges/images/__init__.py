@@ -1,1 +1,1 @@
-"""Image files, masks, and where images show the background."""
+"""Image files, masks, edge images, and detection of the background."""

@@ -1,7 +1,7 @@
-"""Finds the background in images: a plain backdrop, or what masks hide.
+"""Detection of the background in images: a plain backdrop, or masked pixels.
 
-Rays to the background are free space, which no point tells: without them, meshes close the holes of
-textureless bodies and span webs between silhouettes.
+Background rays pass through free space that no point constrains. Without them, meshes close the
+holes of textureless bodies and connect silhouettes.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Arra
 from colmap_edges.core.view import View
 from colmap_edges.images.files import square
 
-NUM_SAMPLES = 10_000  # of an image, on a grid
-MAX_DEVIATION = 3  # gray levels by which a plain backdrop differs from its median, in any channel
-MIN_BORDER_RATIO = 0.95  # of the image's border that shows a plain backdrop
-MIN_VIEWS_RATIO = 0.9  # of the images that show one, or none is believed
-# Bodies as bright as the backdrop have places where they are a little less so. Where none are, what
-# the body encloses of the backdrop's colour is seen through a hole.
-NEAR_LEVELS = 2  # that such places are off beyond the deviation
-MAX_NEAR_RATIO = 1e-3  # of the body, all images together
-BORDER_PX = 2  # of the body that is mixed with the backdrop
-MAX_MASK_PX = 2000  # side of the mask of a body that is kept
+NUM_SAMPLES = 10_000  # background rays per image, on a grid
+MAX_DEVIATION = 3  # maximum deviation of a plain backdrop from its median, in any channel
+MIN_BORDER_RATIO = 0.95  # minimum share of plain pixels in the border of an image
+MIN_VIEWS_RATIO = 0.9  # minimum share of images with a backdrop, else it is ignored in all
+# A body of the backdrop's colour also has pixels of nearly that colour. If it has none, enclosed
+# pixels of the backdrop's colour are holes.
+NEAR_LEVELS = 2  # deviation beyond MAX_DEVIATION of pixels of nearly the backdrop's colour
+MAX_NEAR_RATIO = 1e-3  # maximum share of such pixels in the body, over all images
+BORDER_PX = 2  # width of the mixed pixels around a body
+MAX_MASK_PX = 2000  # maximum side of a stored mask
 
 
 class BackgroundRays(NamedTuple):
     """Rays through free space, to the background.
 
     Attributes:
-        cameras: (K,) int32 index of the view each starts at.
-        directions: (K, 3) float64 in the world; their lengths do not matter.
+        cameras: (K,) int32 index of the view in which each ray starts.
+        directions: (K, 3) float64 world directions of any length.
     """
 
     cameras: Int32Array
@@ -46,10 +46,10 @@ class BackgroundMask:
     """The background of one image.
 
     Attributes:
-        packed_body: (h, w') uint8, eight pixels each, of the mask of what is not background.
-        body_width: (1,) int64 width of that mask; 0 where no background is seen.
-        body_pixels: (2,) int64 of what is not background the number of pixels, and of those
-            nearly of its colour.
+        packed_body: (h, w') uint8 foreground mask, eight pixels per byte.
+        body_width: (1,) int64 width of that mask; 0 if no background is seen.
+        body_pixels: (2,) int64 number of foreground pixels, and of those nearly of the
+            backdrop's colour.
     """
 
     packed_body: ByteArray
@@ -58,11 +58,11 @@ class BackgroundMask:
 
     @property
     def is_seen(self) -> bool:
-        """Whether there is any."""
+        """Whether the image shows background."""
         return bool(self.body_width[0])
 
     def body(self) -> BoolArray:
-        """(h, w) the mask of what is not background; the image's size, or smaller."""
+        """(h, w) foreground mask, of the image's size or smaller."""
         return np.unpackbits(self.packed_body, axis=1, count=int(self.body_width[0])) > 0
 
 
@@ -74,7 +74,7 @@ NO_BACKGROUND_MASK = BackgroundMask(
 
 
 def plain_background(image: Picture) -> BackgroundMask:
-    """The plain backdrop of an image (H, W, 3) uint8, if the image's border shows nothing else."""
+    """The plain backdrop of an image (H, W, 3) uint8, if its border is plain."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     color = np.rint(np.median(border, axis=0))
     low, high = color - MAX_DEVIATION, color + MAX_DEVIATION
@@ -84,18 +84,18 @@ def plain_background(image: Picture) -> BackgroundMask:
     plain = cv2.inRange(image, low, high)
     inner = cv2.erode(255 - plain, square(BORDER_PX)) > 0
     if not inner.any():
-        return NO_BACKGROUND_MASK  # nothing in view: a blank image rather
+        return NO_BACKGROUND_MASK  # a blank image
     near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
     return kept(plain == 0, np.array([inner.sum(), (inner & near).sum()]))
 
 
 def masked_background(mask: BoolArray) -> BackgroundMask:
-    """The background where the mask (H, W) of what may show edges is false."""
+    """The background given by a mask (H, W) that is false there."""
     return NO_BACKGROUND_MASK if mask.all() else kept(mask, np.array([mask.sum(), 0]))
 
 
 def kept(body: BoolArray, body_pixels: IntArray) -> BackgroundMask:
-    """The backdrop around a body (H, W)."""
+    """The background mask of a foreground mask (H, W)."""
     factor = min(1.0, MAX_MASK_PX / max(body.shape))
     size = [max(1, round(side * factor)) for side in body.shape[::-1]]
     smaller = cv2.resize(255 * body.astype(np.uint8), size, interpolation=cv2.INTER_AREA) >= 128
@@ -109,15 +109,15 @@ def kept(body: BoolArray, body_pixels: IntArray) -> BackgroundMask:
 def background_rays(
     views: Sequence[View], background_masks: Sequence[BackgroundMask], are_masks: bool
 ) -> BackgroundRays | None:
-    """The lines of sight to the background of all views.
+    """The background rays of all views.
 
     Args:
         views: the V views.
-        background_masks: (V,) what their images show of it.
-        are_masks: whether masks say so, who are believed each.
+        background_masks: (V,) background of their images.
+        are_masks: whether it comes from user masks, which are always trusted.
 
     Returns:
-        The rays in the order of the views; none where no background is believed to be seen.
+        The rays in the order of the views; empty if too few images show a backdrop.
     """
     seen = sum(mask.is_seen for mask in background_masks)
     if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(background_masks)):
@@ -137,17 +137,17 @@ def background_rays(
 
 
 def shows_holes(background_masks: Sequence[BackgroundMask]) -> bool:
-    """Whether what bodies enclose of the backdrop's colour is seen through holes."""
+    """Whether enclosed pixels of the backdrop's colour are holes of the body."""
     body, near = np.sum([mask.body_pixels for mask in background_masks], axis=0).tolist()
     return bool(near <= MAX_NEAR_RATIO * body)
 
 
 def shown_pixels(body: BoolArray, with_holes: bool) -> IntArray:
-    """Columns and rows (K, 2) of pixels on a grid that show background, not next to the body.
+    """(K, 2) columns and rows of background pixels on a grid, away from the foreground.
 
     Args:
-        body: (h, w) what is not background.
-        with_holes: whether it also shows where the body encloses it.
+        body: (h, w) foreground mask.
+        with_holes: whether enclosed background counts.
     """
     plain = 1 - body.astype(np.uint8)
     inner = cv2.erode(plain, square(1)) > 0

@@ -1,4 +1,4 @@
-"""Edge images of another detector: where they are, reading them; white on black, or the reverse."""
+"""Locating and reading edge images of another detector (white on black, or the reverse)."""
 
 from __future__ import annotations
 
@@ -6,35 +6,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, Float32Array
+from colmap_edges.core.arrays import Float32Array
 from colmap_edges.core.view import View
-from colmap_edges.errors import ColmapEdgesError, ImageError
-from colmap_edges.images.files import GRAY, first_there, path_of_image, read_bytes
-
-
-@dataclass(frozen=True)
-class EdgeMapFile:
-    """The edge image of a photograph, as it is read.
-
-    Attributes:
-        path: where it is.
-        data: (B,) uint8 the file's bytes.
-    """
-
-    path: Path
-    data: ByteArray
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.files import CompanionFile, first_there, path_of_image
 
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """How strong an edge a detector sees in each pixel of an image.
+    """The edge strength of each pixel of an image.
 
     Attributes:
-        strengths: (H, W) float32, 0 where there is none, at most 1.
-        is_binary: whether the detector says no more than where edges are.
+        strengths: (H, W) float32 from 0 (no edge) to 1.
+        is_binary: whether there are only two strengths.
     """
 
     strengths: Float32Array
@@ -42,14 +28,14 @@ class EdgeMap:
 
 
 def path_of_edge_map(edge_path: Path, name: str) -> Path | None:
-    """Path of the edge image of the image `name` of a model, none where it has none.
+    """Path of the edge image of the image `name` of a model; None if it has none.
 
     Args:
         edge_path: a folder, with the edge image of a/b.jpg in a/b.jpg.png or a/b.png.
         name: the image's name in the model.
 
     Raises:
-        ColmapEdgesError: when the name leads out of the folder.
+        ColmapEdgesError: if the name leads out of the folder.
     """
     return first_there(edge_path, (f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))))
 
@@ -58,11 +44,11 @@ def check_edge_maps(views: Iterable[View], image_path: Path, edge_path: Path) ->
     """Check that every image has an edge image, before work starts.
 
     Raises:
-        ColmapEdgesError: naming the first that has none and how many have none; or when the edge
-            image found is the photograph.
+        ColmapEdgesError: naming the first image without one and the number of such images, or if
+            the edge image is the photograph itself.
     """
     if not edge_path.is_dir():
-        raise ColmapEdgesError(f"edge_path {edge_path} is no folder")
+        raise ColmapEdgesError(f"edge_path {edge_path} is not a folder")
     names = [view.name for view in views]
     paths = {name: path_of_edge_map(edge_path, name) for name in names}
     missing = [name for name, path in paths.items() if path is None]
@@ -79,38 +65,30 @@ def check_edge_maps(views: Iterable[View], image_path: Path, edge_path: Path) ->
             )
 
 
-def read_edge_map(edge_path: Path | None, name: str) -> EdgeMapFile | None:
-    """Read the edge image of an image as it is; none where no edge images are given.
+def read_edge_map(edge_path: Path | None, name: str) -> CompanionFile | None:
+    """Read the edge image of an image, undecoded; None without `edge_path`.
 
     Raises:
-        ColmapEdgesError: when it cannot be read.
+        ColmapEdgesError: if it cannot be read.
     """
     if edge_path is None:
         return None
     path = path_of_edge_map(edge_path, name)
     if path is None:
-        raise ColmapEdgesError(f"edge_path {edge_path} has no edge image of image {name}")
-    try:
-        return EdgeMapFile(path, read_bytes(path))
-    except ImageError as error:
-        raise unreadable_edge_map(path, name) from error
+        raise ColmapEdgesError(
+            f"edge_path {edge_path} has no edge image of image {name}; add {name}.png"
+        )
+    return CompanionFile.read("edge image", path, name)
 
 
-def unreadable_edge_map(path: Path, name: str) -> ColmapEdgesError:
-    """Make the error for an edge image that is no picture: no `ImageError`, which skips it."""
-    return ColmapEdgesError(f"cannot read edge image {path} of image {name}; replace it")
-
-
-def decode_edge_map(file: EdgeMapFile, view: View) -> EdgeMap:
-    """Decode a view's edge image; the rarer of dark and bright are its edges.
+def decode_edge_map(file: CompanionFile, view: View) -> EdgeMap:
+    """Decode a view's edge image; the less frequent of dark and bright pixels are edges.
 
     Raises:
-        ColmapEdgesError: when that cannot be done, or it is not of its camera's size, an
-            enlargement of it, or as small as the view's image is worked on.
+        ColmapEdgesError: if it cannot be decoded, or its size is neither the camera's, a multiple
+            of it, nor that of the downsampled image.
     """
-    picture = cv2.imdecode(file.data, GRAY) if len(file.data) else None
-    if picture is None or picture.dtype.kind != "u":  # not even whole numbers
-        raise unreadable_edge_map(file.path, view.name)
+    picture = file.decode()
     height, width = picture.shape
     scale = width / view.width
     is_too_small = width < int(min(1.0, view.scale) * view.width)

@@ -1,1 +1,1 @@
-"""The stages in order: read, detect, trace, write, mesh."""
+"""The stages of a run, in order: read, detect, trace, write, mesh."""

@@ -1,4 +1,4 @@
-"""The stage that detects: the 2D edge graph of every view."""
+"""The detection stage: the 2D edge graph of every view."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
-    """What was detected in the images of all views.
+    """The edges detected in the images of all views.
 
     Attributes:
         graphs: the 2D edge graph of each view.
-        keys: (V,) keys of the graphs in the cache; none without a cache.
-        background_masks: (V,) what each image shows of the background.
+        keys: (V,) keys of the graphs in the cache; empty without a cache.
+        background_masks: (V,) the background in each image.
     """
 
     graphs: Graphs
@@ -61,11 +61,11 @@ def detect_stage(
 ) -> Detection:
     """Detect the 2D edge graph of every view, in the views' order.
 
-    As many images are in memory at once as there are threads. Damaged images are left out: they
-    get an empty graph and are counted. Graphs beyond the memory meant for them wait on disk.
+    Each thread holds one image in memory. Damaged images get an empty graph and are counted. Graphs
+    beyond the memory limit are kept on disk.
 
     Raises:
-        ColmapEdgesError: when fewer than two images can be read.
+        ColmapEdgesError: if fewer than two images can be read.
     """
     if workers is None:
         with open_workers(options) as workers:
@@ -109,8 +109,8 @@ def find_graphs(
     workers: Workers,
     stage: Stage,
 ) -> tuple[Graphs, list[ImageRecord]]:
-    """Have the work on every image done; the graphs, and what is said of each image."""
-    # Tracing holds the same graphs in the kernels' form too, which takes as much again.
+    """Process every image; returns the graphs and the records of the images."""
+    # Tracing also holds the search indices, which take as much memory again.
     max_bytes = options.max_graph_memory_gb * 1e9 / 2
     if workers.remote and workers.cache:
         calls = [(work_in_cache, (work, i, view)) for i, view in enumerate(views)]
@@ -136,7 +136,7 @@ def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[s
     """Counts of detection.
 
     Args:
-        found: what was detected in each image.
+        found: the counts of each image.
         damaged: names of the images that could not be read.
     """
     return {
@@ -149,10 +149,10 @@ def detection_counts(found: Sequence[ImageCounts], damaged: list[str]) -> dict[s
 
 
 def report_damaged(damaged: Mapping[int, ImageError], num_images: int) -> None:
-    """Log the images that could not be read; raise when only one or none could."""
+    """Log unreadable images; raise an error if fewer than two are readable."""
     errors = [damaged[index] for index in sorted(damaged)]
     if errors and num_images - len(errors) < 2:
-        raise ColmapEdgesError(f"{errors[0]} ({len(errors)} of {num_images} images are so)")
+        raise ColmapEdgesError(f"{errors[0]} ({len(errors)} of {num_images} images are unreadable)")
     for error in errors:
         logger.warning("%s; it is left out", error)
 
@@ -169,34 +169,34 @@ class GraphWriter:
         picture = path_of_image(self.folder / "overlays", view.name + ".png")
         for path in (arrays, picture):
             path.parent.mkdir(parents=True, exist_ok=True)
-        packed = BytesIO()  # a .npz cut short on a full disk would complain when it is deleted
+        packed = BytesIO()  # np.savez raises again on deletion if the disk is full
         np.savez(packed, **vars(found.graph))
         arrays.write_bytes(packed.getvalue())
         picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph)))
 
     def collect(self, index: int, kept: None) -> None:
-        """Nothing is kept."""
+        """Do nothing."""
 
 
 def check_file_names(views: Sequence[View]) -> None:
-    """Check that the files of no two images would be one, or one the folder of the other.
+    """Check that the output files of all images have different, compatible paths.
 
     Raises:
-        ColmapEdgesError: naming the two images.
+        ColmapEdgesError: naming two images whose files collide.
     """
     names: dict[PurePosixPath, str] = {}
     for view in views:
         path = PurePosixPath(view.name + ".npz")  # without "./" and "//"
         if path in names:
             raise ColmapEdgesError(
-                f"the images {names[path]} and {view.name} of the model are one file, and so would "
-                "be what is written of them; delete one from the model"
+                f"the images {names[path]} and {view.name} of the model are one file, so their "
+                "outputs would collide; delete one from the model"
             )
         names[path] = view.name
     for path, name in names.items():
         inside = next((names[parent] for parent in path.parents if parent in names), None)
         if inside:
             raise ColmapEdgesError(
-                f"the folder of image {name} has the name of the file that is written of image "
-                f"{inside}; rename one"
+                f"the folder of image {name} has the name of the output file of image {inside}; "
+                "rename one"
             )

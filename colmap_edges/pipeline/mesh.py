@@ -1,30 +1,76 @@
-"""The stage that meshes points and edges."""
+"""The stages of face detection and meshing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.edges3d import TracedEdges
-from colmap_edges.export.faces import write_faces
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.export.meshes import write_mesh
-from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
-from colmap_edges.surfaces.faces.finding import NO_FACES, find_faces
+from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.mesher import finished, mesh_with_curves
-from colmap_edges.surfaces.silhouettes import Body, find_background, spread_bodies
+from colmap_edges.surfaces.mesher import finished, mesh_with_faces
+from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 
 
 def check_mesher() -> None:
-    """Check that the mesher is built, before work starts."""
+    """Check that the mesher is available, before work starts."""
     from colmap_edges.surfaces.mesher import load_extension
 
     load_extension()
+
+
+def background_stage(
+    model: Model, detection: Detection, edges: Edges3D, options: PipelineOptions, stages: Stages
+) -> Background | None:
+    """Find the background rays; None without a background."""
+    masks, are_masks = detection.background_masks, options.masks_are_background
+    if not any(mask.is_seen for mask in masks):
+        return None
+    with stages.stage("background") as stage:
+        background = find_background(model, masks, are_masks, edges)
+        if background:
+            stage.counts = {
+                "background_rays": len(background.rays.cameras),
+                "silhouette_points": len(background.silhouettes.points),
+            }
+    return background
+
+
+def face_stage(
+    model: Model,
+    edges: Edges3D,
+    grids: Mapping[int, Grid],
+    options: PipelineOptions,
+    stages: Stages,
+    detection: Detection,
+    background: Background | None,
+) -> Faces:
+    """Find the planar faces between 3D edges; `grids` are the reduced images of the views."""
+    with stages.stage("faces") as stage:
+        bodies = (
+            spread_bodies(model.views, detection.background_masks, edges.points).values()
+            if background
+            else ()
+        )
+        seed, threads = options.random_seed, thread_count(options)
+        faces = find_faces(model, edges, grids, seed, threads, list(bodies))
+        stage.counts = {
+            "planes_tried": faces.num_planes,
+            "cells": faces.num_cells,
+            "cells_on_planes": faces.num_labelled,
+            "cells_believed": faces.num_believed,
+            "planar_faces": len(faces.faces),
+            "area": faces.area,
+            "face_points": len(faces.points.points),
+        }
+    return faces
 
 
 def mesh_stage(
@@ -34,39 +80,16 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
-    background_masks: Sequence[BackgroundMask] = (),
-    grids: Mapping[int, Grid] | None = None,
+    background: Background | None = None,
+    faces: Faces = NO_FACES,
 ) -> Mesh:
-    """Mesh a model's points and edges; `extended` is the model with the edges' points.
-
-    With `grids`, the views' small pictures, planar faces are found and meshed, too.
-    """
+    """Mesh a model's points, edges and faces; `extended` is the model with the edges' points."""
     with stages.stage("mesh") as stage:
         curves = [traced.edges, traced.contours] if traced else []
-        background = None
-        if traced and background_masks and options.meshing.background_weight:
-            are_masks = options.masks_are_background
-            background = find_background(model, background_masks, are_masks, traced.edges)
         threads = thread_count(options)
-        faces = NO_FACES
-        if traced and grids is not None:
-            bodies: Mapping[int, Body] = {}
-            if background:
-                bodies = spread_bodies(model.views, background_masks, traced.edges.points)
-            seen = list(bodies.values())
-            faces = find_faces(model, traced.edges, grids, options.random_seed, threads, seen)
-            write_faces(faces.faces, model, folder / "faces.json")
-        mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
+        mesh = mesh_with_faces(model, curves, options.meshing, threads, background, faces.points)
         mesh = finished(mesh, extended, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-        if background:
-            stage.counts["background_rays"] = len(background.rays.cameras)
-            stage.counts["silhouette_points"] = len(background.silhouettes.points)
-        if grids is not None:
-            stage.counts["planes"] = faces.num_planes
-            stage.counts["planar_faces"] = len(faces.faces)
-            stage.counts["face_points"] = len(faces.points.points)
-            stage.counts["share_on_planes"] = faces.labelled
         stage.counts["details"] = plain_counts(mesh.stats)
     return mesh

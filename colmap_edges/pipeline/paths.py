@@ -1,4 +1,4 @@
-"""Where a run reads and writes, checked before work starts."""
+"""Input and output paths of a run, checked before work starts."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from colmap_edges.runtime.output import check_output_path
 
 @dataclass(frozen=True, kw_only=True)
 class Paths:
-    """Where a run reads and writes, absolute.
+    """Absolute input and output paths of a run.
 
     Attributes:
-        image_path: folder of the images; a mesh without edges needs none.
+        image_path: folder of the images; not needed for a mesh without edges.
         input_path: folder of the COLMAP model.
-        output_path: folder to make.
-        mask_path: folder of masks named as COLMAP's are, or one mask of all images.
-        edge_path: folder of edge images of another detector, in place of EdgeDrawing's edges.
-        cache_path: folder of results that later runs find again; none are kept without it.
+        output_path: output folder.
+        mask_path: folder of masks named as in COLMAP, or one mask for all images; or None.
+        edge_path: folder of edge images of another detector, used instead of EdgeDrawing; or None.
+        cache_path: folder of cached results for later runs; or None.
     """
 
     image_path: Path | None = None
@@ -32,7 +32,7 @@ class Paths:
 
     @property
     def inputs(self) -> list[Path]:
-        """The paths that no output may be in."""
+        """The input paths, which must not contain the output."""
         given = (
             self.image_path,
             self.input_path,
@@ -44,20 +44,20 @@ class Paths:
 
 
 def absolute(paths: Paths) -> Paths:
-    """The same paths from the root on; a link at the output, which is not followed, stays."""
+    """The paths made absolute; a link at the output is not resolved."""
     resolved = {name: path and Path(os.path.realpath(path)) for name, path in vars(paths).items()}
     output = paths.output_path
-    if os.path.islink(output):  # noqa: PTH114 - False where one may not look
+    if os.path.islink(output):  # noqa: PTH114 - False without permission
         resolved["output_path"] = Path(os.path.realpath(output.parent), output.name)
     return Paths(**resolved)
 
 
 def check_paths(paths: Paths, overwrite: bool) -> None:
-    """Check that the inputs are folders and the output can be made."""
+    """Check that the inputs are folders and that the output can be written."""
     for name in ("image_path", "input_path"):
         path = getattr(paths, name)
         if path and not path.is_dir():
-            raise ColmapEdgesError(f"{name} {path} is no folder")
+            raise ColmapEdgesError(f"{name} {path} is not a folder; give an existing folder")
     check_output_path(paths.output_path, paths.inputs, overwrite)
 
 
@@ -65,8 +65,10 @@ def image_folder(paths: Paths) -> Path:
     """The folder of the images.
 
     Raises:
-        OptionError: when it is not given.
+        OptionError: if it is not given.
     """
     if paths.image_path is None:
-        raise OptionError("image_path is not given; only a mesh without edges needs no images")
+        raise OptionError(
+            "image_path is not given; give it (only a mesh without edges needs no images)"
+        )
     return paths.image_path

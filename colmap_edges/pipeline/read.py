@@ -1,4 +1,4 @@
-"""The stage that reads: the model, and whether what a run needs is there."""
+"""The reading stage: loads the model and checks that images, masks and edge images exist."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def read_stage(input_path: Path, stages: Stages) -> Model:
     """Read the model.
 
     Raises:
-        ColmapEdgesError: when it cannot be read or has fewer than two posed images.
+        ColmapEdgesError: if it cannot be read or has fewer than two images with poses.
     """
     with stages.stage("read") as stage:
         model = load_model(input_path)
@@ -28,10 +28,10 @@ def read_stage(input_path: Path, stages: Stages) -> Model:
 
 
 def check_model(model: Model, where: str) -> None:
-    """Check that there is something to work on.
+    """Check that the model has enough images.
 
     Raises:
-        ColmapEdgesError: with fewer than two posed images.
+        ColmapEdgesError: if fewer than two images have poses.
     """
     if len(model.views) < 2:
         raise ColmapEdgesError(
@@ -47,10 +47,10 @@ def check_pictures(
     edge_path: Path | None,
     options: PipelineOptions,
 ) -> None:
-    """Check that the images are there, and masks and edge images where they are asked for.
+    """Check that images exist, and masks and edge images if their paths are given.
 
     Raises:
-        ColmapEdgesError: when they are not.
+        ColmapEdgesError: if they do not.
     """
     check_images_exist(model.views, image_path)
     if edge_path:
@@ -58,7 +58,7 @@ def check_pictures(
     if mask_path:
         check_masks(model.views, mask_path)
     elif options.masks_are_background:
-        raise OptionError("masks_are_background is 1 and there are no masks; give mask_path")
+        raise OptionError("masks_are_background is 1, but there are no masks; give mask_path")
 
 
 def model_counts(model: Model) -> dict[str, Any]:

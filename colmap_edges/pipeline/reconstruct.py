@@ -1,4 +1,4 @@
-"""3D edges of a COLMAP model: the pipeline as a function of Python objects or paths."""
+"""Reconstruction of 3D edges as a Python function of a model or its path."""
 
 from __future__ import annotations
 
@@ -11,35 +11,40 @@ from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
-from colmap_edges.pipeline.detect import Detection, detect_stage
+from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.mesh import background_stage, face_stage
 from colmap_edges.pipeline.read import check_model, check_pictures
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.diagnosis import Finding, diagnose
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
+from colmap_edges.surfaces.faces.grids import GridTaker
 from colmap_edges.surfaces.mesher import as_model
-from colmap_edges.surfaces.silhouettes import Background, find_background
+from colmap_edges.surfaces.silhouettes import Background
 
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeReconstruction:
-    """What `reconstruct` gives back.
+    """The result of `reconstruct`.
 
     Attributes:
         edges: the 3D edges with their tracks.
-        contours: view-dependent contours (silhouettes of smooth bodies, reflections), for `mesh`;
-            they are no edges and not in `reconstruction`.
-        point3D_ids: (N,) ids of the edge points in `reconstruction`; those of one node have one.
-        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; its poses
-            and SfM points are the input's unless `refine_poses` is set.
-        residuals_px: (T,) distance of each observation from the projection of its edge point.
-        background: what the sight of a plain backdrop or, with `masks_are_background`, of what
-            masks hide says, for `mesh`; none where no such background is seen.
+        contours: view-dependent contours (silhouettes of smooth bodies, reflections) for `mesh`;
+            they are not edges and not in `reconstruction`.
+        point3D_ids: (N,) ids of the edge points in `reconstruction`; points of one node share one.
+        reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; poses and
+            SfM points are unchanged unless `refine_poses` is set.
+        residuals_px: (T,) reprojection error of each observation, pixels.
+        background: background rays for `mesh`, of a plain backdrop or, with
+            `masks_are_background`, of masked pixels; empty without a background.
+        faces: planar faces between the edges, for `mesh`; empty unless `use_faces` is set.
         stages: records of the stages, as in report.json.
-        findings: where edges were lost and what to do about it; empty when all went well.
+        findings: steps at which edges were lost, with remedies; empty if there is no problem.
     """
 
     edges: Edges3D
@@ -48,6 +53,7 @@ class EdgeReconstruction:
     reconstruction: Any
     residuals_px: FloatArray
     background: Background | None
+    faces: Faces
     stages: list[dict[str, Any]]
     findings: list[Finding]
 
@@ -64,24 +70,23 @@ def reconstruct(
 
     Args:
         reconstruction_or_path: the sparse model: its folder, or a pycolmap.Reconstruction, which
-            is not changed. Cameras may be of any model, with distortion; images without poses are
-            left out.
-        image_path: folder of its images, as they were when the model was made.
-        options: every stage's options, `preset("high")` for instance; defaults when not given.
-        cache_path: folder of edge graphs and edges that later calls find again; none are kept
-            when not given.
-        mask_path: folder of masks named as COLMAP's are, or one mask of all images; edges are not
-            looked for where they are black.
-        edge_path: folder of edge images of another detector, white on black, named as masks are;
-            their edges are taken in place of EdgeDrawing's.
+            is not changed. All camera models with a focal length are supported; images without
+            poses are ignored.
+        image_path: folder of the images that the model was made from.
+        options: options of all stages, for instance `preset("high")`.
+        cache_path: folder in which edge graphs and edges are cached for later calls.
+        mask_path: folder of masks named as in COLMAP, or one mask for all images; edges in black
+            areas are ignored.
+        edge_path: folder of edge images of another detector, white on black, named like masks;
+            used instead of EdgeDrawing.
 
     Returns:
-        The edges as arrays, and a new pycolmap.Reconstruction with the edge points in it.
+        The edges as arrays, and a new pycolmap.Reconstruction that contains the edge points.
 
     Raises:
-        ColmapEdgesError: when an argument is of another type, the model cannot be read, has fewer
-            than two posed images or is inconsistent, or images, edge images or all masks are
-            missing, of another size, or all images but one damaged.
+        ColmapEdgesError: if an argument has the wrong type; the model is unreadable, inconsistent
+            or has fewer than two images with poses; images, edge images or all masks are missing
+            or have the wrong size; or fewer than two images are readable.
     """
     options = options or PipelineOptions()
     check_type("options", options, (PipelineOptions,))
@@ -94,22 +99,29 @@ def reconstruct(
     check_model(model, "the reconstruction")
     check_pictures(model, images, masks, maps, options)
     model = at_working_scale(model, images, options.detection)
+    taker = GridTaker() if options.use_faces else None
+    visitor = Visitors.of(taker)
     with open_workers(options, cache) as workers:
-        detection = detect_stage(model, images, options, stages, None, workers, masks, maps)
+        detection = detect_stage(model, images, options, stages, visitor, workers, masks, maps)
         settings = resolved(options, model.scale)
         model, traced = edge_stages(model, detection, settings, stages, workers)
         detection.graphs.release()
-    return result_of(model, detection, traced, options, stages)
+    edges, faces = traced.edges, NO_FACES
+    background = background_stage(model, detection, edges, options, stages)
+    if taker:
+        faces = face_stage(model, edges, taker.grids, options, stages, detection, background)
+    return result_of(model, traced, background, faces, options, stages)
 
 
 def result_of(
     model: Model,
-    detection: Detection,
     traced: TracedEdges,
+    background: Background | None,
+    faces: Faces,
     options: PipelineOptions,
     stages: Stages,
 ) -> EdgeReconstruction:
-    """Gather what `reconstruct` gives back."""
+    """Make the result of `reconstruct`."""
     edges = traced.edges
     residuals = observation_residuals(model, edges)
     extended, ids = extend_reconstruction(model, edges, residuals)
@@ -119,19 +131,18 @@ def result_of(
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=find_background(
-            model, detection.background_masks, options.masks_are_background, edges
-        ),
+        background=background,
+        faces=faces,
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
 
 
 def path_of(name: str, path: Path | str) -> Path:
-    """The path that an argument gives.
+    """Convert an argument to a path.
 
     Raises:
-        ColmapEdgesError: when it is of another type.
+        ColmapEdgesError: if it has another type.
     """
     check_type(name, path, (str, os.PathLike))
     return Path(path)

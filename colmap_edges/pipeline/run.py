@@ -1,4 +1,4 @@
-"""A run from folders to a folder: the stages in order, and the report of what they did."""
+"""A whole run from input folders to an output folder, with its report."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from colmap_edges.colmap.writing import check_text_names
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
+from colmap_edges.export.faces import write_faces
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
-from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
+from colmap_edges.pipeline.mesh import background_stage, check_mesher, face_stage, mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
 from colmap_edges.pipeline.read import check_pictures, read_stage
 from colmap_edges.pipeline.trace import edge_stages
@@ -25,6 +26,7 @@ from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder
 from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
+from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.faces.grids import GridTaker
 
 
@@ -38,18 +40,18 @@ def run(
     scheduler: str = "",
     viewer: Viewer = NO_VIEWER,
 ) -> dict[str, Any]:
-    """Run `detect`, `reconstruct` or `mesh` from folders to a folder.
+    """Run `detect`, `reconstruct` or `mesh` on folders.
 
-    The output folder appears whole at the end, or not at all.
+    The output folder appears complete at the end, or not at all.
 
     Args:
-        command: what to run.
-        paths: where to read and write.
-        options: every stage's options.
-        overwrite: replace an earlier output.
-        progress: told of every step.
-        scheduler: address of a dask.distributed scheduler whose workers share the work.
-        viewer: is shown what the run makes.
+        command: name of the command.
+        paths: input and output paths.
+        options: options of all stages.
+        overwrite: replace an existing output.
+        progress: called at every step.
+        scheduler: address of a dask.distributed scheduler, whose workers do the work.
+        viewer: viewer that shows intermediate results.
 
     Returns:
         The report, as written to report.json.
@@ -62,7 +64,9 @@ def run(
     if command != "mesh" or options.use_edges:
         image_folder(paths)
     if scheduler and paths.cache_path is None:
-        raise OptionError("a scheduler needs cache_path: through it graphs go to the workers")
+        raise OptionError(
+            "a scheduler needs cache_path, through which workers read edge graphs; give it"
+        )
     if command == "mesh":
         check_mesher()
     with (
@@ -89,14 +93,14 @@ def run(
 
 
 def write_record(folder: Path, report: dict[str, Any]) -> None:
-    """Write report.json, with the files of the folder by which it is known to be ours."""
+    """Write report.json, with the list of the folder's files."""
     report["files"] = file_sizes(folder)
     text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
     (folder / REPORT_NAME).write_text(text, encoding="utf-8")
 
 
 def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:
-    """The model, checked against its images, at the scale at which these are worked on."""
+    """The model at the working scale, checked against its images."""
     check_pictures(model, image_folder(paths), paths.mask_path, paths.edge_path, options)
     if command != "detect" and options.output_type == "TXT":
         check_text_names(model)
@@ -113,7 +117,7 @@ def run_edges(
     workers: Workers,
     viewer: Viewer,
 ) -> Contents:
-    """Run the stages of `command` that need images into `folder`, with settings as resolved."""
+    """Run the stages of `command` that need images, with resolved settings."""
     images, others = image_folder(paths), (paths.mask_path, paths.edge_path)
     if command == "detect":
         check_file_names(model.views)
@@ -135,9 +139,15 @@ def run_edges(
     edges = traced.edges
     viewer.show_edges(edges, len(model.views))
     extended = write_stage(model, edges, folder, options, stages)
-    mesh = None
+    mesh, background, faces = None, None, NO_FACES
     if command == "mesh":
-        background, small = detection.background_masks, grids.grids if grids else None
-        mesh = mesh_stage(model, traced, extended, folder, options, stages, background, small)
+        if options.meshing.background_weight:
+            background = background_stage(model, detection, edges, options, stages)
+        if grids:
+            small = grids.grids
+            faces = face_stage(model, edges, small, options, stages, detection, background)
+            write_faces(faces.faces, model, folder / "faces.json")
+            viewer.show_faces(faces.faces)
+        mesh = mesh_stage(model, traced, extended, folder, options, stages, background, faces)
         viewer.show_mesh(mesh)
-    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh)
+    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh, faces=faces.faces)

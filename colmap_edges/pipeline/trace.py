@@ -1,4 +1,4 @@
-"""The stages that reconstruct 3D edges and, where asked to, refine the poses on them."""
+"""The tracing stage, and the optional refinement of poses on the traced edges."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from colmap_edges.runtime.cache import key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 
-# Options on which traced edges do not depend, besides those of detection, which makes the graphs.
+# Options that do not affect tracing; those of detection affect it only through the graphs.
 NOT_OF_TRACING = {
     "detection",
     "edge_graph",
@@ -46,10 +46,10 @@ def edge_stages(
     stages: Stages,
     workers: Workers | None = None,
 ) -> tuple[Model, TracedEdges]:
-    """Reconstruct 3D edges; when asked to, refine the poses on them and reconstruct them anew.
+    """Trace 3D edges; with `refine_poses`, refine the poses on them and trace again.
 
     Returns:
-        The model that the edges belong to, and the edges with the view-dependent contours.
+        The (refined) model, and the edges with the view-dependent contours.
     """
     if not options.refine_poses:
         return model, trace_stage(model, detection, options, stages, workers=workers)
@@ -67,11 +67,13 @@ def refine_stage(
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
-    """Refine the poses on SfM points and edges; the model itself where that does not help."""
+    """Refine the poses on SfM points and edges; returns the model itself without improvement."""
     from colmap_edges.poses.refine import refine_poses
 
     with stages.stage("refine poses") as stage:
-        refined, stats = refine_poses(model, edges, options.bundle_adjustment)
+        refined, stats = refine_poses(
+            model, edges, options.bundle_adjustment, thread_count(options)
+        )
         stage.counts = plain_counts(stats)
     return refined
 
@@ -84,7 +86,7 @@ def trace_stage(
     name: str = "trace",
     workers: Workers | None = None,
 ) -> TracedEdges:
-    """Reconstruct 3D edges from the 2D edge graphs, unless the cache has them."""
+    """Trace 3D edges from the 2D edge graphs, or load them from the cache."""
     if workers is None:
         with open_workers(options) as workers:
             return trace_stage(model, detection, options, stages, name, workers)
@@ -118,7 +120,7 @@ def trace(
     advance: Callable[[], None],
     workers: Workers,
 ) -> tuple[TracedEdges, dict[str, Any]]:
-    """Reconstruct 3D edges by the method that the options name."""
+    """Trace 3D edges by the method chosen in the options."""
     threads = thread_count(options)
     model = thinned(model, options.random_seed)
     if options.tracing.method == "paper":
@@ -131,7 +133,7 @@ def trace(
 
 
 def key_of_edges(model: Model, graph_keys: Sequence[str], options: PipelineOptions) -> str:
-    """The key of traced edges: of the graphs, the poses, the SfM points and the options."""
+    """The cache key of traced edges: a digest of graphs, poses, SfM points and options."""
     groups = {name: group for name, group in asdict(options).items() if name not in NOT_OF_TRACING}
     poses = np.array([[*view.rotation.ravel(), *view.translation] for view in model.views])
     tracks = (model.track_offsets, model.track_views, model.track_points2D)

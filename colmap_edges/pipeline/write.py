@@ -1,4 +1,4 @@
-"""The stages that write: the model with edge points, the edges, and the reports."""
+"""The writing stage: model with edge points, edges, and reports."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def write_stage(
     options: PipelineOptions,
     stages: Stages,
 ) -> Model:
-    """Write the model with edge points, and the edges as polylines and as curves.
+    """Write the model with edge points, and the edges as polylines and curves.
 
     Returns:
-        The model with the edge points after its own.
+        The model with the edge points appended.
     """
     with stages.stage("write") as stage:
         residuals = observation_residuals(model, edges)
@@ -62,7 +62,7 @@ def write_stage(
 
 
 def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stages: Stages) -> None:
-    """Write report.html: what was made, in 3D, over the images and in figures."""
+    """Write report.html, with 3D viewer, overlays and figures."""
     with stages.stage("report") as stage:
         stage.counts = write_report(folder / "report.html", contents, record)
 
@@ -74,7 +74,7 @@ def make_report(
     settings: PipelineOptions,
     stages: Stages,
 ) -> dict[str, Any]:
-    """Gather what report.json holds: among it the options as given and the settings as used."""
+    """Make the content of report.json."""
     return {
         "command": command,
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -89,7 +89,7 @@ def make_report(
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of what it computes with."""
+    """Versions of this package and its libraries."""
     found = {"colmap-edges": colmap_edges.__version__}
     for name in ("numpy", "opencv-contrib-python-headless", "pycolmap", "scipy"):
         try:

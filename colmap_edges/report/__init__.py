@@ -1,4 +1,4 @@
-"""report.html: one file that shows a run in 3D, over its images and in figures, offline."""
+"""report.html: a self-contained page with 3D viewer, image overlays and figures of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Histograms of the edges, losses and seconds, as drawings (SVG) that scale, print and are read."""
+"""Charts of the report as SVG: histograms of the edges, losses per step, seconds per stage."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 
-WIDTH, HEIGHT = 360, 220  # of a drawing, in its own units; the page scales it
+WIDTH, HEIGHT = 360, 220  # size of a chart in SVG units; the page scales it
 LEFT, RIGHT, TOP, BOTTOM = 52, 14, 12, 42  # margins around the bars
 EDGE_COLOR = "#2f6db5"
-NUM_TICKS = 4  # along an axis, about
+NUM_TICKS = 4  # approximate number of ticks of an axis
 
 
 def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[str]:
@@ -32,7 +32,7 @@ def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray)
     limit = max(float(np.percentile(finite, 99.5)), 1e-3) if len(finite) else 1.0
     low, high = max(lengths.min(), 1e-12), max(lengths.max(), 1e-12)
     logs = np.logspace(np.log10(low) - 0.01, np.log10(high) + 0.01, 41)
-    pixels = "distance from where images show the edge, px"
+    pixels = "reprojection error, px"
     return [
         histogram("Views per edge", "views", "edges", num_views, views),
         histogram("Residuals", pixels, "observations", finite, np.linspace(0, limit, 51)),
@@ -49,7 +49,7 @@ def histogram(
     *,
     log: bool = False,
 ) -> str:
-    """Counts of `values` in `bins` as bars: a figure with its title."""
+    """A figure with the histogram of `values` in `bins`."""
     counts, _ = np.histogram(values, bins)
     scale = np.log10 if log else np.asarray
     low, high, top = float(scale(bins[0])), float(scale(bins[-1])), max(int(counts.max()), 1)
@@ -83,12 +83,12 @@ def label(x: float, y: float, text: str, anchor: str) -> str:
 
 
 def shortened(value: float) -> str:
-    """A number at an axis: 0.25, 20,000, 3 M."""
+    """A number as an axis label: 0.25, 20,000, 3 M."""
     return f"{value:,.10g}" if abs(value) < 1e6 else f"{value / 1e6:,.10g} M"
 
 
 def chart(title: str, said: str, unit: str, parts: Sequence[str]) -> str:
-    """A figure: its title with the unit of its bars, and the drawing, also said in words."""
+    """A figure with title, unit and chart; `said` describes it for screen readers."""
     return (
         f'<figure class="chart"><figcaption>{html.escape(title)} '
         f'<span class="unit">({html.escape(unit)})</span></figcaption>'
@@ -115,12 +115,12 @@ def decades(low: float, high: float) -> list[float]:
 
 
 def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, said: str) -> str:
-    """Rows of a name, a bar and a text, as long as the value is of the largest.
+    """A table with a name, a bar and a text per row; bars are scaled to the largest value.
 
     Args:
-        rows: name, value and text of each.
+        rows: name, value and text of each row.
         title: the heading over the rows, with the unit.
-        said: what the table is, for those who hear it.
+        said: description of the table for screen readers.
     """
     most = max((value for _, value, _ in rows), default=0.0) or 1.0
     lines = [
@@ -140,15 +140,15 @@ def stage_chart(stages: Sequence[Mapping[str, Any]]) -> str:
 
 
 def funnel_charts(funnel: Sequence[Mapping[str, Any]]) -> str:
-    """What is left after each step of tracing, one chart for each thing that is counted."""
+    """Charts of the numbers left after each step of tracing, one per unit."""
     groups: dict[str, list[tuple[str, float, str]]] = {}
     for step in funnel:
-        part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of those before)"
+        part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of previous)"
         row = (step["name"], float(step["count"]), f"{step['count']:,}{part}")
         groups.setdefault(step["unit"], []).append(row)
     ends = [f"{text} {name}" for ((name, _, text), *more) in groups.values() if not more]
     tables = [
-        bar_rows(rows, f"Counted in {unit}", "what is left after each step")
+        bar_rows(rows, f"Counted in {unit}", "numbers left after each step")
         for unit, rows in groups.items()
         if len(rows) > 1
     ]

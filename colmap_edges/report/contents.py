@@ -1,4 +1,4 @@
-"""What a report shows, and arrays in the form that the page reads."""
+"""The contents of a report, and arrays in the form read by the page."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.packing import coordinates
+from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
-# What a figure is to plotly.js: traces and layout as JSON, whose arrays are packed for the page.
+# A plotly.js figure: traces and layout as JSON, with arrays packed for the page.
 Trace = dict[str, Any]
 
 
@@ -24,9 +25,9 @@ class ImagePicture:
 
     Attributes:
         view: index of the view.
-        photo: the image made small, JPEG.
+        photo: the reduced image, JPEG.
         detected: its 2D edge graph, transparent WebP of the same size.
-        dropped: detected edges that are not in the graph; None when all are.
+        dropped: detected edges that are not in the graph, or None.
         shape: height and width, pixels.
     """
 
@@ -44,19 +45,21 @@ class ImagePicture:
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What a run made.
+    """The results of a run.
 
     Attributes:
         model: the input model.
         pictures: of the images, where edges were detected.
         edges: the 3D edges, where they were traced.
         mesh: the mesh, where one was made.
+        faces: the planar faces, or empty.
     """
 
     model: Model
     pictures: Sequence[ImagePicture] = ()
     edges: Edges3D | None = None
     mesh: Mesh | None = None
+    faces: Sequence[Face] = ()
 
 
 def xyz(points: FloatArray) -> Trace:

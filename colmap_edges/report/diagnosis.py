@@ -1,4 +1,4 @@
-"""Diagnoses from the counts of a run where edges were lost, and names the option to change."""
+"""Diagnosis of a run from its counts: where edges were lost, and which option to change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from colmap_edges.options import PipelineOptions
 
 Counts = Mapping[str, Any]
-# Shares below which a step has lost so much that the user should know.
+# Shares kept by a step below which the loss is reported.
 MIN_CONFIRMED_SHARE = 0.3
 MIN_DEPTH_SHARE = 0.1
 MIN_TRACED_SHARE = 0.3
@@ -18,20 +18,20 @@ MIN_FOLLOWED_SHARE = 0.02
 MIN_POSED_SHARE = 0.7
 LARGE_RESIDUAL_PX = 1.0
 MAX_NAMES = 3
-MIN_VIEWS = 3  # in which an edge must be seen: any two agree on some depth, and one confirms it
+MIN_VIEWS = 3  # minimum number of views of an edge: two always agree, the third confirms the depth
 MASKS_REMEDY = (
-    "look at the masks: edges are looked for where they are not black; invert them if they are "
+    "check the masks: edges are detected only where masks are not black; invert them if they are "
     "the other way round, or leave out --mask_path"
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing a user should know about a run.
+    """One finding about a run.
 
     Attributes:
-        text: what was found, with its numbers.
-        remedy: what to do about it; names the flag where one matters.
+        text: the problem, with its numbers.
+        remedy: how to solve it, with the flag if there is one.
     """
 
     text: str
@@ -40,13 +40,13 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What is left after one step of a run.
+    """Number of items left after one step of a run.
 
     Attributes:
-        name: what is counted.
-        count: how many are left.
-        unit: what they are: pixels, samples, points or edges.
-        share: the part of what went in, where both are counted in the same unit.
+        name: name of the step's result.
+        count: number of items left.
+        unit: pixels, samples, points or edges.
+        share: share of the previous step's count, if both have the same unit.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Step:
 
 
 def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
-    """The counts of each stage by its name; those of details are put beside the others."""
+    """The counts of each stage by its name, with the counts of details merged in."""
     found: dict[str, Counts] = {}
     for stage in stages:
         counts = stage["counts"]
@@ -66,14 +66,14 @@ def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
 
 
 def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> list[Finding]:
-    """Say in plain words where a run lost edges.
+    """Find the steps at which a run lost edges.
 
     Args:
         stages: records of the stages, as in report.json.
         options: the options of the run.
 
     Returns:
-        The findings in the order of the stages; none when all went well.
+        The findings in the order of the stages; empty if there is no problem.
     """
     counts = counts_by_stage(stages)
     findings = [*images_findings(counts.get("read", {}), options)]
@@ -94,7 +94,7 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
 
 
 def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """What the input model itself explains."""
+    """Findings about the input model."""
     posed, unposed = read.get("images_with_poses", 0), read.get("images_without_poses", 0)
     flag, needed = needed_views(options)
     if 0 < posed < max(needed, MIN_VIEWS):
@@ -123,14 +123,14 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
 
 
 def needed_views(options: PipelineOptions) -> tuple[str, int]:
-    """The flag that says in how many views an edge must be seen, and its value."""
+    """The flag for the minimum number of views of an edge, and its value."""
     if options.tracing.method == "paper":
         return "--Visibility.min_views", options.visibility.min_views
     return "--Tracing.min_observations", options.tracing.min_observations
 
 
 def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """What detection explains: images without edges, chains that were filtered."""
+    """Findings about detection: images without edges, filtered chains."""
     images, empty = detect.get("images", 0), detect.get("images_without_edges", 0)
     if damaged := detect.get("damaged"):
         yield Finding(
@@ -141,41 +141,41 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
         images -= len(damaged)
     if images and empty == images and detect.get("edge_images"):
         yield Finding(
-            text=f"no edge came of the edge images of {images} images",
-            remedy="look at the edge images: white on black, lines of at least "
+            text=f"no edge was found in the edge images of {images} images",
+            remedy="check the edge images: white on black, lines of at least "
             "--Detection.min_chain_points; or leave out --edge_path",
         )
     elif images and empty == images and not detect.get("images_masked"):
         yield Finding(
             text=f"no edge was detected in any of {images} images",
-            remedy="look at the images (blank, blurred, dark?); detect shorter chains with "
+            remedy="check the images (blank, blurred, dark?); detect shorter chains with "
             "--Detection.min_chain_points",
         )
     elif images and empty == images:
         yield Finding(
-            text=f"no edge was detected in any of {images} images where masks do not hide it",
+            text=f"no edge was detected in the unmasked parts of any of {images} images",
             remedy=MASKS_REMEDY,
         )
     elif empty:
         yield Finding(
             text=f"{empty} of {images} images have no edge at all",
-            remedy="look at these images (blank, blurred, dark?)",
+            remedy="check these images (blank, blurred, dark?)",
         )
     found, left = detect.get("chain_pixels", 0), detect.get("edge_pixels", 0)
     if options.edge_graph.filter_regular_length and left < MIN_KEPT_SHARE * found:
         yield Finding(
-            text=f"{share(found - left, found)} of edge pixels were dropped with chains that are "
-            "short of the regular length",
+            text=f"{share(found - left, found)} of edge pixels were dropped with chains below the "
+            "regular-length threshold",
             remedy="set --EdgeGraph.filter_regular_length 0",
         )
 
 
 def chain_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """Where depths along chains were lost."""
+    """Findings about tracing by depths along chains."""
     views, lonely = trace.get("views", 0), trace.get("views_without_neighbors", 0)
     if views and lonely == views:
         yield Finding(
-            text="no two images look at the same part of the scene from different places",
+            text="no two images see the same part of the scene from different positions",
             remedy="check poses and overlap; for very wide baselines raise "
             "--ViewSelection.max_angle_deg",
         )
@@ -194,7 +194,7 @@ def chain_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
 
 
 def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, str]]:
-    """Counts before and after each step, the share that should stay, the loss, the remedy."""
+    """Names of the counts before and after each step, minimum share kept, loss and remedy."""
     tracing = options.tracing
     return [
         (
@@ -210,7 +210,7 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "samples_with_depth",
             "samples_confirmed",
             MIN_CONFIRMED_SHARE,
-            "depths were not found again from another view",
+            "depths were not confirmed by another view",
             "check the poses (`colmap bundle_adjuster`); compare more views with "
             f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors})",
         ),
@@ -218,7 +218,7 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "samples_confirmed",
             "samples_in_runs",
             MIN_TRACED_SHARE,
-            "confirmed depths lie in runs that are short or unsure",
+            "confirmed depths lie in runs that are too short or confirmed by too few views",
             f"lower --Tracing.min_agreeing_views (now {tracing.min_agreeing_views}) or "
             f"--ChainDepth.sample_step_points (now {options.chain_depth.sample_step_points})",
         ),
@@ -234,15 +234,15 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
             "points_observed_enough",
             "points_of_curves",
             MIN_KEPT_SHARE,
-            "edge points have uncertain depths, or lie on curves that chance may have made",
-            "take images from further aside, or raise --Tracing.max_false_edges "
+            "edge points have uncertain depths, or lie on curves that may be accidental",
+            "take images with wider baselines, or raise --Tracing.max_false_edges "
             f"(now {tracing.max_false_edges:g})",
         ),
     ]
 
 
 def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """Where the paper's correspondences were lost."""
+    """Findings about the paper's correspondences."""
     pepcs, starts = trace.get("pepcs", {}), trace.get("starts", {})
     total = pepcs.get("pepcs_from_sfm_points", 0) + pepcs.get("pepcs_from_pecs", 0)
     if total == 0:
@@ -259,7 +259,7 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
         worst = max(reasons, key=lambda name: reasons[name])
         yield Finding(
             text=f"{share(tried - accepted, tried)} of {tried:,} starts could not be followed, "
-            f"most for: {worst.replace('_', ' ')}",
+            f"mostly because of: {worst.replace('_', ' ')}",
             remedy=PAPER_REMEDIES.get(worst, "use --method chains"),
         )
     outliers = trace.get("outliers", {})
@@ -282,24 +282,24 @@ PAPER_REMEDIES = {
 
 
 def no_edges(trace: Counts, options: PipelineOptions) -> Finding:
-    """Nothing came out, and no step alone lost most."""
+    """The finding for a run without 3D edges in which no single step lost most of them."""
     return Finding(
-        text="no 3D edge came out; what was found on the way does not reach "
+        text="no 3D edge was found: no candidate has "
         f"{options.tracing.min_curve_points} points seen in {needed_views(options)[1]} views",
         remedy=f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
     )
 
 
 def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
-    """No triangle is left: by which step, and what matters there."""
+    """The finding for an empty mesh: the step that dropped most, and its option."""
     meshing = options.meshing
     found, long = mesh.get("boundary_facets", 0), mesh.get("long_facets_dropped", 0)
     if long and long >= found / 2:
         return Finding(
             text=f"the mesh is empty: {long:,} of {found:,} triangles have a side longer than "
             f"{meshing.long_facet_factor:g} distances to the cameras",
-            remedy="raise --Meshing.long_facet_factor, or set it to 0, which keeps all; "
-            "and check the model for points far away from all others",
+            remedy="raise --Meshing.long_facet_factor, or set it to 0 to keep all; "
+            "check the model for points far away from all others",
         )
     if found:
         return Finding(
@@ -309,36 +309,36 @@ def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
         )
     flag = "quality_weight" if meshing.method == "graphcut" else "vote_threshold"
     return Finding(
-        text="the mesh is empty: no surface parts free space from solid; lines of sight to "
-        f"{mesh.get('points', 0):,} points do not outweigh what asks for none",
-        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); where a backdrop or "
-        "masks are background also try --Meshing.background_weight 0; give a model with more "
+        text="the mesh is empty: all cells were labelled alike; the viewing rays to "
+        f"{mesh.get('points', 0):,} points have too little weight",
+        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); with a backdrop or "
+        "background masks also try --Meshing.background_weight 0; give a model with more "
         "points, none of them far away from all others",
     )
 
 
 def masks_findings(detect: Counts) -> Iterator[Finding]:
-    """What masks have to do with it when no edge came out and some were detected."""
+    """The finding about masks if edges were detected but no 3D edge was found."""
     images, masked = detect.get("images", 0), detect.get("images_masked", 0)
     if masked and detect.get("edge_pixels"):
         yield Finding(
-            text=f"no 3D edge came out of what masks leave of {masked} of {images} images",
+            text=f"no 3D edge was found in the unmasked parts of {masked} of {images} images",
             remedy=MASKS_REMEDY,
         )
 
 
 def residual_findings(write: Counts) -> Iterator[Finding]:
-    """What the fit of the edges to the images says."""
+    """Findings about the residuals of the edges."""
     residual = write.get("median_residual_px")
     if residual is not None and residual > LARGE_RESIDUAL_PX:
         yield Finding(
-            text=f"edges miss their observations by {residual:.2f} px (median), which is much",
+            text=f"the median reprojection error of edges is {residual:.2f} px, which is large",
             remedy="improve poses and cameras with `colmap bundle_adjuster` first",
         )
 
 
 def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> list[Step]:
-    """What is left after each step of tracing, from edge pixels to edge points."""
+    """The number left after each step of tracing, from edge pixels to edge points."""
     counts = counts_by_stage(stages)
     detect, trace = counts.get("detect", {}), counts.get("trace")
     if trace is None:
@@ -350,23 +350,40 @@ def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> lis
             steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
     steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0), unit=POINTS))
     steps.append(Step(name="3D edges", count=trace.get("edges", 0), unit="edges"))
-    return steps
+    return steps + face_steps(counts["faces"]) if "faces" in counts else steps
 
 
+def face_steps(faces: Counts) -> list[Step]:
+    """The number left after each step of face detection, from image cells to faces."""
+    cells, on_planes, believed = (faces[name] for name in FACE_CELLS)
+    return [
+        Step(name="cells", count=cells, unit=CELLS),
+        Step(name="on a plane", count=on_planes, unit=CELLS, share=on_planes / max(cells, 1)),
+        Step(
+            name="confirmed by other views",
+            count=believed,
+            unit=CELLS,
+            share=believed / max(on_planes, 1),
+        ),
+        Step(name="planar faces", count=faces["planar_faces"], unit="faces"),
+    ]
+
+
+CELLS, FACE_CELLS = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
 PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
 FUNNELS = {
     "chains": (
         ("samples", "", SAMPLES, "samples"),
         ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
-        ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed from another view"),
-        ("samples_in_runs", "samples_confirmed", SAMPLES, "in runs that are sure"),
-        ("points_traced", "", POINTS, "traced along new stretches"),
+        ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
+        ("samples_in_runs", "samples_confirmed", SAMPLES, "in reliable runs"),
+        ("points_traced", "", POINTS, "traced along new stretches of chains"),
         ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
         (
             "points_of_curves",
             "points_observed_enough",
             POINTS,
-            "sure, on curves that chance does not make",
+            "kept by the a-contrario test",
         ),
     ),
     "paper": (),

@@ -1,4 +1,4 @@
-"""What came out of a run, in a user's words: the same in the terminal and on the page."""
+"""Summary of a run's results for users, shared by the terminal and the report."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from typing import Any
 
 from colmap_edges.report.diagnosis import counts_by_stage
 
-# What to open the files of an output folder with.
+# Descriptions of output files, with programs that open them.
 VIEWERS = {
     "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",
     "edges.ply": "3D edges: MeshLab, Blender",
     "edges.obj": "3D edges as polylines: Blender, CloudCompare",
     "edges.glb": "3D edges: glTF viewers, Blender, game engines",
     "edges.dxf": "3D edges as lines, arcs, circles, ellipses, splines: CAD programs",
-    "edges.json": "what each edge is: points in the model, length, views, residual, curves",
+    "edges.json": "edges as data: points in the model, length, views, residual, curves",
     "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
     "mesh.obj": "mesh: MeshLab, Blender, CloudCompare",
     "mesh.glb": "mesh: Blender, any glTF viewer",
+    "faces.json": "planar faces between the edges: plane, outline, holes, area, views",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
-    "report.html": "all of it to look at: a web browser, no network needed",
+    "report.html": "report with all results: a web browser, no network needed",
     "report.json": "options, versions, counts, times and memory of every stage",
 }
-# Names of folders that do not tell one scene from another.
+# Generic folder names, unsuitable as a scene's name.
 COMMON_NAMES = {
     *("images", "image", "photos", "input", "inputs", "sparse", "model", "models", "colmap"),
     *("output", "outputs", "out", "edges", "dense", "undistorted", "workspace", "data", "tmp"),
@@ -32,14 +33,14 @@ COMMON_NAMES = {
 
 
 def outcome(record: Mapping[str, Any]) -> dict[str, str]:
-    """What came out, one short text each for images, edges, points and mesh.
+    """The results of a run: one short text each for images, edges, points and mesh.
 
     Args:
-        record: what report.json holds.
+        record: the contents of report.json.
 
     Returns:
-        The texts by their names, in the order in which they are said; a command that makes no
-        edges or no mesh has no text for them.
+        The texts by name, in display order; edges, faces or mesh are missing if the command
+        makes none.
     """
     counts = counts_by_stage(record["stages"])
     read, detect = counts.get("read", {}), counts.get("detect", {})
@@ -52,15 +53,17 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     said["Points"] = f"{read['points3D']:,} SfM points"
     if write is not None:
         said["Points"] += f" and {write['edge_points']:,} edge points in the written model"
+    if (faces := counts.get("faces")) is not None:
+        said["Faces"] = faces_text(faces)
     if mesh is not None:
         said["Mesh"] = f"{mesh['faces']:,} triangles with {mesh['vertices']:,} corners"
         if not mesh["faces"]:
-            said["Mesh"] = "none: it came out empty"
+            said["Mesh"] = "empty"
     return said
 
 
 def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:
-    """How many images took part, and how many gave nothing."""
+    """Numbers of images used, unused and without edges."""
     parts = [f"{read['images_with_poses']:,} with poses"]
     if read.get("images_without_poses"):
         parts.append(f"{read['images_without_poses']:,} without (not used)")
@@ -70,34 +73,43 @@ def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:
 
 
 def edges_text(write: Mapping[str, Any]) -> str:
-    """How many 3D edges there are, how long they are and how well they fit the images."""
+    """Number, total length and median residual of the 3D edges."""
     if not write["edges"]:
-        return "no 3D edge came out"
-    text = f"{write['edges']:,} in 3D, {write['length']:,.4g} scene units long together"
+        return "no 3D edge was found"
+    text = f"{write['edges']:,} in 3D, total length {write['length']:,.4g} scene units"
     if (residual := write.get("median_residual_px")) is not None:
-        text += f", {residual:.2g} px from where images show them (median)"
+        text += f", median reprojection error {residual:.2g} px"
     return text
 
 
+def faces_text(faces: Mapping[str, Any]) -> str:
+    """Number and total area of the planar faces."""
+    if not faces["planar_faces"]:
+        return "no planar face was found"
+    return f"{faces['planar_faces']:,} planar, total area {faces['area']:,.4g} square scene units"
+
+
 def headline(record: Mapping[str, Any]) -> str:
-    """What came out in one line."""
+    """The results in one line."""
     counts = counts_by_stage(record["stages"])
     parts = []
     if write := counts.get("write"):
         parts.append(
-            f"{write['edges']:,} 3D edges, {write['length']:,.4g} scene units long together"
+            f"{write['edges']:,} 3D edges, total length {write['length']:,.4g} scene units"
             if write["edges"]
             else "No 3D edge"
         )
+    if (faces := counts.get("faces")) and faces["planar_faces"]:
+        parts.append(f"{faces['planar_faces']:,} planar faces")
     if mesh := counts.get("mesh"):
         parts.append(f"a mesh of {mesh['faces']:,} triangles")
-    text = " and ".join(parts) or "A COLMAP model"
+    text = " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]])) or "A COLMAP model"
     text += f", from {counts['read']['images_with_poses']:,} images."
     return text[:1].upper() + text[1:]
 
 
 def scene_name(paths: Mapping[str, Any]) -> str:
-    """What to call the scene: the innermost folder of the input that is not named as all are."""
+    """A name for the scene: the innermost input folder whose name is not generic."""
     for path in filter(None, (paths.get("image_path"), paths.get("input_path"))):
         for name in reversed(Path(path).parts[1:]):
             if name.lower() not in COMMON_NAMES and not name.isdigit():

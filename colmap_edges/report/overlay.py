@@ -1,4 +1,4 @@
-"""Pictures of what was detected, drawn over the image."""
+"""Overlays of edge graphs and 3D edges on images."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.images.files import gray_of
 
 SHIFT = 4  # OpenCV draws at fractions of 1/16 px
-# Distinct on dark ground; BGR.
+# Colours that are distinct on a dark background; BGR.
 COLORS = ((80, 220, 255), (255, 200, 60), (120, 255, 120), (200, 130, 255), (100, 140, 255))
 
 
 def draw_edge_graph(image: Picture, graph: EdgeGraph) -> Picture:
-    """Draw the polylines of an edge graph, colours changing, over the darkened image.
+    """Draw the polylines of an edge graph, in changing colours, over the darkened image.
 
     Args:
         image: (H, W, 3) uint8 BGR.
@@ -46,8 +46,8 @@ def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) ->
 
     Args:
         image: (H, W, 3) uint8 BGR of the view.
-        view_index: which of the model's views.
-        model: gives the view.
+        view_index: index of the view in the model.
+        model: the model.
         edges: the 3D edges; colours change from edge to edge.
 
     Returns:
@@ -74,7 +74,7 @@ def darkened(image: Picture) -> Picture:
 
 
 def fixed_point(points: FloatArray) -> Int32Array:
-    """Pixels of COLMAP's origin as OpenCV draws them: origin moved, in units of 1/16 px."""
+    """Image pixels in OpenCV's fixed-point drawing coordinates, in units of 1/16 px."""
     return np.rint((points - 0.5) * (1 << SHIFT)).astype(np.int32)
 
 

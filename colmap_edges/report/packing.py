@@ -1,4 +1,4 @@
-"""Data and scripts within the page: arrays as bytes, compressed, read back by page.js."""
+"""Packing of data and scripts into the page; page.js unpacks the compressed arrays."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import FloatArray
 
-NUM_STEPS = 60_000  # in which a coordinate is given over the length of what is shown
-LIFTED = 65535  # instead of a step: no point here, lines are cut
+NUM_STEPS = 60_000  # quantisation steps over the range of a coordinate
+LIFTED = 65535  # code for NaN, which interrupts lines
 # Types that page.js reads.
 TYPES = {"<f4": "f4", "<i4": "i4", "<u2": "u2", "|u1": "u1"}
 
 
 def coordinates(values: FloatArray) -> dict[str, Any]:
-    """Coordinates (N,) as steps of 16 bits over their range; NaN, where lines are cut, stays.
+    """Coordinates (N,) quantised to 16 bits over their range; NaN is kept.
 
-    A coordinate moves by less than 1/100,000 of the range: less than a pixel of the screen.
+    The error is below 1/100,000 of the range, less than a pixel on the screen.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
@@ -33,9 +33,9 @@ def coordinates(values: FloatArray) -> dict[str, Any]:
 def pack(data: Any) -> bytes:
     """JSON data whose leaves may be flat arrays, as the compressed bytes that page.js reads.
 
-    The bytes are the length of the JSON (4 bytes, little-endian), the JSON, and the arrays. Each
-    array stands in the JSON as its type, place and length. Whole numbers are written as
-    differences from the one before, and all first bytes before all second ones: both compress.
+    The bytes are the length of the JSON (4 bytes, little-endian), the JSON, and the arrays. The
+    JSON refers to each array by type, position and length. Integers are stored as differences of
+    consecutive values, all first bytes before all second ones, for better compression.
     """
     parts: list[bytes] = []
     place = 0
@@ -55,7 +55,7 @@ def pack(data: Any) -> bytes:
 
 
 def differences(values: NDArray[Any]) -> NDArray[Any]:
-    """Whole numbers as differences from the one before, which wrap; other numbers as they are."""
+    """Integers as wrapping differences of consecutive values; other numbers unchanged."""
     if values.dtype.kind == "f":
         return values
     return np.diff(values, prepend=values.dtype.type(0))
@@ -67,15 +67,15 @@ def planes(values: NDArray[Any]) -> bytes:
 
 
 def compressed(data: bytes) -> bytes:
-    """Bytes by gzip, the same at any time."""
+    """Bytes compressed by gzip, without time stamp."""
     return gzip.compress(data, 6, mtime=0)
 
 
 def embedded(data: bytes) -> str:
-    """Bytes as text that can stand in any element of a page: letters, digits, +, / and =."""
+    """Bytes in base 64, safe in any element of a page."""
     return base64.b64encode(data).decode("ascii")
 
 
 def data_uri(kind: str, data: bytes) -> str:
-    """A picture within the page."""
+    """A data URI of a picture."""
     return f"data:image/{kind};base64,{embedded(data)}"

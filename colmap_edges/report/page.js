@@ -1,6 +1,6 @@
 "use strict";
-// Draws the 3D view and answers clicks and keys; all it shows is in the page. What needs no script
-// (picture, charts, tables, images) stands in the page already.
+// Draws the 3D view and handles clicks and keys. Everything that needs no script (picture, charts,
+// tables, images) is static in the page.
 
 const TYPES = {f4: Float32Array, i4: Int32Array, u2: Uint16Array, u1: Uint8Array};
 const LIFTED = 65535;
@@ -10,6 +10,8 @@ const FULL = 4096;
 const CONFIG = {responsive: true, displaylogo: false, displayModeBar: false};
 const TURN = Math.PI / 24;
 const KEYS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]};
+const PARTS = {faces: ["outlines"]};  // traces that one switch shows with another
+const INSTEAD_OF = {faces: "mesh", mesh: "faces"};  // they lie in one place and would flicker
 const NEARER = {"+": 0.85, "=": 0.85, "-": 1 / 0.85};
 
 const byId = (id) => document.getElementById(id);
@@ -20,7 +22,7 @@ async function unpacked(id) {
   return new Response(stream).arrayBuffer();
 }
 
-// An array as packing.py writes it: bytes plane by plane, whole numbers as differences.
+// Unpacks an array of packing.py: byte planes, integers as differences.
 function decode(spec, bytes) {
   const Type = TYPES[spec.dtype];
   const size = Type.BYTES_PER_ELEMENT;
@@ -70,7 +72,7 @@ function traceOf(name) {
   return data.scene.data.findIndex((trace) => trace.meta === name);
 }
 
-// The edge of every point of the line that runs through all edges.
+// The edge of every point of the edges' trace.
 function edgesOfLine() {
   const owners = new Int32Array(edges.starts[edges.starts.length - 1]);
   for (let edge = 0; edge + 1 < edges.starts.length; ++edge) {
@@ -79,7 +81,7 @@ function edgesOfLine() {
   return owners;
 }
 
-// The value of each edge by which it is coloured.
+// The value of each edge that determines its colour.
 function edgeValues(by) {
   if (by !== "edge") return Array.from(edges[by]);
   return Array.from(edges.length, (_, edge) => (edge * 0.618034) % 1);
@@ -160,8 +162,8 @@ function pictureWith(points, original) {
   return figure;
 }
 
-// An edge is chosen where the mouse is pressed and let go in one place. (Plotly's own event for
-// clicks needs the pointer to be nearer to a point of the line than a hand is.)
+// An edge is selected when the mouse is pressed and released at one position. (Plotly's click event
+// requires the pointer to be too close to a point of the line.)
 function listenForClicks() {
   let [under, pressed] = [null, null];
   const remember = (event) => {
@@ -210,14 +212,14 @@ function turnByKeys(event) {
   Plotly.relayout(scene, {"scene.camera": {center, up, eye: plus(center, arm)}});
 }
 
-// The first camera farther back where the view is narrower than it was chosen for.
+// The first camera, moved back if the view is narrower than its intended aspect ratio.
 function fitted(camera, aspect) {
   const back = Math.max(1, aspect * scene.clientHeight / scene.clientWidth);
   const arm = plus(camera.eye, camera.center, -1);
   return {...camera, eye: plus(camera.center, arm, back)};
 }
 
-// In print stands the view as it was last turned.
+// Print shows the current view.
 function keepPictureForPrint() {
   let waiting = null;
   const first = byId("still").src;
@@ -239,7 +241,12 @@ function addLayer(name) {
   if (index < 0) return;
   const shown = data.scene.data[index].visible !== false;
   [box.type, box.checked, box.id] = ["checkbox", shown, `layer-${name}`];
-  box.addEventListener("change", () => Plotly.restyle(scene, {visible: box.checked}, [index]));
+  const shownWith = [index, ...(PARTS[name] ?? []).map(traceOf)];
+  box.addEventListener("change", () => {
+    Plotly.restyle(scene, {visible: box.checked}, shownWith);
+    const other = box.checked && byId(`layer-${INSTEAD_OF[name]}`);
+    if (other && other.checked) other.click();
+  });
   label.append(box, ` ${data.scene.data[index].name}`);
   byId("layers").append(label);
 }
@@ -275,7 +282,7 @@ async function show3D() {
     lineEdges = edgesOfLine();
     data.scene.data[traceOf("edges")].customdata = lineEdges;
   }
-  ["edges", "mesh", "points", "cameras"].forEach(addLayer);
+  ["edges", "mesh", "faces", "points", "cameras"].forEach(addLayer);
   byId("controls").hidden = false;
   await loadPlotly();
   await Plotly.newPlot(scene, data.scene.data, data.scene.layout, CONFIG);

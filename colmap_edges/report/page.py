@@ -1,4 +1,4 @@
-"""The page: template, data, plotly.js and the script that ties them, in one file."""
+"""Assembly of report.html from template, data, plotly.js and script."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
 
     Args:
         path: the file to write.
-        contents: what the run made.
-        record: what report.json holds.
+        contents: the results of the run.
+        record: the contents of report.json.
 
     Returns:
         Counts: pictures, bytes of the file.
@@ -66,7 +66,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         plotly=embedded(compressed(get_plotlyjs().encode())),
         script=resource("page.js"),
     )
-    # Names of folders may be bytes that are no text.
+    # Folder names may not be valid text.
     path.write_text(page, encoding="utf-8", errors="backslashreplace")
     return {"pictures": len(pictures), "bytes": path.stat().st_size}
 
@@ -77,7 +77,7 @@ def resource(name: str) -> str:
 
 
 def page_data(contents: Contents) -> Trace:
-    """Everything the page's script reads; arrays are packed with it."""
+    """The data read by the page's script."""
     figure, starts = scene_figure(contents)
     model, edges = contents.model, contents.edges
     if edges is None or edges.num_edges == 0:
@@ -97,7 +97,7 @@ def charts(contents: Contents) -> list[str]:
 
 
 def table_html(rows: Sequence[tuple[str, ...]]) -> str:
-    """A table of texts, escaped; the first of each row is its head."""
+    """A table of escaped texts; the first text of each row is its header."""
     lines = []
     for head, *cells in rows:
         data = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
@@ -106,7 +106,7 @@ def table_html(rows: Sequence[tuple[str, ...]]) -> str:
 
 
 def findings_html(findings: Sequence[Mapping[str, str]]) -> str:
-    """What the user should know, with the remedy of each."""
+    """The findings with their remedies."""
     if not findings:
         return "<p>Nothing unusual.</p>"
     items = (
@@ -117,26 +117,26 @@ def findings_html(findings: Sequence[Mapping[str, str]]) -> str:
 
 
 def sentence(text: str) -> str:
-    """The text with a capital and a full stop."""
+    """The text as a sentence, with a capital and a full stop."""
     return f"{text[:1].upper()}{text[1:]}."
 
 
 def funnel_html(funnel: Sequence[Mapping[str, Any]]) -> str:
-    """The section on what is left after each step, with the share of the step before."""
+    """The section with the numbers left after each step, and their shares."""
     if not funnel:
         return ""
-    title = "Where edges were lost: what is left after each step"
+    title = "Where edges were lost: numbers left after each step"
     return f'<section id="funnel"><h2>{title}</h2>{funnel_charts(funnel)}</section>'
 
 
 def file_rows(folder: Path) -> list[tuple[str, ...]]:
-    """The files beside the page and what opens them; report.json is written after it."""
+    """The files next to the page and programs that open them; report.json is written later."""
     made = [name for name in VIEWERS if (folder / name).exists() or name == "report.json"]
     return [(name, VIEWERS[name]) for name in made if name != "report.html"]
 
 
 def stages_html(stages: Sequence[Mapping[str, Any]]) -> str:
-    """Memory and counts of every stage; no count is broken between number and name."""
+    """Memory and counts of every stage, without line breaks between number and name."""
     rows = []
     for stage in stages:
         counts = {k: v for k, v in stage["counts"].items() if isinstance(v, int | float)}
@@ -161,7 +161,7 @@ def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
 
 
 def pictures_html(contents: Contents) -> str:
-    """One figure an image: the photograph under its layers, and its name."""
+    """One figure per image: the photograph under its layers, and its name."""
     figures = []
     for number, picture in enumerate(contents.pictures):
         name = html.escape(contents.model.views[picture.view].name)
@@ -185,7 +185,7 @@ def pictures_html(contents: Contents) -> str:
 
 
 def picture_note(model: Model, pictures: Sequence[ImagePicture]) -> str:
-    """How many of the images are shown."""
+    """The number of images shown."""
     if len(pictures) == len(model.views):
         return f"All {len(pictures)} images."
     return f"{len(pictures)} of {len(model.views)} images, evenly spread."

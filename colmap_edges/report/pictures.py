@@ -1,4 +1,4 @@
-"""Small pictures of the images, with layers of detected and of reprojected edges."""
+"""Reduced pictures of the images, with layers of detected and reprojected edges."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from colmap_edges.images.files import encoded
 from colmap_edges.report.contents import ImagePicture, evenly_spread
 from colmap_edges.report.overlay import SHIFT, fixed_point
 
-MAX_BYTES = 3_500_000  # of all pictures, before base 64
+MAX_BYTES = 3_500_000  # maximum size of all pictures, before base 64
 MAX_PICTURES = 120
-BYTES_PER_PIXEL = 0.35  # of a picture with its layers, roughly
+BYTES_PER_PIXEL = 0.35  # approximate size of a picture with its layers
 MIN_SIDE_PX, MAX_SIDE_PX = 240, 960
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 75, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-LOSSLESS = [cv2.IMWRITE_WEBP_QUALITY, 101]  # lines on nothing: a third of the same as PNG
+LOSSLESS = [cv2.IMWRITE_WEBP_QUALITY, 101]  # for lines on transparency a third of PNG's size
 DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
 
 
 class PictureTaker:
-    """Takes small pictures while images are in memory, of as many views as a page can hold."""
+    """Makes reduced pictures while images are in memory, of as many views as a page can hold."""
 
     def __init__(self, num_views: int) -> None:
-        """Choose views, evenly spread, and the size of their pictures."""
+        """Choose evenly spread views and the size of their pictures."""
         self.chosen = set(evenly_spread(num_views, MAX_PICTURES).tolist())
         side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
         self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
@@ -40,7 +40,7 @@ class PictureTaker:
     def visit(
         self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
     ) -> ImagePicture | None:
-        """Take the picture of a view, its longer side at most `side_px`; None of one not chosen."""
+        """Make the picture of a view, its longer side at most `side_px`; None if not chosen."""
         if index not in self.chosen:
             return None
         image = read()
@@ -58,12 +58,12 @@ class PictureTaker:
         )
 
     def collect(self, index: int, kept: ImagePicture | None) -> None:
-        """Keep a picture."""
+        """Store a picture."""
         if kept is not None:
             self.taken[index] = kept
 
     def pictures(self) -> list[ImagePicture]:
-        """The pictures in the order of the views, of as many as fit into `MAX_BYTES`."""
+        """The pictures in the order of the views, as many as fit into `MAX_BYTES`."""
         pictures = [self.taken[index] for index in sorted(self.taken)]
         while sum(picture.num_bytes for picture in pictures) > MAX_BYTES and len(pictures) > 1:
             pictures = pictures[::2]
@@ -71,7 +71,7 @@ class PictureTaker:
 
 
 def reduced(image: Picture, size: tuple[int, int]) -> Picture:
-    """A picture of a smaller size (width, height); halved first, for which OpenCV is quick."""
+    """A picture resized to a smaller size (width, height); halved first, which is fast."""
     height, width = image.shape[:2]
     if width >= 2 * size[0] and height >= 2 * size[1]:
         image = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -88,7 +88,7 @@ def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None
 
 
 def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
-    """The polylines of a graph, image pixels, thinned to what is seen at `scale`."""
+    """The polylines of a graph, image pixels, thinned for drawing at `scale`."""
     step = max(int(0.7 / scale), 1)
     first, last = graph.polyline_offsets[:-1], graph.polyline_offsets[1:]
     counts = -(-(last - first) // step) + 1  # each step's first point, then the end

@@ -1,4 +1,4 @@
-"""What a run makes shown as it comes, in rerun's viewer or in a recording for it (rerun.io)."""
+"""Live display of a run in the rerun viewer, or a recording for it (rerun.io)."""
 
 from __future__ import annotations
 
@@ -22,32 +22,38 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.edges import polyline_indices
 from colmap_edges.report.contents import ImagePicture
+from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.scene3d import pyramid_depth
 from colmap_edges.report.tracks import views_per_edge
 from colmap_edges.report.viewpoint import bounds, up_direction
 from colmap_edges.runtime.output import check_apart, write_whole
+from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
 logger = logging.getLogger(__name__)
 
 APPLICATION = "colmap-edges"
-PORT = 9876  # rerun's own
-FLUSH_S = 60.0  # what a viewer may take to get the last of a run
+PORT = 9876  # rerun's default
+FLUSH_S = 60.0  # seconds to wait until the viewer has received all data
 POINT_SIZE, LINE_WIDTH = 1.5, 1.0  # on the screen
+FACE_ALPHA = 128  # of 255
 REMEDY = "run: pip install 'colmap-edges[rerun]'"
 
 
 class Viewer:
-    """Shows nothing; what a run calls when it has something to show."""
+    """Interface of viewers, called by a run with its results; shows nothing."""
 
     def show_model(self, model: Model) -> None:
-        """Show cameras and SfM points; a second time after poses were refined."""
+        """Show cameras and SfM points; called again after pose refinement."""
 
     def show_picture(self, view: View, picture: ImagePicture) -> None:
-        """Show the small picture of an image at its camera."""
+        """Show the reduced picture of an image at its camera."""
 
     def show_edges(self, edges: Edges3D, num_views: int) -> None:
         """Show the 3D edges of a model with `num_views` views."""
+
+    def show_faces(self, faces: Sequence[Face]) -> None:
+        """Show the planar faces between the edges."""
 
     def show_mesh(self, mesh: Mesh) -> None:
         """Show the mesh."""
@@ -57,7 +63,7 @@ NO_VIEWER = Viewer()
 
 
 class RerunViewer(Viewer):
-    """Logs what it is shown to a rerun.RecordingStream."""
+    """Logs results to a rerun.RecordingStream."""
 
     def __init__(self, rerun: Any, stream: Any) -> None:
         """Log to `stream`; `rerun` is the module."""
@@ -66,7 +72,7 @@ class RerunViewer(Viewer):
         self.rerun = rerun
         self.stream = stream
         self.sizes: dict[str, tuple[int, int]] = {}  # of the pictures, by the views' names
-        # One view in 3D; by itself rerun adds small ones of the first images.
+        # A single 3D view; by default rerun adds views of the first images.
         view = blueprint.Spatial3DView(origin="/", name="colmap-edges")
         stream.send_blueprint(blueprint.Blueprint(view, collapse_panels=True))
 
@@ -106,7 +112,7 @@ class RerunViewer(Viewer):
         scale = width / view.width
         return {
             "focal_length": float(view.camera.mean_focal_length()) * scale,
-            "principal_point": view.image_from_ideal(np.zeros((1, 2)))[0] * scale,
+            "principal_point": view.image_from_undistorted(np.zeros((1, 2)))[0] * scale,
             "width": width,
             "height": height,
         }
@@ -124,6 +130,16 @@ class RerunViewer(Viewer):
                 "radii": self.rerun.Radius.ui_points(LINE_WIDTH),
             },
         )
+
+    def show_faces(self, faces: Sequence[Face]) -> None:
+        """Show planar faces as translucent polygons, one colour a plane, with their outlines."""
+        shown = largest(faces)
+        corners, triangles, colors = triangulated(shown)
+        shades = np.column_stack([colors, np.full(len(colors), FACE_ALPHA, np.uint8)])
+        mesh = {"vertex_positions": corners, "triangle_indices": triangles}
+        self.log("faces", Mesh3D={**mesh, "vertex_colors": shades})
+        radii = self.rerun.Radius.ui_points(LINE_WIDTH)
+        self.log("faces", "outlines", LineStrips3D={"strips": closed_rings(shown), "radii": radii})
 
     def show_mesh(self, mesh: Mesh) -> None:
         """Show the mesh in its colours."""
@@ -144,14 +160,14 @@ def open_viewer(
     """Yield the viewer that `target` names.
 
     Args:
-        target: "0" is none, "1" rerun's viewer, anything else the recording (.rrd) to make, which
-            appears whole when the block succeeds or not at all.
-        output: folder that the run makes; no recording is put there.
-        overwrite: whether an earlier recording is replaced.
-        inputs: what the run reads; no recording is put there either.
+        target: "0" for none, "1" for the rerun viewer, otherwise the path of a recording (.rrd),
+            which is written when the block succeeds.
+        output: output folder of the run, which must not contain the recording.
+        overwrite: whether an existing recording is replaced.
+        inputs: input folders of the run, which must not contain the recording either.
 
     Raises:
-        ColmapEdgesError: when rerun is not installed, there is no display for its viewer, or the
+        ColmapEdgesError: if rerun is not installed, there is no display for its viewer, or the
             recording cannot be written.
     """
     if target == "0":
@@ -166,10 +182,10 @@ def open_viewer(
         yield RerunViewer(rerun, stream)
         try:
             stream.flush(timeout_sec=FLUSH_S)
-        except RuntimeError as error:  # someone closed it: no harm to the run
-            logger.warning("rerun's viewer has not got all: %s", error)
+        except RuntimeError as error:  # the viewer was closed; the run continues
+            logger.warning("the rerun viewer did not receive all data: %s", error)
     else:
-        # Kept in memory: rerun itself says nothing when a disk is full.
+        # Kept in memory, since rerun does not report a full disk.
         recording = stream.binary_stream()
         yield RerunViewer(rerun, stream)
         write_whole(Path(target), recording.read(), "recording")
@@ -179,7 +195,7 @@ def load_rerun() -> Any:
     """Import rerun.
 
     Raises:
-        ColmapEdgesError: when it is not installed.
+        ColmapEdgesError: if it is not installed.
     """
     try:
         import rerun
@@ -191,10 +207,10 @@ def load_rerun() -> Any:
 
 
 def spawn(rerun: Any, stream: Any) -> None:
-    """Start rerun's viewer, or take the one that is listening already.
+    """Start the rerun viewer, or connect to a running one.
 
     Raises:
-        ColmapEdgesError: when it cannot be started.
+        ColmapEdgesError: if it cannot be started.
     """
     on_linux = sys.platform == "linux"
     has_display = not on_linux or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
@@ -213,33 +229,33 @@ def spawn(rerun: Any, stream: Any) -> None:
 
 
 def is_listening(port: int) -> bool:
-    """Whether something on this machine listens at a port."""
+    """Whether a local program listens on a port."""
     with socket.socket() as connection:
         connection.settimeout(1)
         return connection.connect_ex(("127.0.0.1", port)) == 0
 
 
 def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequence[Path]) -> None:
-    """Check that a recording can be made.
+    """Check that a recording can be written.
 
     Raises:
-        ColmapEdgesError: otherwise.
+        ColmapEdgesError: if it cannot.
     """
     place = Path(os.path.realpath(path))
     if not place.parent.is_dir():
-        raise ColmapEdgesError(f"cannot write {path}: {path.parent} is no folder; create it")
+        raise ColmapEdgesError(f"cannot write {path}: {path.parent} is not a folder; create it")
     check_apart("--rerun", place, [Path(os.path.realpath(source)) for source in inputs])
     if Path(os.path.realpath(output)) in place.parents:
-        raise ColmapEdgesError(f"{path} is inside output_path {output}; choose a place apart")
+        raise ColmapEdgesError(f"{path} is inside output_path {output}; choose another place")
     if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
         what = "folder" if path.is_dir() else "link or device"
-        raise ColmapEdgesError(f"cannot write {path}: a {what} of that name is there")
+        raise ColmapEdgesError(f"cannot write {path}: a {what} of that name exists")
     if path.exists() and not overwrite:
-        raise ColmapEdgesError(f"{path} is there already; choose another or add --overwrite")
+        raise ColmapEdgesError(f"{path} exists already; choose another or add --overwrite")
 
 
 def up_axis(model: Model) -> str:
-    """Rerun's name of the world's axis that is nearest to upwards."""
+    """Rerun's name of the world axis closest to the upward direction."""
     up = up_direction(model)
     axis = int(np.abs(up).argmax())
     return f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if up[axis] > 0 else 'DOWN'}"
@@ -251,7 +267,7 @@ def strips(edges: Edges3D) -> list[FloatArray]:
 
 
 def colors_of(counts: IntArray) -> ByteArray:
-    """(E, 3) RGB, dark for the smallest count to bright for the largest but for a few."""
+    """(E, 3) RGB from dark (smallest count) to bright (largest count, without outliers)."""
     if not len(counts):
         return np.zeros((0, 3), np.uint8)
     low, high = float(counts.min()), float(np.percentile(counts, 95))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,16 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.report.contents import Contents, Trace, evenly_spread, xyz
+from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.viewpoint import bounds, viewpoint
+from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
-# What is drawn at most, so that the file stays small and a browser turns it smoothly.
+# Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
 MAX_EDGE_POINTS = 120_000
 MAX_FACES = 150_000
-ASPECT = 1.6  # width by height for which the first viewpoint is chosen
+ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
 HIDDEN_AXIS = {"visible": False, "showspikes": False}
 
 
@@ -31,8 +34,8 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
         contents: what to show.
 
     Returns:
-        The figure with its traces and layout, and (E + 1,) where each edge starts in the
-        trace of the edges.
+        The figure with its traces and layout, and the (E + 1,) offsets of the edges in their
+        trace.
     """
     model, edges = contents.model, contents.edges
     low, high = bounds(model, edges)
@@ -40,20 +43,22 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
     size = float(np.linalg.norm(high - low))
     traces = [sfm_trace(model, low, high), cameras_trace(model, size)]
     has_edges = edges is not None and edges.num_edges > 0
-    # Points would be dots on the mesh; one of the cameras is where the first view is.
+    # Points would clutter the mesh, and one camera is at the first viewpoint.
     traces[0]["visible"] = contents.mesh is None
     traces[1]["visible"] = contents.mesh is None and not has_edges
     if contents.mesh is not None:
         traces.append(mesh_trace(contents.mesh, low, high))
+    if contents.faces:
+        traces += face_traces(contents.faces, low, high)
     if edges is not None and has_edges:
         traces += [edges_trace(edges, rows, low, high), selection_trace()]
     return {"data": traces, "layout": layout(contents, low, high)}, starts
 
 
 def near(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Points moved to the border of a box three times as large as what is shown, if beyond it.
+    """Points clipped to a box three times as large as the shown one.
 
-    They are out of sight anyhow, and would make the steps of packed coordinates large.
+    Points beyond it are not visible, and would reduce the precision of packed coordinates.
     """
     size = high - low
     return np.clip(points, low - size, high + size)
@@ -76,7 +81,7 @@ def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
 
 
 def cameras_trace(model: Model, size: float) -> Trace:
-    """Every camera as a pyramid towards what it sees."""
+    """Every camera as a pyramid in its viewing direction."""
     depth = pyramid_depth(model, size)
     lines = np.concatenate([pyramid(view, depth) for view in model.views])
     names = [html.escape(view.name) for view in model.views]
@@ -93,11 +98,11 @@ def cameras_trace(model: Model, size: float) -> Trace:
 
 
 def pyramid_depth(model: Model, size: float) -> float:
-    """How deep cameras are drawn, world units, so that neighbours are told apart.
+    """Depth of the camera pyramids, world units, such that neighbours do not overlap.
 
     Args:
-        model: has the cameras.
-        size: diagonal of the box that is shown, world units.
+        model: the model with the cameras.
+        size: diagonal of the shown box, world units.
     """
     centers = model.camera_centers
     gaps = cKDTree(centers).query(centers, k=2)[0][:, 1]
@@ -105,7 +110,7 @@ def pyramid_depth(model: Model, size: float) -> float:
 
 
 def pyramid(view: View, depth: float) -> FloatArray:
-    """(12, 3) line from the centre around the image plane at `depth`; its last point is NaN."""
+    """(12, 3) wireframe of a camera with its image plane at `depth`; the last point is NaN."""
     half = 0.5 * depth * np.array([view.width, view.height]) / view.focal_px
     a, b, c, d = (
         np.array([x * half[0], y * half[1], depth]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
@@ -117,7 +122,7 @@ def pyramid(view: View, depth: float) -> FloatArray:
 
 
 def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
-    """The mesh, coarser where it has more faces than a browser should turn."""
+    """The mesh, simplified if it has too many faces for a browser."""
     vertices, faces, colors = coarser(mesh, MAX_FACES)
     return {
         "type": "mesh3d",
@@ -132,13 +137,45 @@ def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
     }
 
 
+def face_traces(faces: Sequence[Face], low: FloatArray, high: FloatArray) -> list[Trace]:
+    """Planar faces as translucent polygons in one colour a plane, and their outlines."""
+    shown = largest(faces)
+    corners, triangles, colors = triangulated(shown)
+    lifted = [part for ring in closed_rings(shown) for part in (ring, np.full((1, 3), np.nan))]
+    number = f"{len(shown):,} largest of " if len(shown) < len(faces) else ""
+    polygons: Trace = {
+        "type": "mesh3d",
+        "name": f"{number}{len(faces):,} planar faces",
+        "meta": "faces",
+        "visible": False,  # the mesh shows them, too
+        "opacity": 0.5,
+        "vertexcolor": {"rgb": rgb(colors)},
+        "flatshading": True,
+        "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0},
+        "hoverinfo": "skip",
+        **xyz(near(corners, low, high)),
+        **{key: triangles[:, i] for i, key in enumerate("ijk")},
+    }
+    outlines: Trace = {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": "outlines of faces",
+        "meta": "outlines",
+        "visible": False,
+        "line": {"color": "#ffffff", "width": 2},
+        "hoverinfo": "skip",
+        **xyz(near(np.concatenate(lifted), low, high)),
+    }
+    return [polygons, outlines]
+
+
 def rgb(colors: ByteArray) -> ByteArray:
-    """Colours (N, 3), all reds before all greens before all blues."""
+    """Colours (N, 3) as planes: all reds, all greens, all blues."""
     return np.asarray(colors, np.uint8).T.ravel()
 
 
 def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArray]:
-    """Vertices, faces and colours of a mesh, vertices merged by cells until few faces are left."""
+    """Vertices, faces and colours of a mesh simplified by merging vertices within grid cells."""
     vertices, faces, colors = mesh.vertices, mesh.faces, mesh.colors
     if len(faces) <= max_faces:
         return vertices, faces, colors
@@ -155,12 +192,12 @@ def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArr
 
 
 def plotted_rows(edges: Edges3D | None, most: int) -> tuple[IntArray, IntArray]:
-    """Edge points in the order in which lines run through them; -1 lifts the pen.
+    """Indices of edge points in drawing order; -1 separates edges.
 
-    Every edge keeps its ends; inner points are thinned evenly where there are too many.
+    Every edge keeps its ends; inner points are thinned evenly if there are too many.
 
     Returns:
-        (R,) rows and (E + 1,) where each edge starts among them.
+        (R,) indices and the (E + 1,) offsets of the edges.
     """
     if edges is None or edges.num_edges == 0:
         return np.zeros(0, np.int64), np.zeros(1, np.int64)
@@ -176,7 +213,7 @@ def plotted_rows(edges: Edges3D | None, most: int) -> tuple[IntArray, IntArray]:
 
 
 def edges_trace(edges: Edges3D, rows: IntArray, low: FloatArray, high: FloatArray) -> Trace:
-    """The 3D edges as one trace of lines; the page colours them and knows which is which."""
+    """The 3D edges as one trace of lines; the page colours them."""
     points = near(edges.points[rows], low, high)
     points[rows < 0] = np.nan
     return {
@@ -205,7 +242,7 @@ def selection_trace() -> Trace:
 
 
 def layout(contents: Contents, low: FloatArray, high: FloatArray) -> Trace:
-    """Box and first viewpoint of the 3D figure; layers and colours have controls of the page."""
+    """Box and first viewpoint of the 3D figure; the page has controls for layers and colours."""
     scale, middle = float((high - low).max()), (low + high) / 2
     view = viewpoint(contents, ASPECT)
     camera = {
@@ -227,5 +264,5 @@ def layout(contents: Contents, low: FloatArray, high: FloatArray) -> Trace:
 
 
 def vector(values: Any) -> dict[str, float]:
-    """Three numbers by the names of the axes."""
+    """Three numbers as a mapping with the axes' names."""
     return {axis: float(value) for axis, value in zip("xyz", values, strict=True)}

@@ -1,4 +1,4 @@
-"""A still picture of the scene: mesh and edges as the page's 3D view shows them first."""
+"""A still picture of the scene from the first viewpoint of the page's 3D view."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from colmap_edges.report.scene3d import MAX_SFM_POINTS, coarser
 from colmap_edges.report.viewpoint import FOV, Viewpoint, viewpoint
 
 SIZE_PX = (1280, 800)  # width and height
-FINER = 2  # times that it is drawn larger, and then reduced
+FINER = 2  # supersampling factor
 MAX_STILL_FACES = 60_000
 EDGE_BGR = (40, 60, 225)
 LINE_PX = 2
-IN_FRONT = 0.995  # of its depth at which an edge is drawn, so that the surface it is on is behind
+IN_FRONT = 0.995  # factor of an edge's depth, so that it is drawn in front of its surface
 WEBP = [cv2.IMWRITE_WEBP_QUALITY, 85]
 
 
 def still_picture(contents: Contents) -> bytes:
-    """The picture of a scene on white, WebP: its mesh, or its SfM points, and its 3D edges."""
+    """The picture of a scene on white, WebP: its mesh or SfM points, and its 3D edges."""
     width, height = (FINER * side for side in SIZE_PX)
     canvas: Picture = np.full((height, width, 3), 255, np.uint8)
     view = viewpoint(contents, width / height)
@@ -35,14 +35,14 @@ def still_picture(contents: Contents) -> bytes:
 def projected(
     points: FloatArray, view: Viewpoint, shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels (N, 2) and depths (N,) of points; NaN what is behind the eye or far out of sight."""
+    """Pixels (N, 2) and depths (N,) of points; NaN behind the eye or far outside the picture."""
     right, down, depth = ((points - view.eye) @ view.axes.T).T
     near = 1e-3 * float(np.linalg.norm(view.focus - view.eye))
     depth = np.where(depth > near, depth, np.nan)
     focal = shape[0] / 2 / np.tan(FOV / 2)
     pixels = focal * np.stack([right, down], axis=1) / depth[:, None]
     pixels += np.array([shape[1], shape[0]]) / 2
-    pixels[(np.abs(pixels) > 20 * shape[1]).any(axis=1)] = np.nan  # no number OpenCV could take
+    pixels[(np.abs(pixels) > 20 * shape[1]).any(axis=1)] = np.nan  # beyond OpenCV's coordinates
     return pixels, depth
 
 
@@ -58,7 +58,7 @@ def draw_points(canvas: Picture, contents: Contents, view: Viewpoint) -> None:
 
 
 def draw_faces_and_edges(canvas: Picture, contents: Contents, view: Viewpoint) -> None:
-    """Draw triangles and edge segments from the farthest to the nearest, each over the others."""
+    """Draw triangles and edge segments from far to near (painter's algorithm)."""
     shapes, colors, depths = shaded_faces(contents, view, canvas.shape)
     lines, line_depths = edge_segments(contents, view, canvas.shape)
     order = np.argsort(-np.concatenate([depths, IN_FRONT * line_depths]), kind="stable")
@@ -73,14 +73,14 @@ def draw_faces_and_edges(canvas: Picture, contents: Contents, view: Viewpoint) -
 
 
 def fixed_point(pixels: FloatArray) -> IntArray:
-    """Pixels in the fractions in which OpenCV draws."""
+    """Pixels in OpenCV's fixed-point drawing coordinates."""
     return np.rint(pixels * (1 << SHIFT)).astype(np.int32)
 
 
 def shaded_faces(
     contents: Contents, view: Viewpoint, shape: tuple[int, ...]
 ) -> tuple[FloatArray, ByteArray, FloatArray]:
-    """Triangles in sight: pixels (F, 3, 2), colours (F, 3) BGR in the light of the eye, depths."""
+    """Visible triangles: pixels (F, 3, 2), shaded colours (F, 3) BGR, and depths."""
     if contents.mesh is None or len(contents.mesh.faces) == 0:
         return np.zeros((0, 3, 2)), np.zeros((0, 3), np.uint8), np.zeros(0)
     vertices, faces, colors = coarser(contents.mesh, MAX_STILL_FACES)
@@ -99,7 +99,7 @@ def shaded_faces(
 def edge_segments(
     contents: Contents, view: Viewpoint, shape: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Segments of 3D edges in sight: pixels (S, 2, 2) and depths (S,)."""
+    """Visible segments of 3D edges: pixels (S, 2, 2) and depths (S,)."""
     if contents.edges is None or contents.edges.num_points == 0:
         return np.zeros((0, 2, 2)), np.zeros(0)
     pixels, depths = projected(contents.edges.points, view, shape)
@@ -109,7 +109,7 @@ def edge_segments(
 
 
 def in_sight(pixels: FloatArray, shape: tuple[int, ...]) -> BoolArray:
-    """Which triangles or segments (N, K, 2) may touch a picture of `shape`; NaN never does."""
+    """(N,) whether triangles or segments (N, K, 2) overlap a picture of `shape`."""
     low, high = pixels.min(axis=1), pixels.max(axis=1)
     inside: BoolArray = ((high >= 0) & (low <= np.array([shape[1], shape[0]]))).all(axis=1)
     return inside

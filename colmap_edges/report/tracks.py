@@ -1,4 +1,4 @@
-"""What the page shows of an edge that is clicked: its figures and its reprojections."""
+"""Data that the page shows for a clicked edge: figures and reprojections."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.contents import Trace
 
 MAX_REPROJECTIONS = 300_000
-FULL = 4096  # parts of an image's width or height: a quarter of a pixel of its picture
+FULL = 4096  # units of an image's width or height: a quarter of a pixel of its picture
 
 
 def edge_of_observation(edges: Edges3D) -> IntArray:
@@ -45,7 +45,7 @@ def edge_data(
     """The figures of every edge and its reprojections into the views that have pictures.
 
     Args:
-        model: gives the views.
+        model: the model with the views.
         edges: the 3D edges.
         residuals: (T,) distances of observations from projections, pixels.
         pictured: views with a picture, in the order of the pictures.
@@ -54,7 +54,7 @@ def edge_data(
     place = np.full(len(model.views), -1, np.int64)
     place[list(pictured)] = np.arange(len(pictured))
     owners, pictures = edge_of_observation(edges)[chosen], place[edges.observations.views[chosen]]
-    order = np.lexsort((chosen, pictures, owners))  # near one another what differs little
+    order = np.lexsort((chosen, pictures, owners))  # similar values are adjacent, for compression
     return {
         "length": edge_lengths(edges).astype(np.float32),
         "views": int32(views_per_edge(edges, len(model.views))),
@@ -67,18 +67,18 @@ def edge_data(
 
 
 def int32(values: IntArray) -> Int32Array:
-    """Whole numbers of 32 bits."""
+    """32-bit integers."""
     return values.astype(np.int32)
 
 
 def reprojections(
     model: Model, edges: Edges3D, pictured: Sequence[int]
 ) -> tuple[NDArray[np.uint16], IntArray]:
-    """Where pictured views see their edge points.
+    """Observations of edge points in the views with pictures.
 
     Returns:
-        (K, 2) pixels as parts of width and height, `FULL` being all, and (K,) the observations
-        they belong to, thinned evenly to `MAX_REPROJECTIONS`.
+        (K, 2) pixels in units of width and height over `FULL`, and their (K,) observations,
+        thinned evenly to `MAX_REPROJECTIONS`.
     """
     owners = edges.observations.points
     pixels = np.full((len(owners), 2), np.nan)

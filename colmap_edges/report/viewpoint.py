@@ -1,4 +1,4 @@
-"""From where a scene is shown first: as the photograph that observes most of it shows it."""
+"""The first viewpoint of a scene: that of the photograph that observes most of it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.contents import Contents
 
-FOV = np.pi / 4  # over the height: that of plotly.js
-SHOWN_SHARE = 98  # per cent of what is observed that the first view holds, if it stands outside
-MAX_BEHIND = 0.1  # share of the scene behind a camera from which on it stands within the scene
+FOV = np.pi / 4  # vertical field of view of plotly.js
+SHOWN_SHARE = 98  # percentage of the observed points shown by a viewpoint outside the scene
+MAX_BEHIND = 0.1  # share of the scene behind a camera above which the camera is inside
 
 
 @dataclass(frozen=True, kw_only=True)
 class Viewpoint:
-    """From where and whereto one looks.
+    """Position and direction of a view of the scene.
 
     Attributes:
-        eye: (3,) place of the eye, world units.
-        focus: (3,) what is in the middle, world units.
-        up: (3,) direction that is upwards in the picture.
-        is_inside: whether the eye is within the scene, such as in a room.
+        eye: (3,) position of the eye, world units.
+        focus: (3,) point at the picture's centre, world units.
+        up: (3,) upward direction of the picture.
+        is_inside: whether the eye is inside the scene, such as in a room.
     """
 
     eye: FloatArray
@@ -36,20 +36,20 @@ class Viewpoint:
 
     @property
     def axes(self) -> FloatArray:
-        """(3, 3) rows to the right, downwards and forwards, of length 1."""
+        """(3, 3) unit vectors to the right, downwards and forwards, as rows."""
         forward = normalized(self.focus - self.eye)
         right = normalized(np.cross(forward, self.up))
         return np.stack([right, np.cross(forward, right), forward])
 
 
 def normalized(vector: FloatArray) -> FloatArray:
-    """The vector with length 1; (0, 0, 0) stays."""
+    """The vector normalised to length 1; (0, 0, 0) is unchanged."""
     unit: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-300)
     return unit
 
 
 def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
-    """Corners of the box that is shown: cameras, edges, and SfM points but for the farthest."""
+    """Corners of the shown box: cameras, edges, and SfM points without outliers."""
     parts = [model.camera_centers]
     for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
         if len(points):
@@ -63,10 +63,10 @@ def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]
 
 
 def viewpoint(contents: Contents, aspect: float) -> Viewpoint:
-    """Look as the camera that observes most, from so far that all is seen where that is outside.
+    """The view of the camera that observes most, moved back until the scene fits.
 
-    A camera with more than `MAX_BEHIND` of the scene behind it stands within a room or street;
-    what would be seen from farther back are the outer sides of walls, so it stays where it is.
+    A camera with more than `MAX_BEHIND` of the scene behind it is inside a room or street. It is
+    not moved back, since the outer sides of walls would block the view.
 
     Args:
         contents: the scene.
@@ -88,7 +88,7 @@ def viewpoint(contents: Contents, aspect: float) -> Viewpoint:
 
 
 def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]:
-    """What is looked at: points (N, 3), and view and point of every observation (T,) of them."""
+    """The points (N, 3) to show, and view and point of each of their (T,) observations."""
     model, edges = contents.model, contents.edges
     if edges is not None and edges.num_points:
         return edges.points, edges.observations.views, edges.observations.points
@@ -97,13 +97,13 @@ def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]
 
 
 def is_within(points: FloatArray, view: Viewpoint) -> bool:
-    """Whether much of the scene is behind the eye."""
+    """Whether more than `MAX_BEHIND` of the scene is behind the eye."""
     behind: BoolArray = (points - view.eye) @ view.axes[2] < 0
     return bool(behind.mean() > MAX_BEHIND)
 
 
 def fitted(points: FloatArray, view: Viewpoint, aspect: float) -> Viewpoint:
-    """The same direction of sight, from where the picture holds all but the outermost points."""
+    """The viewpoint moved along its direction so that the picture holds all but outliers."""
     local = (points - view.focus) @ view.axes.T
     low, high = np.percentile(local, [100 - SHOWN_SHARE, SHOWN_SHARE], axis=0)
     middle = (low + high) / 2 * np.array([1, 1, 0])
@@ -116,7 +116,7 @@ def fitted(points: FloatArray, view: Viewpoint, aspect: float) -> Viewpoint:
 
 
 def overview(model: Model, points: FloatArray) -> Viewpoint:
-    """From the middle of all cameras, where nothing tells what they observe."""
+    """A viewpoint from the mean of all cameras, for models without observations."""
     focus = np.median(points, axis=0)
     reach = float(np.linalg.norm(points - focus, axis=1).max()) + 1e-9
     outward = normalized(model.camera_centers.mean(axis=0) - focus)
@@ -125,6 +125,6 @@ def overview(model: Model, points: FloatArray) -> Viewpoint:
 
 
 def up_direction(model: Model) -> FloatArray:
-    """(3,) direction in the world that is upwards in the images on average."""
+    """(3,) mean upward direction of the images, in world coordinates."""
     up: FloatArray = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
     return up

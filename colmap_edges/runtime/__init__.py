@@ -1,1 +1,1 @@
-"""How work is run: stages, threads and clusters, cache, output folders, memory."""
+"""Running of work: stages, threads and clusters, cache, output folders, memory."""

@@ -1,8 +1,7 @@
-"""Results of earlier runs in a folder, found by what they were made from.
+"""Cache of results on disk, keyed by a digest of everything that they depend on.
 
-An entry's name is a digest of all that its content depends on: images, poses, options, this
-package's code and the libraries it computes with. So nothing in the folder is ever out of date;
-entries that no longer fit are not found, and the folder can be deleted at any time.
+The key includes images, poses, options, this package's code and the versions of its libraries.
+Entries are therefore never outdated, and the folder can be deleted at any time.
 """
 
 from __future__ import annotations
@@ -36,17 +35,17 @@ Arrays = dict[str, NDArray[Any]]
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap")
 DIGEST_BYTES = hashlib.sha256().digest_size
 UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
-FORGOTTEN_S = 24 * 3600  # age from which no living run writes to an unfinished file
+FORGOTTEN_S = 24 * 3600  # unfinished files older than this were left by killed runs
 
 
 class Cache:
-    """Arrays in a folder, by kind and key; any number of processes may use it at once."""
+    """Arrays in a folder, by kind and key; safe for concurrent processes."""
 
     def __init__(self, folder: Path) -> None:
-        """Use `folder`, made when missing; it may be one that can only be read.
+        """Use `folder`, created if missing; it may be read-only.
 
         Raises:
-            ColmapEdgesError: when it cannot be made, or not be read.
+            ColmapEdgesError: if it cannot be created or read.
         """
         self.folder = folder
         self.has_warned = False
@@ -59,11 +58,11 @@ class Cache:
                 raise ColmapEdgesError(f"cannot use cache {folder}: {error.strerror}") from error
 
     def path(self, kind: str, key: str) -> Path:
-        """Where an entry is."""
+        """The path of an entry."""
         return self.folder / kind / key[:2] / f"{key}.entry"
 
     def load(self, kind: str, key: str) -> Arrays | None:
-        """The arrays of an entry; None when there is none, or it is damaged."""
+        """The arrays of an entry; None if it is missing or damaged."""
         path = self.path(kind, key)
         try:
             data = read_bytes(path)
@@ -73,22 +72,19 @@ class Cache:
             logger.warning("cannot read cache entry %s (%s); it is made again", path, error)
             return None
         with suppress(OSError):  # of another user, or read-only
-            os.utime(path)  # tells which entries are of use
+            os.utime(path)  # marks the entry as recently used
         packed = memoryview(data)[DIGEST_BYTES:]
         if seal(kind, key, packed) == data[:DIGEST_BYTES]:
             try:
                 with np.load(BytesIO(packed), allow_pickle=False) as arrays:
                     return dict(arrays)
             except ValueError:
-                pass  # no arrays: somebody else's work
+                pass  # not an entry of this cache
         logger.warning("cache entry %s is damaged; it is made again", path)
         return None
 
     def save(self, kind: str, key: str, arrays: Arrays) -> bool:
-        """Keep arrays as an entry; False, with a warning, where that cannot be done.
-
-        The entry appears whole or not at all.
-        """
+        """Write arrays as an entry, atomically; returns False, with a warning, on failure."""
         packed = BytesIO()
         np.savez(packed, **arrays)  # type: ignore[arg-type]
         path = self.path(kind, key)
@@ -101,21 +97,26 @@ class Cache:
                 file.write(packed.getbuffer())
             unfinished.replace(path)
         except OSError as error:
-            with suppress(OSError):  # a read-only folder says so of files that are not there, too
+            with suppress(OSError):  # read-only folders also refuse to remove missing files
                 unfinished.unlink()
             return self.not_kept(path, error)
         return True
 
     def not_kept(self, path: Path, error: OSError) -> bool:
-        """Warn that an entry could not be written: once, as the next will not be either."""
+        """Warn once that entries cannot be written."""
         level = logging.DEBUG if self.has_warned else logging.WARNING
         self.has_warned = True
-        logger.log(level, "cannot write cache entry %s (%s); go on without", path, error.strerror)
+        logger.log(
+            level,
+            "cannot write cache entry %s (%s); the run continues without it",
+            path,
+            error.strerror,
+        )
         return False
 
 
 def can_be_entered(folder: Path) -> bool:
-    """Whether files of a folder can be opened by their names."""
+    """Whether files in a folder can be opened by name."""
     try:
         os.stat(f"{folder}/.")  # noqa: PTH116, as a Path drops the dot
     except OSError:
@@ -124,7 +125,7 @@ def can_be_entered(folder: Path) -> bool:
 
 
 def seal(kind: str, key: str, packed: memoryview) -> bytes:
-    """The digest that starts an entry, by which damage shows."""
+    """The checksum at the start of an entry, which reveals damage."""
     found = hashlib.sha256(f"{kind} {key} ".encode())
     found.update(packed)
     return found.digest()
@@ -181,7 +182,7 @@ def described(part: Any) -> tuple[str, bytes]:
 def code_version() -> str:
     """Digest of this package's code and the versions of what it computes with.
 
-    Any change of the code counts, as none can be told to leave results alone.
+    Any change of the code changes the digest, since its effect on results is unknown.
     """
     package = Path(__file__).parents[1]
     found = hashlib.sha256()

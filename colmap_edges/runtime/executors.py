@@ -1,7 +1,7 @@
 """Executors of the work on images and views: local threads or a dask cluster.
 
-Work is handed over as calls of plain functions (`concurrent.futures`), a task an image or a view
-with its neighbours, so that stages do not know where they run.
+Tasks are calls of plain functions (`concurrent.futures`), one per image or per view with its
+neighbours, so that stages are independent of where they run.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.cache import Cache, code_version
 from colmap_edges.runtime.scheduling import Schedule
 
-CONNECT_S = 10  # in which a scheduler must answer
+CONNECT_S = 10  # seconds to wait for an answer of the scheduler
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workers:
-    """Who does the work.
+    """Executors and resources of a run.
 
     Attributes:
         images: runs tasks of one image each.
         views: runs tasks of one view and its neighbours each.
-        num_view_tasks: tasks of `views` that are worth having at once.
-        threads_per_view: threads that such a task takes for itself.
-        remote: whether tasks run in other processes, to which edge graphs go by the cache.
-        cache: results of earlier runs, if they are kept.
+        num_view_tasks: useful number of concurrent tasks of `views`.
+        threads_per_view: number of threads that each of these tasks uses.
+        remote: whether tasks run in other processes, which read edge graphs from the cache.
+        cache: cache of earlier results, if any.
     """
 
     images: Executor
@@ -47,9 +47,9 @@ class Workers:
 
 @contextmanager
 def local_workers(num_threads: int, cache: Cache | None = None) -> Iterator[Workers]:
-    """Threads of this process: an image each, then all of them together on one view at a time.
+    """Threads of this process: one per image, but all together on one view at a time.
 
-    So few views are in memory at once, and the last one does not keep the others waiting.
+    This keeps few views in memory, and no thread idles while the last view is processed.
     """
     with ThreadPoolExecutor(num_threads) as images, ThreadPoolExecutor(1) as views:
         yield Workers(
@@ -59,14 +59,14 @@ def local_workers(num_threads: int, cache: Cache | None = None) -> Iterator[Work
 
 @contextmanager
 def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
-    """The workers of a dask.distributed cluster; tasks of workers that die run again.
+    """The workers of a dask.distributed cluster; tasks of lost workers are repeated.
 
     Args:
         scheduler: address of the scheduler, such as tcp://host:8786.
-        cache: in a folder that this process and all workers see, as they must see the images.
+        cache: cache in a folder that this process and all workers can access, like the images.
 
     Raises:
-        ColmapEdgesError: when dask is missing, the scheduler cannot be reached, or workers have
+        ColmapEdgesError: if dask is missing, the scheduler cannot be reached, or workers have
             another version of the code.
     """
     try:
@@ -76,7 +76,7 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
             f"a scheduler needs dask ({error}); pip install 'colmap-edges[cluster]'"
         ) from error
     try:
-        # Before there is a client: one that cannot be made waits and complains when it goes.
+        # Checked first: a client without a scheduler blocks, and logs errors when it is closed.
         with ThreadPoolExecutor(1) as apart:
             apart.submit(asyncio.run, try_connection(scheduler)).result()
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
@@ -86,12 +86,15 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
         client.wait_for_workers(1)
         others = [at for at, found in client.run(code_version).items() if found != code_version()]
         if others:
-            raise ColmapEdgesError(f"worker {others[0]} has other versions of code or libraries")
+            raise ColmapEdgesError(
+                f"worker {others[0]} has other versions of colmap-edges or its libraries; "
+                "install the same there"
+            )
         executor = client.get_executor(pure=False)
         yield Workers(
             images=executor,
             views=executor,
-            num_view_tasks=2 * sum(client.nthreads().values()),  # none waits for the next
+            num_view_tasks=2 * sum(client.nthreads().values()),  # so that no worker idles
             threads_per_view=1,
             remote=True,
             cache=cache,
@@ -99,7 +102,7 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
 
 
 async def try_connection(address: str) -> None:
-    """Connect to a scheduler and hang up; raises what distributed raises for a bad address."""
+    """Connect to a scheduler and disconnect; raises distributed's error for a bad address."""
     from distributed.comm import connect
 
     comm = await connect(address, timeout=CONNECT_S)
@@ -111,9 +114,9 @@ def run_all(
     calls: Iterable[Call],
     advance: Callable[[], None] = lambda: None,
 ) -> list[Any]:
-    """Results of calls (function, arguments), in their order; the first error stops the rest.
+    """Run calls (function, arguments); returns results in order; the first error stops the rest.
 
-    `advance` is called when a call is done, from any thread.
+    `advance` is called after each call, from any thread.
     """
     futures: list[Future[Any]] = []
     try:
@@ -131,13 +134,13 @@ def run_scheduled(
     call: Callable[[int], Call],
     finish: Callable[[int, Any], None],
 ) -> None:
-    """Run a call a view in the order of a schedule, as many at once as is worth it.
+    """Run one call per view in the order of a schedule, several at a time.
 
     Args:
-        workers: who does the work.
-        schedule: the views.
-        call: gives the call of a view, when its turn has come.
-        finish: takes a view and its result before those that wait for the view are begun.
+        workers: the executors.
+        schedule: the views and their dependencies.
+        call: makes the call of a view when it is due.
+        finish: receives a view and its result before views that depend on it are started.
     """
     running: dict[Future[Any], int] = {}
     try:
@@ -156,20 +159,20 @@ def run_scheduled(
 
 
 def stop(futures: Iterable[Future[Any]]) -> None:
-    """Cancel the calls that have not begun and wait for those that have.
+    """Cancel the calls that have not started and wait for the others.
 
-    What was cancelled is not waited for: a cluster's executor never notifies `wait` of a future
-    whose result came at the same time.
+    Cancelled calls are not waited for: a cluster's executor never notifies `wait` of a future
+    that was cancelled while its result arrived.
     """
     wait([future for future in futures if not future.cancel()])
 
 
-# More only take memory, of an image each, and in the end the system has none to give.
+# More threads only take memory, one image each.
 MAX_THREADS_PER_CORE = 4
 
 
 def thread_count(options: PipelineOptions) -> int:
-    """Number of threads the options ask for, as far as that many are of any use."""
+    """Number of threads set in the options, limited to a useful number."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     return (

@@ -1,4 +1,4 @@
-"""Opens the user's files; refuses pipes, devices and folders, which could block a run."""
+"""Opening of input files; rejects pipes, devices and folders, which could block a run."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ KINDS = {
 def open_file(path: Path) -> BinaryIO:
     """Open a regular file to read its bytes.
 
-    A pipe blocks whoever opens it until somebody writes, and a device may never end.
+    Opening a pipe blocks until another process writes, and a device may never end.
 
     Raises:
-        NotAFileError: when it is something else.
-        OSError: when it cannot be opened.
+        NotAFileError: if the path is not a regular file.
+        OSError: if it cannot be opened.
     """
     try:
         descriptor = open_plain(path, os.O_RDONLY, follow=True)
     except OSError as error:
-        if error.errno == errno.ENXIO:  # what opening a socket comes to
+        if error.errno == errno.ENXIO:  # raised for sockets
             raise not_a_file(path, "a socket") from error
         raise
     kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
@@ -43,15 +43,15 @@ def open_file(path: Path) -> BinaryIO:
 
 
 def not_a_file(path: Path, kind: str) -> NotAFileError:
-    """Make the error for what is no regular file."""
-    return NotAFileError(f"{path} is {kind}, not a file; give a file")
+    """Make the error for a path that is not a regular file."""
+    return NotAFileError(f"{path} is {kind}, not a file; give a regular file")
 
 
 def read_bytes(path: Path) -> bytes:
     """All bytes of a regular file.
 
     Raises:
-        OSError: when it cannot be read, `NotAFileError` when it is no regular file.
+        OSError: if it cannot be read; `NotAFileError` if it is not a regular file.
     """
     with open_file(path) as file:
         return file.read()
@@ -61,7 +61,7 @@ def read_text(path: Path) -> str:
     """The text of a regular file in UTF-8.
 
     Raises:
-        OSError: when it cannot be read, `NotAFileError` when it is no regular file.
-        ValueError: when it is not UTF-8.
+        OSError: if it cannot be read; `NotAFileError` if it is not a regular file.
+        ValueError: if it is not UTF-8.
     """
     return read_bytes(path).decode("utf-8")

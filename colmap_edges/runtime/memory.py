@@ -1,4 +1,4 @@
-"""What the C library does with freed memory, where it can be told (glibc)."""
+"""Control of how the C library (glibc) treats freed memory."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ LARGEST_KEPT_BYTES = 1 << 28
 
 
 def reuse_freed_memory() -> None:
-    """Have arrays of images live where those of the image before did.
+    """Let the C library reuse the memory of freed arrays.
 
-    As it is the C library gives large arrays back to the system when they are freed, and gets as
-    many pages for the next, which the system fills with zeros first; and what one thread freed is
-    kept for that thread alone. To be called before there are threads.
+    By default it returns large arrays to the system and requests new pages, which the system
+    clears, and memory freed by one thread is reused by that thread only. Call this before threads
+    are started.
     """
     mallopt = c_function("mallopt")
     if mallopt is not None:
@@ -24,7 +24,7 @@ def reuse_freed_memory() -> None:
 
 
 def return_freed_memory() -> None:
-    """Have the C library return to the system what was freed."""
+    """Let the C library return freed memory to the system."""
     trim = c_function("malloc_trim")
     if trim is not None:
         trim(0)

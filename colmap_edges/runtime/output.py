@@ -1,4 +1,4 @@
-"""Output folders and files that appear whole or not at all."""
+"""Atomic output: folders and files that appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from colmap_edges.runtime.ownership import (
 
 logger = logging.getLogger(__name__)
 
-# In the work folder of a run: the lock that says whose it is, the output in the making, and the
-# one that it replaces.
+# Entries of a run's work folder: the lock that identifies its owner, the unfinished output, and
+# the output that it replaces.
 LOCK, NEW, PREVIOUS = "lock", "new", "previous"
 
 
 def check_output_path(output: Path, inputs: list[Path], overwrite: bool) -> None:
-    """Check that `output` is free, or ours to replace, and away from every input.
+    """Check that `output` is free or may be replaced, and overlaps no input.
 
     Raises:
         ColmapEdgesError: otherwise.
@@ -42,7 +42,7 @@ def check_output_path(output: Path, inputs: list[Path], overwrite: bool) -> None
 
 
 def check_apart(what: str, path: Path, inputs: list[Path]) -> None:
-    """Check that `path`, which `what` names in errors, is away from every input.
+    """Check that `path` overlaps no input; `what` names it in errors.
 
     Raises:
         ColmapEdgesError: otherwise.
@@ -51,16 +51,16 @@ def check_apart(what: str, path: Path, inputs: list[Path]) -> None:
         if path == source or source in path.parents or path in source.parents:
             relation = "the same as" if path == source else "inside or around"
             raise ColmapEdgesError(
-                f"{what} {path} is {relation} the input {source}; choose a folder apart"
+                f"{what} {path} is {relation} the input {source}; choose another folder"
             )
 
 
 def check_replaceable(output: Path, kind: Kind, overwrite: bool) -> None:
-    """Check that there is no output yet, or one that may be replaced.
+    """Check that there is no output yet, or that it may be replaced.
 
     Raises:
         ColmapEdgesError: otherwise.
-        OSError: when that cannot be told.
+        OSError: if the output cannot be inspected.
     """
     check_free(output, overwrite)
     if output.exists() and any(output.iterdir()):
@@ -68,14 +68,14 @@ def check_replaceable(output: Path, kind: Kind, overwrite: bool) -> None:
 
 
 def check_free(output: Path, overwrite: bool) -> None:
-    """Check that at `output` there is nothing, an empty folder, or one to overwrite.
+    """Check that `output` does not exist, is empty, or is to be overwritten.
 
     Raises:
         ColmapEdgesError: otherwise.
-        OSError: when that cannot be told.
+        OSError: if the output cannot be inspected.
     """
     if not output.parent.is_dir():
-        raise ColmapEdgesError(f"cannot write {output}: {output.parent} is no folder; create it")
+        raise ColmapEdgesError(f"cannot write {output}: {output.parent} is not a folder; create it")
     if output.is_symlink():
         raise ColmapEdgesError(
             f"cannot write {output}: it is a link to {output.readlink()}; give the folder itself"
@@ -83,16 +83,20 @@ def check_free(output: Path, overwrite: bool) -> None:
     if not output.exists():
         return
     if not output.is_dir():
-        raise ColmapEdgesError(f"cannot write {output}: a file of that name is there")
+        raise ColmapEdgesError(
+            f"cannot write {output}: a file of that name exists; choose another folder"
+        )
     if os.path.ismount(output):
-        raise ColmapEdgesError(f"cannot write {output}: it is a mount point; give a folder in it")
+        raise ColmapEdgesError(
+            f"cannot write {output}: it is a mount point; give a folder inside it"
+        )
     if any(output.iterdir()) and not overwrite:
-        raise ColmapEdgesError(f"{output} is there already; choose another or add --overwrite")
+        raise ColmapEdgesError(f"{output} exists already; choose another or add --overwrite")
 
 
 @contextmanager
 def one_line(what: str, path: Path) -> Iterator[None]:
-    """Turn errors of the system into one line that begins with `what` and the path."""
+    """Turn OSError into a one-line error that starts with `what` and the path."""
     try:
         yield
     except OSError as error:
@@ -101,21 +105,21 @@ def one_line(what: str, path: Path) -> Iterator[None]:
 
 @contextmanager
 def new_folder(output: Path, kind: Kind = OUTPUT, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder beside `output` that takes its place when the block succeeds.
+    """Yield a hidden folder next to `output` that replaces it when the block succeeds.
 
-    On an error the hidden folder goes and `output` stays as it was. What a killed run left is
-    cleaned by the next one; a second run into the same output at the same time is refused.
+    On an error the hidden folder is removed and `output` is unchanged. Remains of killed runs are
+    removed by the next run. Two runs cannot write to the same output at the same time.
 
     Args:
         output: folder to make.
-        kind: says which files in an earlier one are ours; others are not deleted.
-        overwrite: replace an earlier one.
+        kind: determines which files of an existing output are ours; others are not deleted.
+        overwrite: replace an existing output.
 
     Raises:
-        ColmapEdgesError: when the folder cannot be made, is not ours to replace, or another run
+        ColmapEdgesError: if the folder cannot be made, must not be replaced, or another run
             writes there.
     """
-    # Inputs have errors of their own.
+    # Errors of inputs are reported where they are read.
     with one_line("cannot write to", output), work_folder(output, kind) as work:
         check_replaceable(output, kind, overwrite)
         (work / NEW).mkdir()
@@ -128,11 +132,11 @@ def new_folder(output: Path, kind: Kind = OUTPUT, overwrite: bool = False) -> It
 
 @contextmanager
 def work_folder(output: Path, kind: Kind) -> Iterator[Path]:
-    """Yield a locked folder of this run beside `output`, after clearing up those of killed runs.
+    """Yield a locked work folder next to `output`, after removing those of killed runs.
 
     Raises:
-        ColmapEdgesError: when another run writes to `output`.
-        OSError: when there can be none.
+        ColmapEdgesError: if another run writes to `output`.
+        OSError: if it cannot be made.
     """
     work, lock = make_work_folder(output)
     try:
@@ -146,7 +150,7 @@ def work_folder(output: Path, kind: Kind) -> Iterator[Path]:
 
 
 def make_work_folder(output: Path) -> tuple[Path, int]:
-    """Make a folder of a name that nobody guesses; give it and the descriptor of its lock."""
+    """Make a folder with a random name; returns it and the descriptor of its lock."""
     while True:
         token = secrets.token_hex(16)
         work = output.with_name(f".{output.name}.colmap-edges-{token}")
@@ -154,7 +158,7 @@ def make_work_folder(output: Path) -> tuple[Path, int]:
         try:
             lock = platform.make_own(work / LOCK)
         except FileNotFoundError:
-            continue  # another run took it for one that a killed run left
+            continue  # another run took it for that of a killed run
         try:
             platform.lock(lock)
             os.write(lock, lock_text(token))
@@ -168,25 +172,24 @@ def make_work_folder(output: Path) -> tuple[Path, int]:
 
 
 def remove_empty(work: Path) -> None:
-    """Remove a work folder in which nothing was begun."""
+    """Remove a work folder without contents."""
     with suppress(OSError):
         (work / LOCK).unlink(missing_ok=True)
         work.rmdir()
 
 
 def lock_text(token: str) -> bytes:
-    """What the lock in the work folder of a name with `token` holds."""
+    """The content of the lock file in the work folder with `token` in its name."""
     return f"colmap-edges {token}\n".encode()
 
 
 def abandoned(output: Path, own: Path) -> Iterator[Path]:
-    """Work folders beside `output` that killed runs left, each locked until the next is asked for.
+    """Work folders next to `output` left by killed runs, each locked while it is yielded.
 
-    Only folders of this user with a lock by this program are: no links, and nothing else of the
-    same name.
+    Only folders of this user with a lock file of this program count; links do not.
 
     Raises:
-        ColmapEdgesError: when a living run holds one.
+        ColmapEdgesError: if a running process holds the lock of one.
     """
     pattern = re.compile(re.escape(f".{output.name}.colmap-edges-") + "([0-9a-f]{32})")
     for entry in list(os.scandir(output.parent)):
@@ -200,7 +203,7 @@ def abandoned(output: Path, own: Path) -> Iterator[Path]:
             lock = platform.open_plain(work / LOCK, os.O_RDWR, follow=False)
         except OSError:
             with suppress(OSError):
-                work.rmdir()  # killed before there was anything in it
+                work.rmdir()  # killed before it contained anything
             continue
         try:
             platform.try_lock(lock)
@@ -220,26 +223,25 @@ def abandoned(output: Path, own: Path) -> Iterator[Path]:
 
 
 def released_to_remove(lock: int) -> int:
-    """Close a lock before its file is removed, where open files cannot be; -1 if it is closed.
+    """Close a lock where open files cannot be removed; returns -1 if it is closed.
 
-    A run that begins then may take the folder for abandoned too; of two that remove it one is
-    faster, and the other does not mind.
+    Another run may then remove the same folder, too, which does no harm.
     """
     return lock if platform.removes_open_files() else released(lock)
 
 
 def released(lock: int) -> int:
-    """Close a lock that may be closed already, -1."""
+    """Close a lock unless it is closed already (-1)."""
     if lock >= 0:
         os.close(lock)
     return -1
 
 
 def settle(work: Path, output: Path, kind: Kind) -> None:
-    """End the work in a work folder, complete or not, and remove it.
+    """Finish a work folder, complete or not, and remove it.
 
-    An output that was moved aside comes back when nothing took its place; otherwise its files are
-    deleted, and what this program did not write goes over to the new one.
+    An output that was moved aside is restored if nothing replaced it. Otherwise its files are
+    deleted, and files that this program did not write move to the new output.
     """
     try:
         previous = work / PREVIOUS
@@ -249,7 +251,7 @@ def settle(work: Path, output: Path, kind: Kind) -> None:
         elif moved:
             discard(previous, output, kind)
         shutil.rmtree(work / NEW, ignore_errors=True)
-        if [path.name for path in work.iterdir()] == [LOCK]:  # which goes last
+        if [path.name for path in work.iterdir()] == [LOCK]:  # removed last
             (work / LOCK).unlink()
             work.rmdir()
     except FileNotFoundError:
@@ -259,7 +261,7 @@ def settle(work: Path, output: Path, kind: Kind) -> None:
 
 
 def discard(earlier: Path, output: Path, kind: Kind) -> None:
-    """Delete our files of an output that `output` replaced; the others go over to `output`."""
+    """Delete our files of a replaced output; all others move to `output`."""
     ours = files_of(earlier, kind) or {}
     for entry in list(foreign_entries(earlier, kind, ours)):
         target = output / entry.relative_to(earlier)
@@ -275,20 +277,20 @@ def discard(earlier: Path, output: Path, kind: Kind) -> None:
     for folder, _, _ in os.walk(earlier, topdown=False):
         if Path(folder) != earlier:
             Path(folder).rmdir()
-    (earlier / kind.record).unlink(missing_ok=True)  # last, for it says what is ours
+    (earlier / kind.record).unlink(missing_ok=True)  # last, since it lists our files
     earlier.rmdir()
 
 
 def write_whole(path: Path, data: bytes, what: str) -> None:
-    """Write the whole file or none.
+    """Write a file atomically.
 
     Args:
         path: the file.
-        data: all of it.
-        what: names it in errors.
+        data: the content.
+        what: name of the file's content in errors.
 
     Raises:
-        ColmapEdgesError: when it cannot be written.
+        ColmapEdgesError: if it cannot be written.
     """
     temporary = None
     try:

@@ -1,4 +1,4 @@
-"""Records which files of an output folder this program wrote; it never deletes others."""
+"""Records of the files that this program wrote to an output folder; others are never deleted."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ NOTHING = re.compile(r"(?!)")
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A kind of folder that a command writes.
+    """A kind of output folder.
 
     Attributes:
-        record: name of the JSON file in it that names this program, its version, and the files.
-        known: names of the files of early versions, whose record lists none.
-        kept: names in it that belong to other commands and go over to what replaces it.
+        record: name of its JSON file that holds the program, the version and the files.
+        known: names of files written by early versions, whose record lists no files.
+        kept: names of entries of other commands, which are kept when the folder is replaced.
     """
 
     record: str
@@ -47,19 +47,19 @@ EVALUATION = Kind(record="evaluation.json")
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
-    """Sizes in bytes of all files below a folder, by their names from there on, for its record.
+    """Sizes in bytes of all files below a folder, by relative name, for its record.
 
     Raises:
-        OSError: when a folder cannot be looked into.
+        OSError: if a folder cannot be listed.
     """
     return {name: status.st_size for name, status in files_below(folder)}
 
 
 def files_below(folder: Path) -> Iterator[tuple[str, os.stat_result]]:
-    """Names from `folder` on of all that is below it but folders, in order; links are not followed.
+    """Sorted relative names of all files below `folder`; links are not followed.
 
     Raises:
-        OSError: when a folder cannot be looked into.
+        OSError: if a folder cannot be listed.
     """
     for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
         status = entry.stat(follow_symlinks=False)
@@ -71,13 +71,13 @@ def files_below(folder: Path) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def files_of(folder: Path, kind: Kind) -> dict[str, int] | None:
-    """Sizes of the files that this program wrote into a folder, by name, as its record tells.
+    """Sizes of the files that this program wrote into a folder, by name, from its record.
 
     Returns:
-        None when the folder has no record by this program.
+        None if the folder has no record of this program.
 
     Raises:
-        OSError: when the folder cannot be looked into.
+        OSError: if the folder cannot be listed.
     """
     try:
         record = read_record(folder / kind.record)
@@ -93,10 +93,10 @@ def files_of(folder: Path, kind: Kind) -> dict[str, int] | None:
 
 
 def read_record(path: Path) -> Any:
-    """Read a record; nothing but a plain file is one.
+    """Read a record, which must be a regular file.
 
     Raises:
-        ValueError: when it is none.
+        ValueError: if it is not a record.
     """
     try:
         descriptor = open_plain(path, os.O_RDONLY, follow=False)
@@ -109,18 +109,18 @@ def read_record(path: Path) -> Any:
 
 
 def foreign_entries(folder: Path, kind: Kind, ours: dict[str, int]) -> Iterator[Path]:
-    """What is in a folder besides what this program wrote, or has another size by now.
+    """Entries of a folder that this program did not write, or whose size has changed.
 
     Args:
         folder: the folder.
-        kind: its kind; its record is ours, too.
+        kind: its kind; its record counts as ours.
         ours: sizes of our files by name.
 
     Yields:
-        Files, links and whole folders, first those in `folder` itself.
+        Files, links and whole folders, starting with those in `folder` itself.
 
     Raises:
-        OSError: when a folder cannot be looked into.
+        OSError: if a folder cannot be listed.
     """
     folders = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
 
@@ -142,24 +142,26 @@ def foreign_entries(folder: Path, kind: Kind, ours: dict[str, int]) -> Iterator[
 
 
 def check_ours(folder: Path, kind: Kind) -> None:
-    """Check that all of a folder is ours to replace, and can be.
+    """Check that a folder was written by this program alone, and can be replaced.
 
     Raises:
-        ColmapEdgesError: naming what is not.
-        OSError: when a folder cannot be looked into.
+        ColmapEdgesError: naming an entry that cannot be replaced.
+        OSError: if a folder cannot be listed.
     """
     ours = files_of(folder, kind)
     if ours is None:
         raise ColmapEdgesError(
-            f"{folder} holds no {kind.record} of {PROGRAM}, so it is no output of {PROGRAM} and is "
-            "not overwritten; choose another folder"
+            f"{folder} holds no {kind.record} of {PROGRAM}, so it is not an output of {PROGRAM} "
+            "and is not overwritten; choose another folder"
         )
     for entry in foreign_entries(folder, kind, ours):
         if not kind.kept.fullmatch(entry.relative_to(folder).as_posix()):
             raise ColmapEdgesError(
-                f"{entry} is not as {PROGRAM} wrote it, or not by it at all, so {folder} is not "
+                f"{entry} was not written by {PROGRAM}, or was changed since, so {folder} is not "
                 "overwritten; move it away or choose another folder"
             )
     for place, _, _ in os.walk(folder):
         if not os.access(place, os.W_OK | os.X_OK):
-            raise ColmapEdgesError(f"cannot replace {folder}: {place} cannot be written to")
+            raise ColmapEdgesError(
+                f"cannot replace {folder}: {place} is not writable; change its permissions"
+            )

@@ -1,7 +1,6 @@
-"""What differs from system to system, each with a path for systems that lack it.
+"""Functions that depend on the operating system, each with a fallback.
 
-Everything here asks at the time of the call whether the system has the function, so that a test
-can take it away.
+Availability is checked at call time, so that tests can simulate other systems.
 """
 
 from __future__ import annotations
@@ -32,34 +31,34 @@ try:
 except ImportError:  # Windows
     resource = None
 
-LOCKED_BYTE = 1 << 30  # far behind what a lock file holds: Windows keeps others from locked bytes
+LOCKED_BYTE = 1 << 30  # beyond the file's content, which Windows would make inaccessible
 LOCK_INTERVAL_S = 0.05
 
 
 def c_function(name: str) -> Any:
-    """A function of the C library; None where there is none of that name, or no way to ask."""
+    """A function of the C library; None if it is not available."""
     try:
         return getattr(ctypes.CDLL(None), name, None)
-    except (OSError, TypeError):  # Windows has no library that stands for the program itself
+    except (OSError, TypeError):  # not possible on Windows
         return None
 
 
 def ending_signals() -> list[int]:
-    """The signals by which users and systems end a program."""
+    """The signals that users and systems send to end a program."""
     names = ("SIGINT", "SIGTERM", "SIGHUP")
     return [getattr(signal, name) for name in names if hasattr(signal, name)]
 
 
 def open_plain(path: Path, flags: int, *, follow: bool) -> int:
-    """Open a file without waiting for a pipe or a device in its place.
+    """Open a file without blocking on a pipe or device.
 
     Args:
         path: the file.
-        flags: how, such as os.O_RDONLY.
-        follow: whether it may be a link.
+        flags: as of os.open, such as os.O_RDONLY.
+        follow: whether links are followed.
 
     Raises:
-        OSError: when it cannot be opened, or is a link that is not to be followed.
+        OSError: if it cannot be opened, or is a link and `follow` is false.
     """
     if not follow and not hasattr(os, "O_NOFOLLOW") and path.is_symlink():
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
@@ -71,22 +70,22 @@ def open_plain(path: Path, flags: int, *, follow: bool) -> int:
 
 
 def make_own(path: Path) -> int:
-    """Make a file that only this user may read and write, and open it.
+    """Create and open a file that only this user may read and write.
 
     Raises:
-        OSError: when there is one already, or it cannot be made.
+        OSError: if it exists or cannot be created.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
     return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o600)
 
 
 def is_own(status: os.stat_result) -> bool:
-    """Whether a file is this user's; on systems without owners of files, all are."""
+    """Whether a file belongs to this user; always true on systems without file owners."""
     return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
 
 
 def lock(descriptor: int) -> None:
-    """Lock an open file for this program; waits for whoever has it."""
+    """Lock an open file for this process; blocks while another process holds the lock."""
     if fcntl is not None:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         return
@@ -98,10 +97,10 @@ def lock(descriptor: int) -> None:
 
 
 def try_lock(descriptor: int) -> None:
-    """Lock an open file for this program; the lock goes when the file is closed.
+    """Lock an open file for this process until it is closed, without blocking.
 
     Raises:
-        BlockingIOError: when another program has it.
+        BlockingIOError: if another process holds the lock.
     """
     if fcntl is not None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -117,12 +116,12 @@ def try_lock(descriptor: int) -> None:
 
 
 def removes_open_files() -> bool:
-    """Whether files can be removed, and folders renamed, while a program has them open."""
+    """Whether open files can be removed and their folders renamed."""
     return os.name != "nt"
 
 
 def reset_peak_memory() -> None:
-    """Let the kernel count this process's peak memory anew, where it can."""
+    """Reset the kernel's record of this process's peak memory, if supported."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
@@ -130,7 +129,7 @@ def reset_peak_memory() -> None:
 
 
 def peak_memory_mb() -> float:
-    """Peak resident memory in megabytes since the last reset, or the start; 0 if none can tell."""
+    """Peak resident memory in megabytes since the last reset or the start; 0 if unknown."""
     try:
         status = Path("/proc/self/status").read_text()
     except OSError:

@@ -1,7 +1,7 @@
-"""Orders the views so that few edge graphs have to be in memory at once.
+"""Order in which views are processed, so that few edge graphs are in memory at once.
 
-Which views are in memory at once decides how often graphs that wait on disk are read again. The
-order changes nothing else: a view waits for those whose edges it must not trace once more.
+The order affects only how often graphs are read from disk, not the result: each view is processed
+after the views whose edges it must not trace again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from colmap_edges.core.arrays import IntArray
 
 
 def local_order(neighbors: Sequence[IntArray]) -> IntArray:
-    """(V,) views in an order in which neighbours are near each other (reverse Cuthill-McKee)."""
+    """(V,) views ordered so that neighbours are close (reverse Cuthill-McKee)."""
     count = len(neighbors)
     rows = np.repeat(np.arange(count), [len(others) for others in neighbors])
     columns = np.concatenate([np.zeros(0, np.int64), *neighbors])
@@ -27,18 +27,17 @@ def local_order(neighbors: Sequence[IntArray]) -> IntArray:
 
 
 class Schedule:
-    """Hands out views so that each comes after those before it that it shares edges with.
+    """Hands out views so that each follows the earlier views that it depends on.
 
-    Of the views that may be next, the one comes that needs the fewest others which were not
-    needed lately.
+    Among the possible next views, it takes the one that needs the fewest graphs not in memory.
     """
 
     def __init__(self, order: IntArray, needed: Sequence[IntArray], num_kept: int) -> None:
         """Start with nothing done.
 
         Args:
-            order: (V,) the views; of two of which one needs the other, the first goes first.
-            needed: per view the others that it needs.
+            order: (V,) the views; of two dependent views the earlier one is processed first.
+            needed: for each view, the other views that it needs.
             num_kept: views that stay in memory.
         """
         count = len(order)
@@ -59,7 +58,7 @@ class Schedule:
         self.num_kept = num_kept
 
     def take(self) -> int | None:
-        """The next view; None while all that are left wait for views that are not done."""
+        """The next view; None if all remaining views wait for unfinished ones."""
         views = np.flatnonzero(self.ready)
         if len(views) == 0:
             return None
@@ -70,7 +69,7 @@ class Schedule:
         return view
 
     def use(self, view: int) -> None:
-        """Note that a view was needed; the one longest not needed is forgotten."""
+        """Mark a view as recently used; the least recently used one is dropped."""
         if view in self.recent:
             self.recent.move_to_end(view)
             return
@@ -81,14 +80,14 @@ class Schedule:
             self.num_missing[self.users[old]] += 1
 
     def finish(self, view: int) -> None:
-        """Note that a view is done, so that others need not wait for it any more."""
+        """Mark a view as finished, so that others no longer wait for it."""
         later = self.later[view]
         self.num_awaited[later] -= 1
         self.ready[later[self.num_awaited[later] == 0]] = True
 
 
 def users_of(needed: Sequence[IntArray]) -> list[IntArray]:
-    """Per view the views that need it."""
+    """For each view, the views that need it."""
     rows = np.repeat(np.arange(len(needed)), [len(others) for others in needed])
     columns = np.concatenate([np.zeros(0, np.int64), *needed])
     order = np.argsort(columns, kind="stable")

@@ -1,4 +1,4 @@
-"""Records counts, seconds and peak memory of each stage, and shows progress."""
+"""Records of the counts, duration and peak memory of each stage, and progress callbacks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from colmap_edges.runtime.platform import peak_memory_mb, reset_peak_memory
 
-# Called with the stage's name, the steps done and the steps in all.
+# Called with the stage's name, the number of finished steps and their total number.
 Progress = Callable[[str, int, int], None]
 
 
@@ -22,14 +22,14 @@ def no_progress(name: str, done: int, total: int) -> None:
 
 @dataclass
 class Stage:
-    """One stage while it runs and after.
+    """One stage of a run, with its record.
 
     Attributes:
-        name: what the stage is called.
+        name: name of the stage.
         total: number of steps, for the progress bar.
-        counts: what went in, what was kept, what was dropped by reason.
-        wall_s: seconds by the clock.
-        cpu_s: seconds of processor time over all threads.
+        counts: numbers of inputs, results, and dropped items by reason.
+        wall_s: wall-clock seconds.
+        cpu_s: CPU seconds of all threads.
         peak_mb: largest resident memory during the stage, megabytes.
     """
 
@@ -44,13 +44,13 @@ class Stage:
     lock: Lock = field(default_factory=Lock)
 
     def advance(self) -> None:
-        """Count one step as done; may be called from any thread."""
+        """Count one step as finished; thread-safe."""
         with self.lock:
             self.done += 1
             self.progress(self.name, self.done, self.total)
 
     def record(self) -> dict[str, Any]:
-        """What the report keeps of the stage."""
+        """The stage's entry in report.json."""
         return {
             "name": self.name,
             "counts": plain_counts(self.counts),
@@ -64,13 +64,13 @@ class Stages:
     """The stages of a run, in order."""
 
     def __init__(self, progress: Progress = no_progress) -> None:
-        """Start without stages; `progress` is told of every step."""
+        """Start without stages; `progress` is called at every step."""
         self.progress = progress
         self.finished: list[Stage] = []
 
     @contextmanager
     def stage(self, name: str, total: int = 1) -> Iterator[Stage]:
-        """Run the block as the stage `name` of `total` steps and keep its record."""
+        """Run the block as the stage `name` with `total` steps, and record it."""
         stage = Stage(name, total, self.progress)
         reset_peak_memory()
         wall, cpu = time.perf_counter(), time.process_time()
@@ -87,9 +87,9 @@ class Stages:
 
 
 def plain_counts(stats: Mapping[str, Any]) -> dict[str, Any]:
-    """`stats` as what JSON can hold.
+    """`stats` converted to JSON types.
 
-    Numbers of numpy become Python's, whole ones integers, and None those that are no numbers.
+    Numpy numbers become Python's, integral ones int, and non-finite ones None.
     """
     return {key: plain(value) for key, value in stats.items()}
 

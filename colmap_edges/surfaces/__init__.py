@@ -1,1 +1,1 @@
-"""Points and edges -> triangle mesh: the Python side of the CGAL extension."""
+"""Meshing of points and edges: the Python side of the CGAL extension."""

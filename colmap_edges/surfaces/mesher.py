@@ -1,4 +1,4 @@
-"""Meshes points and the rays to their cameras; the Python side of the CGAL extension."""
+"""Meshing of points with their viewing rays; the Python side of the CGAL extension."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.faces.decision import lacking_points
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
@@ -21,9 +22,10 @@ from colmap_edges.surfaces.simplify import simplify
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
     from colmap_edges.core.edges3d import Edges3D
+    from colmap_edges.surfaces.faces.finding import Faces
 
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
-# Below this part of a segment's usual length it is split where others cross it ever again, in vain.
+# Minimum length of split segments, in median lengths: crossing ones would be split forever.
 FINEST = 0.01
 
 
@@ -49,6 +51,7 @@ def mesh(
     num_threads: int = 0,
     background: Background | None = None,
     contours: Edges3D | None = None,
+    faces: Faces | None = None,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -56,22 +59,40 @@ def mesh(
         reconstruction_or_path: a model folder, a pycolmap.Reconstruction or a `Model`.
         edges: 3D edges of this model that the mesh should follow.
         method: overrides `options.method`.
-        options: how to mesh; the defaults suit any model.
-        num_threads: threads to use, 0 for all cores; the result does not depend on it.
-        background: what its posed images' sight of the background says, as `reconstruct` finds.
-        contours: view-dependent contours, as `reconstruct` finds, which the mesh follows, too.
+        options: meshing options; the defaults suit any model.
+        num_threads: number of threads, 0 for all cores; does not affect the result.
+        background: background rays and silhouette points, as found by `reconstruct`.
+        contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
+        faces: planar faces between the edges, as found by `reconstruct` with `use_faces`.
 
     Raises:
-        ColmapEdgesError: when the model cannot be read, holds too little to mesh, or the mesher
-            is not built.
+        ColmapEdgesError: if the model cannot be read, its points span no volume, or the mesher is
+            not built.
     """
     model = as_model(reconstruction_or_path)
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
     curves = [of for of in (edges, contours) if of is not None]
-    found = mesh_with_curves(model, curves, options, num_threads, background)
+    on_faces = faces.points if faces else NO_POINTS
+    found = mesh_with_faces(model, curves, options, num_threads, background, on_faces)
     return finished(found, model, options)
+
+
+def mesh_with_faces(
+    model: Model,
+    curves: list[Edges3D],
+    options: MeshingOptions,
+    num_threads: int,
+    background: Background | None,
+    faces: SeenPoints,
+) -> Mesh:
+    """Mesh points of a model, of curves and of silhouettes, and of faces where these lack them."""
+    found = mesh_with_curves(model, curves, options, num_threads, background)
+    added = lacking_points(faces, model.views, found)
+    if not len(added.points):
+        return found
+    return mesh_with_curves(model, curves, options, num_threads, background, added)
 
 
 def mesh_with_curves(

@@ -1,9 +1,9 @@
 """Points on smooth bodies without edges, where viewing rays touch the visual hull.
 
-Before a background every view sees the silhouette of a body. The line of sight through a pixel of
-it touches the body within the stretch that no view sees before the background; where that is short,
-its middle is a point of the body ("viewing edges": Lazebnik, Furukawa and Ponce, Projective Visual
-Hulls, IJCV 2007).
+In front of a background every view sees the silhouette of a body. The viewing ray of a silhouette
+pixel touches the body in the interval that projects to the foreground of all views. If the interval
+is short, its midpoint is taken as a surface point ("viewing edges": Lazebnik, Furukawa and Ponce,
+Projective Visual Hulls, IJCV 2007).
 """
 
 from __future__ import annotations
@@ -37,20 +37,21 @@ from colmap_edges.images.files import square
 
 logger = logging.getLogger(__name__)
 
-# Points of bodies are before the background in no view: those of edges, 0.03 to 0.3 % of which are.
-# Of a black frame around photographs, or around what a fisheye lens shows, it is 1.7 % and more.
+# Maximum share of edge points that project onto the background: 0.03 to 0.3 % for true backdrops,
+# 1.7 % and more for black frames around photographs and fisheye images.
 MAX_CONTRADICTED = 0.01
-NUM_CHECKED = 5000  # of these points
-NUM_LINES = 4000  # of sight that are tried, all views together
-NUM_VIEWS = 100  # whose silhouettes are looked at, spread around
-NUM_TESTED = 40  # of them that say what is before the background, spread around, too
-NUM_STEPS = 256  # along a line of sight, across the sphere around all edges
-MAX_STRETCH = 0.25  # of that sphere's diameter
-NUM_SEEING = 8  # views that a point is seen by at most, those that look straightest at it
-MIN_COSINE = 0.5  # between the surface's normal and the direction to such a view
-NUM_SIGHT_STEPS = 40  # on the way from the point to the view, which has to be free
-EDGE_PX = 10  # of an edge's projection, within which the silhouette is that of an edge
-DIRECTION_PX = 2.5  # blur (standard deviation) of what tells the silhouette's direction
+NUM_CHECKED = 5000  # number of edge points checked
+NUM_LINES = 4000  # number of viewing rays tried, over all views
+NUM_VIEWS = 100  # number of views with silhouettes, spread around
+NUM_TESTED = 40  # number of views that test for foreground, spread around
+NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
+MAX_STRETCH = 0.25  # maximum length of the interval, relative to that sphere's diameter
+NUM_SEEING = 8  # maximum number of views of a point, the most frontal ones
+# minimum cosine of the angle between the surface normal and the direction to a view
+MIN_COSINE = 0.5
+NUM_SIGHT_STEPS = 40  # steps from the point to the view, all of which must be free
+EDGE_PX = 10  # distance from a projected edge within which a silhouette belongs to the edge
+DIRECTION_PX = 2.5  # standard deviation of the blur for the silhouette's direction
 
 
 class SeenPoints(NamedTuple):

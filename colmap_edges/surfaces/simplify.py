@@ -1,4 +1,4 @@
-"""Meshes with fewer triangles, by MeshLab's quadric errors."""
+"""Mesh simplification by MeshLab's quadric edge collapse."""
 
 from __future__ import annotations
 

@@ -46,14 +46,35 @@ def test_help_names_the_flags(command):
     assert "--verbose" in call(command, "--help")
 
 
+# What takes long to import, by name: nothing of it may be there when a command starts.
+HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "networkx", "trimesh", "plotly", "pymeshlab", "email"}
+
+
 def test_help_imports_nothing_heavy():
     script = (
         "import sys; from colmap_edges.cli.main import main\n"
         "try: main(['mesh', '--help'])\n"
-        "finally: print(sorted({'numpy', 'cv2', 'pycolmap', 'rich', 'scipy'} & set(sys.modules)))"
+        f"finally: print(sorted({HEAVY | {'rich'}!r} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_progress_is_shown_before_anything_heavy_is_imported(flags, tmp_path):
+    script = (
+        "import contextlib, sys\n"
+        "from colmap_edges.cli import run_commands\n"
+        "from colmap_edges.cli.main import main\n"
+        f"heavy = {HEAVY!r}\n"
+        "@contextlib.contextmanager\n"
+        "def bars():\n"
+        "    yield lambda *step: sys.exit(f'{step} {sorted(heavy & set(sys.modules))}')\n"
+        "run_commands.progress_bars = bars\n"
+        "main(['mesh', *sys.argv[1:]])\n"
+    )
+    arguments = [sys.executable, "-c", script, *map(str, flags)]
+    done = subprocess.run(arguments, capture_output=True, text=True)
+    assert done.stderr.strip() == "('read', 0, 1) []"
 
 
 @pytest.mark.parametrize("own", [None, "3"])
@@ -130,10 +151,10 @@ def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; the nearest is EdgeGraph.max"),
-        ("num_thread = 2", "unknown key num_thread; the nearest is num_threads"),
+        ("[EdgeGraph]\nmax_gap = 2", "unknown key EdgeGraph.max_gap; did you mean EdgeGraph.max"),
+        ("num_thread = 2", "unknown key num_thread; did you mean num_threads"),
         ("[EdgeGraph]\nmax_gap_points = 'wide'", "max_gap_points is 'wide'; it must be a number"),
-        ("[Detection]\nmin_chain_points = 12.5", "chain_points is 12.5; it must be a whole"),
+        ("[Detection]\nmin_chain_points = 12.5", "chain_points is 12.5; it must be an integer"),
         ("[Refinement]\nnoise_px = 0.2", "unknown key Refinement.noise_px"),
         ("[EdgeGraph\n", "cannot read"),
     ],
@@ -170,7 +191,7 @@ def test_usage_errors_exit_2(flags, tmp_path, args, message):
     ("args", "message"),
     [
         (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
-        (["--output_type", "PLY"], "'PLY' is none of BIN, TXT"),
+        (["--output_type", "PLY"], "'PLY' is not one of: BIN, TXT"),
         (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
         (["--use_faces", "1", "--use_edges", "0"], "--use_faces is 1 and --use_edges 0"),
         (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
@@ -345,7 +366,7 @@ def test_the_paper_by_one_word(flags, tmp_path):
     assert report["options"] == expected
     assert "pepcs" in next(s for s in report["stages"] if s["name"] == "trace")["counts"]["details"]
     output = call("mesh", *flags, "--method", "paper", "--quality", "low", "--overwrite", code=2)
-    assert "leave it out with --method paper" in output
+    assert "has no effect with --method paper; leave it out" in output
 
 
 def test_flags_go_before_the_preset(flags, tmp_path):

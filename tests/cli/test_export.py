@@ -57,7 +57,7 @@ def test_every_format_is_written(run_path, scene_model, tmp_path, name):
     assert (tmp_path / name).stat().st_size > 1000
     assert " curves of " in done.output and "\n" not in done.output.strip()
     again = export(*arguments)
-    assert again.exit_code == 1 and "--overwrite replaces it" in again.output
+    assert again.exit_code == 1 and "add --overwrite" in again.output
     assert export(*arguments, "--overwrite").exit_code == 0
     if name.endswith("dxf"):
         curves = colmap_edges.read_edges(run_path).curves

@@ -19,7 +19,7 @@ VIEWS = ring_of_views()
 
 
 def project(view, point):
-    return view.project_ideal(np.array([point]))[0][0]
+    return view.project_undistorted(np.array([point]))[0][0]
 
 
 def test_cross_matrix_is_the_cross_product():

@@ -159,7 +159,7 @@ def test_normals_are_perpendicular_to_the_chains_there(followed):
         chain = observed.chains[own]
         first, last = graph.polyline_offsets[chain], graph.polyline_offsets[chain + 1] - 1
         before, after = np.maximum(at - 2, first), np.minimum(at + 3, last)
-        along = graph.ideal[after] - graph.ideal[before]
+        along = graph.undistorted[after] - graph.undistorted[before]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         cosines[own] = np.abs(np.einsum("ij,ij->i", along, observed.normals[own]))
     assert np.median(cosines) < 0.01

@@ -78,7 +78,7 @@ def test_reference_is_the_depth_maps_or_the_official_data(root, model):
 def test_without_depth_maps_a_note_says_so(root, model, tmp_path):
     shutil.copytree(root, tmp_path / "dtu", ignore=shutil.ignore_patterns("Depths"))
     reference = scenes.dtu_scene(tmp_path / "dtu", 6).load_reference(model)
-    assert reference.notes == ["No Points and no Depths of this scan: no errors are measured."]
+    assert reference.notes == ["This scan has neither Points nor Depths: no errors are measured."]
 
 
 @pytest.mark.parametrize(
@@ -87,10 +87,14 @@ def test_without_depth_maps_a_note_says_so(root, model, tmp_path):
         ("Cameras/train/00000002_cam.txt", None, "00000002_cam.txt is missing"),
         ("Cameras/train/00000000_cam.txt", b"extrinsic 1 2 3", "not a camera of MVSNet's"),
         ("Cameras/train/00000000_cam.txt", b"", "not a camera of MVSNet's"),
-        ("Depths/scan6_train/depth_map_0001.pfm", b"PF\n2 2\n-1\n", "not a gray PFM"),
-        ("Depths/scan6_train/depth_map_0001.pfm", b"Pf\n99 99\n-1\n1234", "not a gray PFM"),
+        ("Depths/scan6_train/depth_map_0001.pfm", b"PF\n2 2\n-1\n", "not a grayscale PFM"),
+        ("Depths/scan6_train/depth_map_0001.pfm", b"Pf\n99 99\n-1\n1234", "not a grayscale PFM"),
         ("Depths/scan6_train/depth_map_0001.pfm", b"Pf\n-1 1\n-1\n1234", "size is -1 x 1"),
-        ("Depths/scan6_train/depth_map_0001.pfm", b"Pf\n1 1\n-1\n1234", "of the size"),
+        (
+            "Depths/scan6_train/depth_map_0001.pfm",
+            b"Pf\n1 1\n-1\n1234",
+            "another size than its depth map",
+        ),
     ],
 )
 def test_damaged_files_are_named(root, model, tmp_path, relative, content, message):
@@ -106,7 +110,7 @@ def test_cameras_of_other_images_are_refused(root, tmp_path):
     shutil.copytree(root, tmp_path / "dtu")
     for path in (tmp_path / "dtu" / "Cameras").glob("*_cam.txt"):
         shutil.copy(path, tmp_path / "dtu" / "Cameras" / "train" / path.name)
-    with pytest.raises(ColmapEdgesError, match="not of images of 320 x 240 pixels"):
+    with pytest.raises(ColmapEdgesError, match="not for images of 320 x 240 pixels"):
         mvsnet.posed_images(tmp_path / "dtu", 6)
 
 

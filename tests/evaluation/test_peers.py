@@ -203,7 +203,7 @@ def test_strecha_camera_files(model, tmp_path):
 
     pose = strecha.load_true_poses(tmp_path).pose("0000.jpg")
     np.testing.assert_allclose(pose.matrix(), np.column_stack([rotation, translation]), atol=1e-9)
-    with pytest.raises(ColmapEdgesError, match=r"no true pose of image 0001.jpg"):
+    with pytest.raises(ColmapEdgesError, match=r"no pose of image 0001.jpg"):
         strecha.load_true_poses(tmp_path).pose("0001.jpg")
     (tmp_path / "0000.jpg.camera").unlink()
     with pytest.raises(ColmapEdgesError, match=r"holds no NAME.camera"):

@@ -10,12 +10,12 @@ import pytest
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.edge_maps import (
-    EdgeMapFile,
     check_edge_maps,
     decode_edge_map,
     path_of_edge_map,
     read_edge_map,
 )
+from colmap_edges.images.files import CompanionFile
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +25,10 @@ def view(small):
 
 def encode(picture, kind=".png"):
     return cv2.imencode(kind, picture)[1].ravel()
+
+
+def edge_image(data):
+    return CompanionFile("edge image", Path("a.png"), "a.jpg", data)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +59,7 @@ def test_names_do_not_lead_out_of_the_folder(tmp_path):
 
 def test_every_image_needs_an_edge_image_before_work_starts(small, tmp_path):
     views = load_model(small[1]).views
-    with pytest.raises(ColmapEdgesError, match=r"edge_path .*nowhere is no folder"):
+    with pytest.raises(ColmapEdgesError, match=r"edge_path .*nowhere is not a folder"):
         check_edge_maps(views, small[0], tmp_path / "nowhere")
     for view in views[1:]:
         (tmp_path / f"{view.name}.png").touch()
@@ -94,13 +98,13 @@ def test_unreadable_edge_images_are_one_line(view, tmp_path):
 
 @pytest.mark.parametrize("shape", [(180, 240), (270, 360), (361, 480)])
 def test_sizes_that_fit(view, shape):
-    file = EdgeMapFile(Path("a.png"), encode(np.zeros(shape, np.uint8)))
+    file = edge_image(encode(np.zeros(shape, np.uint8)))
     assert decode_edge_map(file, view).strengths.shape == shape
 
 
 @pytest.mark.parametrize("shape", [(90, 240), (90, 120), (240, 180), (180, 239), (300, 360)])
 def test_sizes_that_do_not_fit(view, shape):
-    file = EdgeMapFile(Path("a.png"), encode(np.zeros(shape, np.uint8)))
+    file = edge_image(encode(np.zeros(shape, np.uint8)))
     height, width = shape
     with pytest.raises(ColmapEdgesError, match=f"edge image a.png is {width}x{height}, the cam"):
         decode_edge_map(file, view)
@@ -109,8 +113,8 @@ def test_sizes_that_do_not_fit(view, shape):
 def test_strengths_are_shares_of_the_strongest(view):
     picture = np.zeros((180, 240), np.uint8)
     picture[5, :3] = 40, 80, 20
-    strengths = decode_edge_map(EdgeMapFile(Path("a.png"), encode(picture)), view).strengths
+    strengths = decode_edge_map(edge_image(encode(picture)), view).strengths
     assert strengths[5, :4].tolist() == [0.5, 1, 0.25, 0]
     inverted = encode(255 - picture)
-    again = decode_edge_map(EdgeMapFile(Path("a.png"), inverted), view).strengths
+    again = decode_edge_map(edge_image(inverted), view).strengths
     np.testing.assert_array_equal(again, strengths)

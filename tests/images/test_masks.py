@@ -15,9 +15,9 @@ from colmap_edges.core.arrays import offsets_of
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.masking import outside_mask
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.images.files import CompanionFile
 from colmap_edges.images.masks import (
     MARGIN_PX,
-    MaskFile,
     check_masks,
     decode_mask,
     path_of_mask,
@@ -35,7 +35,7 @@ CORNER_PX = 8  # by which chains are led on to their corners
 
 
 def mask_file(mask, path=Path("m.png")):
-    return MaskFile(path, cv2.imencode(".png", mask)[1].ravel())
+    return CompanionFile("mask", path, "a.jpg", cv2.imencode(".png", mask)[1].ravel())
 
 
 def level(lengths, rows):
@@ -100,7 +100,7 @@ def test_black_is_masked_whatever_the_format(scene_model, kind):
     }[kind]
     options = [cv2.IMWRITE_PNG_BILEVEL, 1] if kind == "one bit" else []
     data = cv2.imencode(".png", stored, options)[1].ravel()
-    usable = decode_mask(MaskFile(Path("m.png"), data), view_of(scene_model))
+    usable = decode_mask(CompanionFile("mask", Path("m.png"), "m.jpg", data), view_of(scene_model))
     expected = np.zeros((40, 60), bool)
     expected[:, 30 - MARGIN_PX :] = True
     np.testing.assert_array_equal(usable, expected)

@@ -127,7 +127,7 @@ def test_a_report_of_another_program_is_none(small, tmp_path, report):
     (mine / "thesis.txt").write_text("x")
     (mine / "report.json").write_text(report)
     before = tree(tmp_path)
-    check_refused(call(small, mine, "--overwrite"), "no output of colmap-edges")
+    check_refused(call(small, mine, "--overwrite"), "not an output of colmap-edges")
     assert tree(tmp_path) == before
 
 
@@ -163,7 +163,7 @@ def test_notes_in_an_evaluation_are_named_and_kept(tmp_path):
     (tmp_path / "evaluation" / "notes.txt").write_text("mine")
     before = tree(tmp_path)
     with (
-        pytest.raises(ColmapEdgesError, match=r"evaluation/notes\.txt is not as"),
+        pytest.raises(ColmapEdgesError, match=r"evaluation/notes\.txt was not written by"),
         new_folder(tmp_path / "evaluation", EVALUATION, overwrite=True),
     ):
         pass
@@ -182,12 +182,12 @@ def test_what_comes_during_a_run_is_kept(tmp_path, caplog):
     ours = {"a", "sparse/b", "c", "report.json"}
     assert names == ours | {"sparse/notes.txt", "only/notes.txt"}
     with (
-        pytest.raises(ColmapEdgesError, match="out/only is not as"),
+        pytest.raises(ColmapEdgesError, match="out/only was not written by"),
         new_folder(output, overwrite=True),
     ):
         pass
     shutil.rmtree(output)
-    with pytest.raises(ColmapEdgesError, match="is there already"), new_folder(output):
+    with pytest.raises(ColmapEdgesError, match="exists already"), new_folder(output):
         output.mkdir()
         (output / "mine").write_text("mine")
     assert tree(tmp_path) == {"out": (stat.S_IFDIR, ""), "out/mine": (stat.S_IFREG, b"mine")}
@@ -439,7 +439,7 @@ def test_folders_of_another_user(shared, as_nobody, meshed):
     (shared / "closed").mkdir(mode=0o700)
     check_refused(call(shared / "closed" / "out"), "cannot write to", "Permission denied")
     shutil.copytree(meshed, mine / "root's")
-    check_refused(call(mine / "root's", "--overwrite"), mine / "root's", "cannot be written to")
+    check_refused(call(mine / "root's", "--overwrite"), mine / "root's", "is not writable")
     (mine / "unread").mkdir(mode=0o700)
     unread = call(mine / "unread", "--overwrite")
     assert (unread.returncode, "is not readable" in unread.stderr) == (2, True)
@@ -466,8 +466,8 @@ def test_a_work_folder_of_another_user_is_left_alone(as_nobody):
 def test_pipes_and_devices_are_no_place_to_write(small, tmp_path, overwrite):
     os.mkfifo(tmp_path / "pipe")
     for output in (tmp_path / "pipe", Path("/dev/null"), Path("/dev/full")):
-        check_refused(call(small, output, *overwrite), "a file of that name is there")
-    check_refused(call(small, tmp_path / "pipe" / "out", *overwrite), "is no folder")
+        check_refused(call(small, output, *overwrite), "a file of that name exists")
+    check_refused(call(small, tmp_path / "pipe" / "out", *overwrite), "is not a folder")
     cached = call(small, tmp_path / "out", "--cache_path", tmp_path / "pipe", *overwrite)
     check_refused(cached, "cannot use cache")
     os.mkfifo(tmp_path / "pipe.rrd")

@@ -3,6 +3,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import scenes
 from scipy.spatial import cKDTree
 
 import colmap_edges
+from colmap_edges.cli.info import describe
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions, TracingOptions
@@ -25,6 +27,8 @@ from colmap_edges.runtime.ownership import file_sizes
 from colmap_edges.runtime.stages import Stages
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
+
+WITH_FACES = PipelineOptions(use_faces=True, num_threads=2)
 
 
 def paths_of(scene_paths, output):
@@ -134,7 +138,7 @@ def test_output_on_an_input_is_refused(scene_paths, tmp_path, relation, name, ha
     (tmp_path / "work" / name / "below").mkdir()
     before = hash_folder(tmp_path)
     inputs = tmp_path / "work" / "images", tmp_path / "work" / "sparse"
-    with pytest.raises(ColmapEdgesError, match="choose a folder apart"):
+    with pytest.raises(ColmapEdgesError, match="choose another folder"):
         run(
             "detect",
             paths_of(inputs, tmp_path / "work" / name / relation),
@@ -146,7 +150,7 @@ def test_output_on_an_input_is_refused(scene_paths, tmp_path, relation, name, ha
 
 def test_output_cannot_be_made(scene_paths, tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ColmapEdgesError, match="is no folder"):
+    with pytest.raises(ColmapEdgesError, match="is not a folder"):
         detect(scene_paths, tmp_path / "missing" / "out")
     with pytest.raises(ColmapEdgesError, match="a file of that name"):
         detect(scene_paths, tmp_path / "file")
@@ -161,7 +165,7 @@ def test_unwritable_parent(scene_paths):
 def test_foreign_folder_is_never_overwritten(tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "precious.jpg").write_text("x")
-    with pytest.raises(ColmapEdgesError, match="no output of colmap-edges"):
+    with pytest.raises(ColmapEdgesError, match="not an output of colmap-edges"):
         check_output_path(tmp_path / "photos", [], overwrite=True)
     with pytest.raises(ColmapEdgesError, match="--overwrite"):
         check_output_path(tmp_path / "photos", [], overwrite=False)
@@ -288,7 +292,7 @@ def test_mesh_writes_every_file(meshed, scene_model):
     edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
     others = {"mesh.ply", "report.html", "report.json", "sparse"}
     assert {path.name for path in output.iterdir()} == edges | others
-    names = ["read", "detect", "trace", "write", "mesh", "report"]
+    names = ["read", "detect", "trace", "write", "background", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     edge_points = report["stages"][3]["counts"]["edge_points"]
     written = load_model(output / "sparse")
@@ -328,15 +332,52 @@ def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
 
 
-def test_faces_are_meshed_and_written_when_asked_for(scene_paths, meshed, tmp_path):
-    options = PipelineOptions(use_faces=True, num_threads=2)
-    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
-    counts = report["stages"][-2]["counts"]
-    assert counts["planar_faces"] > 0
-    told = json.loads((tmp_path / "out" / "faces.json").read_text())["faces"]
-    assert len(told) == counts["planar_faces"]
-    assert (tmp_path / "out" / "report.html").is_file()
+@pytest.fixture(scope="module")
+def with_faces(scene_paths, tmp_path_factory):
+    """Output of `mesh --use_faces 1` on the scene, and its report."""
+    output = tmp_path_factory.mktemp("faces") / "out"
+    return output, run("mesh", paths_of(scene_paths, output), WITH_FACES)
+
+
+def test_faces_are_meshed_and_written_when_asked_for(with_faces, meshed):
+    output, report = with_faces
+    counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
+    faces = counts["faces"]
+    assert 0 < faces["planar_faces"] < faces["cells_believed"] <= faces["cells_on_planes"]
+    assert [step["count"] for step in report["funnel"][-4:]] == [
+        *(faces[f"cells{rest}"] for rest in ("", "_on_planes", "_believed")),
+        faces["planar_faces"],
+    ]
+    told = json.loads((output / "faces.json").read_text())["faces"]
+    assert len(told) == faces["planar_faces"]
+    assert sum(face["area"] for face in told) == pytest.approx(faces["area"])
+    page = (output / "report.html").read_text(encoding="utf-8")
+    assert f"{len(told)} planar faces and a mesh of" in page
+    assert f"planar faces: {len(told)}" in describe(output)
     assert not (meshed[0] / "faces.json").exists()
+
+
+def test_faces_in_python_are_those_of_a_run(scene_paths, with_faces, tmp_path):
+    output = with_faces[0]
+    result = colmap_edges.reconstruct(scene_paths[1], scene_paths[0], WITH_FACES)
+    read = colmap_edges.read_edges(output)
+    assert len(result.faces.faces) == len(read.faces) > 0
+    for face, again in zip(result.faces.faces, read.faces, strict=True):
+        for field in fields(face):
+            one, other = getattr(face, field.name), getattr(again, field.name)
+            rings = field.name == "holes"
+            assert all(map(np.array_equal, one, other)) if rings else np.array_equal(one, other)
+    curves = {"contours": result.contours, "background": result.background}
+    given = colmap_edges.mesh(scene_paths[1], result.edges, faces=result.faces, **curves)
+    assert len(given.faces) == with_faces[1]["stages"][-2]["counts"]["faces"]
+    without = colmap_edges.mesh(scene_paths[1], result.edges, **curves)
+    assert not np.array_equal(without.vertices, given.vertices)
+    shutil.copytree(output, tmp_path / "out")
+    told = json.loads((output / "faces.json").read_text())
+    told["faces"][0]["image_ids"].append(999)
+    (tmp_path / "out" / "faces.json").write_text(json.dumps(told))
+    with pytest.raises(ColmapEdgesError, match=r"faces\.json holds no faces of its model: 999"):
+        colmap_edges.read_edges(tmp_path / "out")
 
 
 def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_paths):
@@ -349,7 +390,7 @@ def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_path
     np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
     np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
-    assert [stage["name"] for stage in result.stages] == ["detect", "trace"]
+    assert [stage["name"] for stage in result.stages] == ["detect", "trace", "background"]
     mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
     with_edge_points = colmap_edges.mesh(result.reconstruction)
     assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0

@@ -53,17 +53,17 @@ def test_nothing_to_say_when_all_went_well(options, details):
         ({"read": {"points3D_too_far": 7}}, "7 of 507 SfM points are at infinity", "tri_angle"),
         (
             {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
-            "no edge was detected in any of 10 images where masks do not hide it",
-            "look at the masks",
+            "no edge was detected in the unmasked parts of any of 10 images",
+            "check the masks",
         ),
         (
             {"detect": {"images_without_edges": 10, "edge_pixels": 0, "edge_images": 10}},
-            "no edge came of the edge images of 10 images",
+            "no edge was found in the edge images of 10 images",
             "leave out --edge_path",
         ),
         (
             {"detect": {"images_masked": 9}, "edges": 0},
-            "no 3D edge came out of what masks leave of 9 of 10 images",
+            "no 3D edge was found in the unmasked parts of 9 of 10 images",
             "invert them",
         ),
         ({"mesh": {"faces": 0}}, "the mesh is empty", "--Meshing.background_weight 0"),
@@ -82,7 +82,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         ({"detect": {"images_without_edges": 2}}, "2 of 10 images have no edge", "blurred"),
         (
             {"trace": {"views_without_neighbors": 10}},
-            "no two images look at the same part",
+            "no two images see the same part",
             "--ViewSelection.max_angle_deg",
         ),
         (
@@ -97,7 +97,7 @@ def test_nothing_to_say_when_all_went_well(options, details):
         ),
         (
             {"trace": {"samples_confirmed": 70, "samples_in_runs": 60}},
-            "90 % of 700 depths were not found again",
+            "90 % of 700 depths were not confirmed",
             "--ViewSelection.num_neighbors (now 6)",
         ),
         ({"trace": {"samples_in_runs": 60}}, "90 % of 600", "--Tracing.min_agreeing_views (now 2)"),
@@ -111,8 +111,12 @@ def test_nothing_to_say_when_all_went_well(options, details):
             "90 % of 300 edge points have uncertain depths",
             "--Tracing.max_false_edges (now 1)",
         ),
-        ({"edges": 0}, "no 3D edge came out", "--Tracing.min_curve_points"),
-        ({"write": {"median_residual_px": 1.4}}, "miss their observations by 1.40 px", "adjuster"),
+        ({"edges": 0}, "no 3D edge was found", "--Tracing.min_curve_points"),
+        (
+            {"write": {"median_residual_px": 1.4}},
+            "median reprojection error of edges is 1.40 px",
+            "adjuster",
+        ),
     ],
 )
 def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
@@ -139,13 +143,13 @@ def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
         (
             {"quality_weight": 900.0},
             {"points": 50, "boundary_facets": 0},
-            "lines of sight to 50 points",
+            "viewing rays to 50 points",
             "lower --Meshing.quality_weight (now 900)",
         ),
         (
             {"method": "carve", "vote_threshold": 5000.0},
             {"points": 50, "boundary_facets": 0},
-            "no surface parts free space from solid",
+            "all cells were labelled alike",
             "lower --Meshing.vote_threshold (now 5000)",
         ),
     ],

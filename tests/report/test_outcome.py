@@ -6,6 +6,7 @@ from colmap_edges.report.outcome import headline, outcome, scene_name
 READ = {"images_with_poses": 24, "images_without_poses": 0, "points3D": 11878}
 DETECT = {"images_without_edges": 0, "polylines": 8018, "edge_pixels": 673074}
 WRITE = {"edges": 270, "edge_points": 10756, "length": 285.1007, "median_residual_px": 0.0644}
+FACES = {"planar_faces": 46, "area": 82.971}
 MESH = {"faces": 54309, "vertices": 27207}
 
 
@@ -17,8 +18,7 @@ def test_outcome_of_each_command():
     whole = outcome(record(read=READ, detect=DETECT, write=WRITE, mesh=MESH))
     assert whole == {
         "Images": "24 with poses",
-        "Edges": "270 in 3D, 285.1 scene units long together, 0.064 px from where images show "
-        "them (median)",
+        "Edges": "270 in 3D, total length 285.1 scene units, median reprojection error 0.064 px",
         "Points": "11,878 SfM points and 10,756 edge points in the written model",
         "Mesh": "54,309 triangles with 27,207 corners",
     }
@@ -26,6 +26,18 @@ def test_outcome_of_each_command():
     assert detected["Edges"] == "8,018 2D polylines of 673,074 pixels"
     assert "Mesh" not in detected
     assert list(outcome(record(read=READ, mesh=MESH))) == ["Images", "Points", "Mesh"]
+
+
+def test_faces_are_told_where_they_were_looked_for():
+    stages = {"read": READ, "write": WRITE, "faces": FACES, "mesh": MESH}
+    assert outcome(record(**stages))["Faces"] == "46 planar, total area 82.97 square scene units"
+    assert headline(record(**stages)) == (
+        "270 3D edges, total length 285.1 scene units, 46 planar faces and a mesh of 54,309 "
+        "triangles, from 24 images."
+    )
+    stages["faces"] = {"planar_faces": 0, "area": 0.0}
+    assert outcome(record(**stages))["Faces"] == "no planar face was found"
+    assert "face" not in headline(record(**stages))
 
 
 def test_outcome_says_what_did_not_come_out():
@@ -36,13 +48,13 @@ def test_outcome_says_what_did_not_come_out():
         record(read=read, detect=detect, write=nothing, mesh={"faces": 0, "vertices": 0})
     )
     assert said["Images"] == "24 with poses, 3 without (not used), 2 in which no edge was detected"
-    assert said["Edges"] == "no 3D edge came out"
-    assert said["Mesh"] == "none: it came out empty"
+    assert said["Edges"] == "no 3D edge was found"
+    assert said["Mesh"] == "empty"
 
 
 def test_headline():
     assert headline(record(read=READ, write=WRITE, mesh=MESH)) == (
-        "270 3D edges, 285.1 scene units long together and a mesh of 54,309 triangles, "
+        "270 3D edges, total length 285.1 scene units and a mesh of 54,309 triangles, "
         "from 24 images."
     )
     assert headline(record(read=READ, mesh=MESH)).startswith("A mesh of 54,309 triangles")

@@ -24,6 +24,8 @@ from colmap_edges.report.contents import Contents
 from colmap_edges.report.page import write_report
 from colmap_edges.report.pictures import PictureTaker
 from colmap_edges.report.tracks import residual_per_edge, views_per_edge
+from colmap_edges.surfaces.faces.outlines import Face
+from colmap_edges.surfaces.mesh import Mesh
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -327,6 +329,39 @@ def test_page_without_edges(scene_model, tmp_path, page, edges):
         assert page.evaluate(f"document.querySelector('{name}').offsetHeight") == 0, name
     assert page.evaluate("document.querySelectorAll('#layers input:checked').length") == 2
     check_canvas(page, 20)  # dots of few grays
+    assert page.complaints() == []
+
+
+def test_faces_are_shown_instead_of_the_mesh(scene_model, tmp_path, page):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    face = Face(
+        normal=np.array([0.0, 0, 1]),
+        offset=0.0,
+        area=1.0,
+        outline=corners,
+        holes=(),
+        views=np.arange(2),
+        plane=0,
+    )
+    mesh = Mesh(
+        vertices=corners,
+        faces=np.array([[0, 1, 2]], np.int32),
+        point3D_ids=np.full(4, -1),
+        colors=np.full((4, 3), 99, np.uint8),
+        stats={},
+    )
+    contents = Contents(model=scene_model, mesh=mesh, faces=[face])
+    write_report(tmp_path / "report.html", contents, RECORD)
+    page.resize(1400, 1100)
+    page.open((tmp_path / "report.html").as_uri())
+    visible = "['mesh', 'faces', 'outlines'].map((n) => scene._fullData[traceOf(n)].visible)"
+    assert page.evaluate(visible) == [True, False, False]
+    page.evaluate("document.getElementById('layer-faces').click()")
+    assert page.evaluate(visible) == [False, True, True]
+    assert page.evaluate("document.getElementById('layer-mesh').checked") is False
+    page.evaluate("document.getElementById('layer-mesh').click()")
+    assert page.evaluate(visible) == [True, False, False]
+    assert "1 planar faces" in page.evaluate("document.getElementById('layers').innerText")
     assert page.complaints() == []
 
 

@@ -19,6 +19,7 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.report import rerun_viewer as viewer
 from colmap_edges.report.rerun_viewer import colors_of, open_viewer, strips, up_axis
+from colmap_edges.surfaces.faces.outlines import Face
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -61,6 +62,27 @@ def test_recording_holds_what_the_run_made(meshed, scene_model):
     assert len(entities["/mesh"]["Mesh3D:triangle_indices"][0]) == counts["mesh"]["faces"]
     for view in scene_model.views:
         assert entities[camera_path(view)]["EncodedImage:blob"][0] is not None
+
+
+def test_faces_are_translucent_polygons_with_outlines(rerun, tmp_path):
+    square = np.array([[0, 0, 2], [1, 0, 2], [1, 1, 2], [0, 1, 2]], float)
+    face = Face(
+        normal=np.array([0.0, 0, -1]),
+        offset=-2.0,
+        area=1.0,
+        outline=square,
+        holes=(),
+        views=np.arange(2),
+        plane=0,
+    )
+    with open_viewer(str(tmp_path / "run.rrd"), NO_OUTPUT, False) as shown:
+        shown.show_faces([face])
+    entities = read_recording(rerun, tmp_path / "run.rrd")
+    mesh = entities["/faces"]
+    assert len(mesh["Mesh3D:triangle_indices"][0]) == 2
+    assert {color & 255 for color in mesh["Mesh3D:vertex_colors"][0]} == {128}
+    (strip,) = entities["/faces/outlines"]["LineStrips3D:strips"][0]
+    np.testing.assert_allclose(strip, [*square, square[0]])
 
 
 def camera_path(view):
@@ -133,7 +155,7 @@ def test_closing_the_viewer_ends_no_run(receiver, scene_model, caplog):
         end(receiver)
         wait_until(lambda: not viewer.is_listening(viewer.PORT))
         shown.show_model(scene_model)
-    assert "rerun's viewer has not got all" in caplog.text
+    assert "the rerun viewer did not receive all data" in caplog.text
 
 
 def paths_so_far(rerun, path):
@@ -174,10 +196,10 @@ def test_without_display_the_recording_is_named(rerun, monkeypatch):
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("run.rrd", "is there already; choose another or add --overwrite"),
-        ("missing/run.rrd", "is no folder; create it"),
+        ("run.rrd", "exists already; choose another or add --overwrite"),
+        ("missing/run.rrd", "is not a folder; create it"),
         ("out/run.rrd", "is inside output_path"),
-        ("folder.rrd", "a folder of that name is there"),
+        ("folder.rrd", "a folder of that name exists"),
     ],
 )
 def test_recording_that_cannot_be_made(target, message, tmp_path):

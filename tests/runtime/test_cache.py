@@ -263,7 +263,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
 
 def test_output_within_the_cache_is_refused(small, tmp_path):
     (tmp_path / "cache").mkdir()
-    with pytest.raises(ColmapEdgesError, match="choose a folder apart"):
+    with pytest.raises(ColmapEdgesError, match="choose another folder"):
         mesh(small, tmp_path / "cache" / "out", tmp_path / "cache")
 
 

@@ -80,3 +80,17 @@ def test_city_is_reconstructed(tmp_path):
     distances, _ = cKDTree(truth).query(found.points)
     assert np.quantile(distances, 0.9) < 0.01
     assert len(load_model(tmp_path / "sparse").views) == 9
+
+
+def test_a_city_on_a_cluster():
+    pytest.importorskip("distributed")
+    done = run_script("benchmark_cluster.py", "--num_views", 5, "--workers", 1)
+    head, _, alone, one = done.stdout.strip().splitlines()[-4:]
+    names, alone, one = (
+        [cell.strip() for cell in row.split("|")[1:-1]] for row in (head, alone, one)
+    )
+    alone, one = dict(zip(names, alone, strict=True)), dict(zip(names, one, strict=True))
+    assert alone["edges"] == one["edges"] != "0"
+    assert (alone["tasks"], one["tasks"]) == ("0", str(5 * 2 * 2))
+    assert float(one["in tasks"]) > 0
+    assert 0 <= int(one["no work"].rstrip("%")) < 100

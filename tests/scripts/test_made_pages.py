@@ -1,16 +1,18 @@
 """The scripts that write pages from the code, and the one that counts it, on a copy or a toy."""
 
+import os
 import re
 import runpy
 import shutil
+import subprocess
 import sys
 
 import pytest
-from project import ROOT, run_script
+from project import ROOT, SCRIPTS, run_script
 
-pytest.importorskip("lizard", reason="functions of C++ are counted with lizard")
-
-import count_functions
+count_functions = pytest.importorskip(
+    "count_functions", reason="functions of C++ are counted with lizard"
+)
 
 
 @pytest.fixture
@@ -107,3 +109,14 @@ def test_a_long_function_fails(tmp_path, monkeypatch, capsys):
         count_functions.main()
     assert ended.value.code == 1
     assert capsys.readouterr().out.strip().endswith("long.py:1: long has 61 lines")
+
+
+def test_modules_are_found_where_they_were(tmp_path):
+    """Processes that tests start take the folders from which this one imports."""
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import sys\np = sys.path.copy()\nimport count_functions\nassert p == sys.path"
+    )
+    searched = os.pathsep.join([str(SCRIPTS), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": searched, "PYTHONSAFEPATH": "1"}
+    subprocess.run([sys.executable, program], env=environment, check=True)

@@ -9,16 +9,16 @@ from colmap_edges.edges2d.edge_index import next_points
 
 
 def rounded(graph):
-    """The graph with ideal pixels in single precision, as the kernels keep them."""
-    return replace(graph, ideal=single(graph.ideal))
+    """The graph with undistorted pixels in single precision, as the kernels keep them."""
+    return replace(graph, undistorted=single(graph.undistorted))
 
 
 def segments_of(graph):
     """(S,) points that have a next one, and (S, 2) pixels of both."""
-    points = np.arange(len(graph.ideal))
+    points = np.arange(len(graph.undistorted))
     following = next_points(graph, points)
     rows = np.flatnonzero(following != points)
-    return rows, graph.ideal[rows], graph.ideal[following[rows]]
+    return rows, graph.undistorted[rows], graph.undistorted[following[rows]]
 
 
 def crossings(graph, line):

@@ -77,22 +77,22 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
     """The edge graph of one view: each curve a polyline of points about 1 px apart."""
     chains = []
     for curve in curves:
-        ideal, depths = view.project_ideal(curve.points)
+        undistorted, depths = view.project_undistorted(curve.points)
         assert np.all(depths > 0)
-        steps = np.linalg.norm(np.diff(ideal, axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(undistorted, axis=0), axis=1)
         arc = np.concatenate([[0], np.cumsum(steps)])
         wanted = np.linspace(0, arc[-1], max(int(arc[-1]), 2))
-        chain = np.column_stack([np.interp(wanted, arc, ideal[:, k]) for k in range(2)])
+        chain = np.column_stack([np.interp(wanted, arc, undistorted[:, k]) for k in range(2)])
         chains.append(chain)
-    ideal = np.concatenate([np.zeros((0, 2)), *chains])
+    undistorted = np.concatenate([np.zeros((0, 2)), *chains])
     normals = np.concatenate([np.zeros((0, 2)), *(left_of(chain) for chain in chains)])
     if noise_px:
-        ideal = ideal + rng.normal(scale=noise_px, size=ideal.shape)
+        undistorted = undistorted + rng.normal(scale=noise_px, size=undistorted.shape)
     return bare_graph(
-        view.image_from_ideal(ideal),
+        view.image_from_undistorted(undistorted),
         [len(chain) for chain in chains],
         [curve.closed for curve in curves],
-        ideal=ideal,
+        undistorted=undistorted,
         normals=normals,
     )
 

@@ -85,7 +85,7 @@ def is_closed(curve) -> bool:
 def dense_parameters(view, curve, spacing_px=1.0):
     """Parameters of points on the curve about `spacing_px` apart in the view."""
     t = np.linspace(0, 1, 4001)
-    pixels, depths = view.project_ideal(curve(t))
+    pixels, depths = view.project_undistorted(curve(t))
     assert (depths > 0).all(), "the curve must lie in front of the view"
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
     count = int(along[-1] / spacing_px) + 1
@@ -97,34 +97,34 @@ def dense_parameters(view, curve, spacing_px=1.0):
 def graph_of(view, curves, sides=None) -> EdgeGraph:
     """The edge graph of known curves; `sides` +1 or -1 each, where each is bright."""
     sides = [1] * len(curves) if sides is None else sides
-    ideal, normals, lengths, closed = [], [], [], []
+    undistorted, normals, lengths, closed = [], [], [], []
     for curve, side in zip(curves, sides, strict=True):
         t = dense_parameters(view, curve)
-        pixels, _ = view.project_ideal(curve(t))
-        ahead, _ = view.project_ideal(curve(t + 1e-6))
-        behind, _ = view.project_ideal(curve(t - 1e-6))
+        pixels, _ = view.project_undistorted(curve(t))
+        ahead, _ = view.project_undistorted(curve(t + 1e-6))
+        behind, _ = view.project_undistorted(curve(t - 1e-6))
         tangent = ahead - behind
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-        ideal.append(pixels)
+        undistorted.append(pixels)
         normals.append(side * np.column_stack([-tangent[:, 1], tangent[:, 0]]))
         lengths.append(len(t))
         closed.append(is_closed(curve))
-    return graph_from_ideal(view, ideal, normals, closed)
+    return graph_from_undistorted(view, undistorted, normals, closed)
 
 
-def graph_from_ideal(view, ideal, normals, closed) -> EdgeGraph:
-    """An edge graph of polylines given in ideal pixels; no two of them touch."""
-    offsets = offsets_of(np.array([len(part) for part in ideal], np.int64))
-    joined = np.concatenate([np.zeros((0, 2)), *ideal])
-    points = view.image_from_ideal(joined)
+def graph_from_undistorted(view, undistorted, normals, closed) -> EdgeGraph:
+    """An edge graph of polylines given in undistorted pixels; no two of them touch."""
+    offsets = offsets_of(np.array([len(part) for part in undistorted], np.int64))
+    joined = np.concatenate([np.zeros((0, 2)), *undistorted])
+    points = view.image_from_undistorted(joined)
     smoothed, smoothed_offsets = _kernels.douglas_peucker(points, offsets, 1.0)
-    nodes = np.arange(2 * len(ideal), dtype=np.int32).reshape(-1, 2)
+    nodes = np.arange(2 * len(undistorted), dtype=np.int32).reshape(-1, 2)
     nodes[np.array(closed, bool), 1] = nodes[np.array(closed, bool), 0]
     return bare_graph(
         points,
         np.diff(offsets),
         closed,
-        ideal=joined,
+        undistorted=joined,
         normals=np.concatenate([np.zeros((0, 2)), *normals]),
         sides=np.tile(np.array([[60, 180]], np.uint8), (len(points), 1)),
         end_nodes=nodes,
@@ -138,7 +138,7 @@ def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
     count, offsets = len(lengths), offsets_of(np.array(lengths, np.int64))
     plain = {
         "points": points,
-        "ideal": points,
+        "undistorted": points,
         "normals": np.zeros_like(points),
         "sides": np.zeros(points.shape, np.uint8),
         "colors": np.zeros((len(points), 3), np.uint8),

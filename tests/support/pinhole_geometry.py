@@ -1,6 +1,6 @@
 """Epipolar lines, triangulation and distances of posed pinhole views: pure numpy.
 
-Pixels are *ideal* (see `colmap_edges.core.view.View`). References for the kernels, which hold
+Pixels are *undistorted* (see `colmap_edges.core.view.View`). References for the kernels, which hold
 faster versions of the same.
 """
 
@@ -37,7 +37,7 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 
 def fundamental_matrix(view1: PinholeView, view2: PinholeView) -> FloatArray:
-    """(3, 3) F with x2' F x1 = 0 for ideal pixels x1, x2 of one scene point."""
+    """(3, 3) F with x2' F x1 = 0 for undistorted pixels x1, x2 of one scene point."""
     rotation = view2.rotation @ view1.rotation.T
     baseline = view2.rotation.T @ view2.translation - view1.rotation.T @ view1.translation
     translation = view2.rotation @ baseline
@@ -60,7 +60,7 @@ def epipolar_lines(fundamental: FloatArray, pixels: FloatArray) -> FloatArray:
 
 
 def view_rays(view: PinholeView, pixels: FloatArray) -> FloatArray:
-    """(N, 3) unit directions in the world of the rays through (N, 2) ideal pixels."""
+    """(N, 3) unit directions in the world of the rays through (N, 2) undistorted pixels."""
     local = np.column_stack([pixels, np.full(len(pixels), view.focal_px)])
     rays = local @ view.rotation
     result: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -70,14 +70,14 @@ def view_rays(view: PinholeView, pixels: FloatArray) -> FloatArray:
 def triangulate(
     views: Sequence[PinholeView], pixels: FloatArray, *, iterations: int = 10
 ) -> FloatArray:
-    """(3,) least-squares point of one ideal pixel in each view; NaN when there is none.
+    """(3,) least-squares point of one undistorted pixel in each view; NaN when there is none.
 
     Direct linear transform, then Gauss-Newton on the reprojection errors. There is none when the
     rays are parallel or the point lies behind a view (cheirality).
 
     Args:
         views: the (V >= 2) views that see the point.
-        pixels: (V, 2) the ideal pixel in each.
+        pixels: (V, 2) the undistorted pixel in each.
         iterations: most Gauss-Newton steps.
     """
     missing = np.full(3, np.nan)

@@ -36,8 +36,10 @@ def views_around(count=60, distance=4.0):
 def masked(view, is_hit):
     """The body that a view sees, by what every pixel's line of sight meets."""
     x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-    ideal = view.ideal_from_image(np.column_stack([x.ravel(), y.ravel()])) / view.focal_px
-    directions = np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation
+    undistorted = (
+        view.undistorted_from_image(np.column_stack([x.ravel(), y.ravel()])) / view.focal_px
+    )
+    directions = np.column_stack([undistorted, np.ones(len(undistorted))]) @ view.rotation
     return Body(view, is_hit(view.center, directions).reshape(view.height, view.width))
 
 

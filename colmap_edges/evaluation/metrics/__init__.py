@@ -1,1 +1,1 @@
-"""Figures of how good meshes, edges and poses are."""
+"""Error metrics of meshes, edges and poses."""

@@ -15,7 +15,7 @@ from colmap_edges.evaluation.readers.curves import Curves
 
 @dataclass(frozen=True, kw_only=True)
 class CurveErrors:
-    """How well reconstructed curves match true ones.
+    """Errors of reconstructed curves against true ones.
 
     Attributes:
         accuracy: Mean distance from samples of the result to the reference.
@@ -24,7 +24,7 @@ class CurveErrors:
         result_samples: Number of samples of the result.
         reference_samples: Number of samples of the reference.
         spacing: Distance between samples along the curves.
-        unit: World units a unit of these figures is (1: none was changed).
+        unit: World units per unit of these figures (1 without scaling).
     """
 
     accuracy: float

@@ -1,4 +1,4 @@
-"""Depth errors of a mesh, seen from the cameras (Strecha's protocol, the paper's mesh columns)."""
+"""Depth errors of a mesh in the cameras (Strecha's protocol, the paper's mesh columns)."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ RIGHT_WITHIN = {"right_0_5_percent": 0.005, "right_1_percent": 0.01, "right_2_pe
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceDepth:
-    """True depth as one view sees it.
+    """The reference depth of one view.
 
     Attributes:
         view: The posed image.
         depth: (H, W) along the optical axis in world units, 0 where unknown.
         scale: Size of the map over the size of the image: the centre of its pixel (row, column)
             lies at ((column + 0.5) / scale, (row + 0.5) / scale) in the image.
-        pixels: (H, W, 2) where in the image each depth was measured; None: at the pixel centres.
+        pixels: (H, W, 2) image positions of the depths; None for pixel centres.
     """
 
     view: View
@@ -51,7 +51,7 @@ class DepthErrors:
         name: Name of the view.
         errors: (H, W) in world units, NaN where either is unknown.
         reference: (H, W) depths, 0 where unknown.
-        coverage: Share of the reference's known pixels that the mesh answers.
+        coverage: Share of the reference's known pixels at which the mesh is hit.
     """
 
     name: str
@@ -74,7 +74,7 @@ class DepthErrors:
 
 
 def measured_pixels(reference: ReferenceDepth) -> FloatArray:
-    """Image coordinates (H * W, 2) of what a depth map holds, row by row."""
+    """Image coordinates (H * W, 2) of the values of a depth map, row by row."""
     if reference.pixels is not None:
         return reference.pixels.reshape(-1, 2)
     rows, columns = np.indices(reference.depth.shape)
@@ -99,7 +99,7 @@ def load_reference_depths(folder: Path, model: Model) -> list[ReferenceDepth]:
         depth, scale, name = read_depth(path)
         view = views.get(str(Path(name).with_suffix(""))) or views.get(path.stem)
         if view is None:
-            raise ColmapEdgesError(f"{path} is of image {name}, which the model does not hold")
+            raise ColmapEdgesError(f"{path} is of image {name}, which is not in the model")
         scale = scale or depth.shape[1] / view.width
         references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
     return references
@@ -115,10 +115,10 @@ def read_depth(path: Path) -> tuple[Float32Array, float, str]:
         depth = np.asarray(data["depth"], dtype=np.float32)
         scale = float(data.get("scale", np.float64(0)))
     except (ValueError, TypeError) as error:
-        raise ColmapEdgesError(f"{path} holds a depth or scale that is no number") from error
+        raise ColmapEdgesError(f"{path} holds a depth or scale that is not numeric") from error
     if depth.ndim != 2 or not depth.size or not (np.isfinite(scale) and scale >= 0):
         raise ColmapEdgesError(
-            f"{path} holds depths {depth.shape} of scale {scale}, not an image's"
+            f"{path} holds depths {depth.shape} of scale {scale}; give a 2D array and a scale > 0"
         )
     return depth, scale, name
 
@@ -144,12 +144,12 @@ def render_references(
 
 
 def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
-    """Depth of those points (N, 3) of a dense cloud that `view` sees.
+    """Depth of the points (N, 3) of a dense cloud that are visible in `view`.
 
-    The map is so coarse that neighbouring points fall at most half a pixel apart. Of the points in
-    a pixel the nearest counts, with the ray through its own projection; it is hidden when a point
-    up to two pixels away is nearer by more than twelve times a pixel's length at its depth (what a
-    surface seen at 80 degrees falls back by over two pixels).
+    The map is so coarse that neighbouring points project at most half a pixel apart. The nearest
+    point of each pixel is used, with the ray through its own projection. It is occluded if a point
+    within two pixels is nearer by more than twelve pixels' length at its depth (the depth change
+    over two pixels of a surface seen at 80 degrees).
     """
     pixels, depths = view.project(points)
     inside = view.holds(pixels, depths)
@@ -182,7 +182,7 @@ def _cloud_scale(points: FloatArray, depths: FloatArray, view: View) -> float:
 def central_view(model: Model) -> View:
     """The middle view of the sequence in order of names (the paper's "central camera")."""
     if not model.views:
-        raise ColmapEdgesError("the model holds no posed image")
+        raise ColmapEdgesError("the model holds no image with a pose")
     return model.views[len(model.views) // 2]
 
 
@@ -195,7 +195,7 @@ def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
         errors[known] = caster.depth_at(reference.view, pixels) - reference.depth[known]
     answered = int(np.isfinite(errors).sum())
     coverage = answered / len(pixels) if len(pixels) else float("nan")
-    logger.debug("%s: %d of %d pixels answered", reference.view.name, answered, len(pixels))
+    logger.debug("%s: %d of %d pixels hit", reference.view.name, answered, len(pixels))
     return DepthErrors(
         name=reference.view.name, errors=errors, reference=reference.depth, coverage=coverage
     )
@@ -216,9 +216,9 @@ def _summary(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
 
 
 def pixel_shares(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
-    """What share of all pixels the mesh answers, and at what share it is right.
+    """Shares of all pixels at which the mesh is hit, and at which it is right.
 
-    A pixel without an answer is wrong, so that errors and coverage cannot be traded for each other.
+    Pixels without mesh count as wrong, so that errors cannot be reduced at the cost of coverage.
 
     Args:
         errors: (N,) mesh - reference along the optical axis, NaN where the mesh is not hit.

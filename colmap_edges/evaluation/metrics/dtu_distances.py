@@ -23,7 +23,7 @@ _BLOCK_MM = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class ObservedMask:
-    """Where the cameras and the scanner see the scene (the official ObsMask).
+    """The region seen by the cameras and the scanner (the official ObsMask).
 
     Attributes:
         cells: (X, Y, Z) whether a cell is seen; cell i is centred on box[0] + i resolution.
@@ -42,7 +42,7 @@ class DtuReference:
 
     Attributes:
         points: (N, 3) surface points.
-        mask: Where the scene is seen; None where the release holds no ObsMask of the scan.
+        mask: The seen region; None if the release holds no ObsMask of the scan.
         plane: (4,) the table; points with plane . (x, y, z, 1) > 0 are above it. None where the
             release holds no Plane of the scan.
     """
@@ -54,7 +54,7 @@ class DtuReference:
 
 @dataclass(frozen=True, kw_only=True)
 class DtuErrors:
-    """The benchmark's figures in mm, over distances below 20 mm; None where they cannot be had.
+    """The benchmark's figures in mm, over distances below 20 mm; None if not computable.
 
     Accuracy needs the mask. Completeness needs the plane, and the mask for its box.
 
@@ -78,7 +78,7 @@ class DtuErrors:
 def sample_mesh(
     mesh: trimesh.Trimesh, spacing: float = THINNING_MM, seed: int = 0, max_points: int = 20_000_000
 ) -> FloatArray:
-    """Points all over a mesh, denser than one every `spacing`.
+    """Points on a mesh, denser than one per `spacing`.
 
     Two random points for every square of side `spacing` (six within it of any place, on average),
     and the vertices.
@@ -89,7 +89,7 @@ def sample_mesh(
     count = int(np.ceil(2 * mesh.area / spacing**2))
     if count > max_points:
         raise ColmapEdgesError(
-            f"the mesh needs {count:,} samples every {spacing}; crop it to the scene first"
+            f"the mesh needs {count:,} samples every {spacing} mm; crop it to the scene first"
         )
     points, _ = trimesh.sample.sample_surface(mesh, count, seed=seed)
     return np.concatenate([np.asarray(mesh.vertices), np.asarray(points)])
@@ -100,8 +100,8 @@ def thin(
 ) -> FloatArray:
     """Drop points in random order until none is within `distance` of another.
 
-    The same as walking the points in that order and keeping each that has no kept one near;
-    `chunk_size` points at a time, which changes the memory used and nothing else.
+    Equivalent to visiting the points in that order and keeping each without a kept neighbour.
+    `chunk_size` affects only memory.
     """
     shuffled = points[np.random.default_rng(seed).permutation(len(points))]
     kept = np.empty((0, 3))
@@ -113,7 +113,7 @@ def thin(
 
 
 def _first_of_each(points: FloatArray, distance: float) -> BoolArray:
-    """Which points have no kept point near that comes before them."""
+    """(N,) whether points have no kept point before them within `distance`."""
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
         return keep
@@ -171,7 +171,7 @@ def above_plane(points: FloatArray, plane: FloatArray, box: FloatArray) -> BoolA
 def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0) -> DtuErrors:
     """Accuracy and completeness of a mesh: sampled in the mask's box and thinned to 0.2 mm.
 
-    Without a mask nothing is sampled, and no figure is known.
+    Without a mask no figure can be computed.
     """
     if reference.mask is None:
         return DtuErrors()
@@ -186,7 +186,7 @@ def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0)
 
 
 def what_is_missing(reference: DtuReference) -> list[str]:
-    """Why figures of the benchmark are left empty, in sentences; none when all is there."""
+    """Sentences on why figures of the benchmark are missing; empty if none is."""
     if reference.mask is None:
         return ["No ObsMask of this scan: DTU's accuracy and completeness are left empty."]
     if reference.plane is None:

@@ -1,4 +1,4 @@
-"""3D edges as a graph: how often each true edge is found, what lies doubled, and corners."""
+"""Metrics of 3D edges as a graph: duplicates, parallel twins, corners."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, make_s
 from colmap_edges.evaluation.metrics.curves import sample
 from colmap_edges.evaluation.readers.curves import Curves
 
-MIN_CORNER_DEG = 20.0  # turn from which curves meet at an angle
-MAX_TWIN_ANGLE_DEG = 15.0  # between edges that are called parallel
-WELD_RATIO = 1e-4  # of the reference's size: nearer true points are one
-END_POINTS = 4  # from the end of an edge to the point that tells its direction there
-FOLD_RATIO = 4.0  # of a twin's largest distance: what is nearer along the same edge is no twin
+MIN_CORNER_DEG = 20.0  # minimum turn between curves that form a corner
+MAX_TWIN_ANGLE_DEG = 15.0  # maximum angle between parallel edges
+WELD_RATIO = 1e-4  # distance, relative to the reference's size, within which true points are merged
+END_POINTS = 4  # number of points at an edge's end that determine its direction
+# Distance along an edge, in twin distances, below which its own points are no twins.
+FOLD_RATIO = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimesFound:
-    """How often each true edge is found.
+    """The number of times that true edges are found.
 
     Attributes:
-        threshold: Distance within which an edge is on a true curve, and this is found.
+        threshold: Distance within which edges and true curves match.
         result_length: Length of the edges within the threshold of the true curves.
         found_length: Length of the true curves within the threshold of the edges.
-        times: The former over the latter: 1 where each true edge comes once.
+        times: The former over the latter; 1 if each true edge is found once.
     """
 
     threshold: float
@@ -44,11 +45,11 @@ class TimesFound:
 
 @dataclass(frozen=True, kw_only=True)
 class TwinShare:
-    """How much of the edges' length lies doubled.
+    """The share of the edges' length with a parallel twin.
 
     Attributes:
         limit_px: Largest distance of a twin, in pixels of the nearest view that observes the edge.
-        share: Share of the length beside which another edge runs parallel within that.
+        share: Share of the length with another parallel edge within that distance.
     """
 
     limit_px: float
@@ -58,12 +59,11 @@ class TwinShare:
 def times_found(
     result: Curves, reference: Curves, thresholds: Sequence[float], unit: float = 1.0
 ) -> list[TimesFound]:
-    """How often each true edge is found, at every threshold.
+    """The number of times that true edges are found, at every threshold.
 
     Args:
         result: Reconstructed curves.
-        reference: True curves; of samples without segments each stands for the median distance
-            from one to the next.
+        reference: True curves; samples without segments stand for their median spacing each.
         thresholds: Distances in the unit of the comparison.
         unit: World units of that unit.
     """
@@ -88,9 +88,9 @@ def times_found(
 
 
 def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
-    """(N,) length that each sample of `curves.sample` stands for."""
+    """(N,) length represented by each sample of `curves.sample`."""
     if not len(curves.segments):
-        # Where curves meet, or are listed twice, samples coincide.
+        # Samples coincide where curves meet or are duplicated.
         size = float(np.ptp(curves.points, axis=0).max(initial=0.0)) if len(curves.points) else 0.0
         if size == 0:
             return np.zeros(len(curves.points))
@@ -105,7 +105,7 @@ def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
 
 
 def sample_counts(lengths: FloatArray, spacing: FloatArray | float) -> IntArray:
-    """(S,) how many samples at most `spacing` apart segments get; those of no length get none."""
+    """(S,) number of samples at most `spacing` apart per segment; 0 for length 0."""
     counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
     counts[lengths == 0] = 0
     return counts
@@ -114,10 +114,9 @@ def sample_counts(lengths: FloatArray, spacing: FloatArray | float) -> IntArray:
 def twin_shares(
     result: Curves, pixel_sizes: FloatArray, limits_px: Sequence[float] = (0.5, 3.0, 6.0)
 ) -> list[TwinShare]:
-    """Share of length beside which another edge, or another stretch of the same, runs parallel.
+    """Share of length with a parallel twin: another edge, or another stretch of the same edge.
 
-    Edges that go on in each other end to end are no twins: the foot of the perpendicular must be
-    on the other one.
+    Consecutive edges are no twins: the foot of the perpendicular must be on the other edge.
 
     Args:
         result: Reconstructed curves; those that share points are one edge.
@@ -143,7 +142,7 @@ def twin_shares(
 
 
 def edges_of(curves: Curves) -> IntArray:
-    """(S,) edge of each segment: those that share points are of one."""
+    """(S,) edge of each segment; segments that share points belong to one edge."""
     count = len(curves.points)
     ends = curves.segments
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
@@ -164,7 +163,7 @@ def nearest_twins(
     Args:
         points: (N, 3) samples along edges, in order.
         tangents: (N, 3) unit directions there.
-        weights: (N,) length that each stands for.
+        weights: (N,) length represented by each.
         edges: (N,) edge of each.
         sizes: (N,) length of a pixel there.
         limit_px: Largest distance looked at.
@@ -172,7 +171,7 @@ def nearest_twins(
     nearest = np.full(len(points), np.inf)
     tree, along = cKDTree(points), np.cumsum(weights)
     cosine = np.cos(np.radians(MAX_TWIN_ANGLE_DEG))
-    step = 20_000  # samples at once, for the memory's sake
+    step = 20_000  # samples per batch, to limit memory
     for first in range(0, len(points), step):
         rows = np.arange(first, min(first + step, len(points)))
         found = tree.query_ball_point(points[rows], (limit_px + 1) * sizes[rows])
@@ -206,7 +205,7 @@ def observed_pixel_sizes(edges: Edges3D, views: Sequence[View]) -> FloatArray:
 
 
 def true_corners(reference: Curves) -> FloatArray:
-    """(C, 3) where true curves meet at an angle: junctions of three and more, and sharp bends."""
+    """(C, 3) corners of true curves: junctions of three or more, and sharp bends."""
     size = float(np.ptp(reference.points, axis=0).max()) if len(reference.points) else 0.0
     points, segments = welded(reference, WELD_RATIO * size)
     chords = points[segments[:, 1]] - points[segments[:, 0]]
@@ -215,22 +214,22 @@ def true_corners(reference: Curves) -> FloatArray:
 
 
 def bent(places: IntArray, directions: FloatArray, count: int) -> IntArray:
-    """Which of `count` places two curves or more leave, not straight on in each other.
+    """Indices of the places, of `count`, at which two or more curves meet at an angle.
 
     Args:
-        places: (M,) place that a curve leaves.
-        directions: (M, 3) unit direction in which it does.
+        places: (M,) place at which a curve ends.
+        directions: (M, 3) unit direction of the curve there.
         count: Number of places.
     """
     degrees = np.bincount(places, minlength=count)
     sums = np.column_stack([np.bincount(places, d, count) for d in directions.T])
-    # Of two unit vectors at an angle of 180 degrees less the turn the sum is 2 sin(turn / 2).
+    # The sum of two unit vectors at an angle of 180 degrees minus the turn is 2 sin(turn / 2).
     turned = np.linalg.norm(sums, axis=1) >= 2 * np.sin(np.radians(MIN_CORNER_DEG) / 2)
     return np.flatnonzero((degrees > 2) | ((degrees == 2) & turned))
 
 
 def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
-    """Points nearer to each other than `distance` as one, and the segments that are left."""
+    """The points after merging those within `distance`, and the remaining segments."""
     pairs = cKDTree(curves.points).query_pairs(distance, output_type="ndarray")
     count = len(curves.points)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
@@ -243,7 +242,7 @@ def welded(curves: Curves, distance: float) -> tuple[FloatArray, IntArray]:
 
 
 def found_corners(edges: Edges3D) -> FloatArray:
-    """(C, 3) nodes at which ends of edges meet each other, or an edge that goes on, at an angle."""
+    """(C, 3) nodes at which edges meet at an angle."""
     tips, inward = inward_directions(edges)
     nodes = edges.end_nodes.ravel().astype(np.int64)
     used = nodes >= 0
@@ -261,7 +260,7 @@ def found_corners(edges: Edges3D) -> FloatArray:
 def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
     """(2E,) points at the ends of edges, and (2E, 3) unit directions of the edges from there.
 
-    Those of the parabolas through the last points: chords of small circles meet at angles, too.
+    Directions are of parabolas through the last points, since chords of small circles also turn.
     """
     tips, inner = end_points(edges.edge_offsets, END_POINTS)
     points, middle = edges.points, (tips + inner) // 2
@@ -272,7 +271,7 @@ def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """(N, 3) vectors at length 1; those without length stay."""
+    """(N, 3) vectors normalised to length 1; zero vectors are unchanged."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.where(lengths > 0, lengths, 1)
 

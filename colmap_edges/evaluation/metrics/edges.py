@@ -1,4 +1,4 @@
-"""How good 3D edges are: against reference depth, against their own observations, in length."""
+"""Metrics of 3D edges: errors against reference depth, reprojection errors, lengths."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ReprojectionErrors:
         distance_px: Statistics over observations.
         within_1_px: Share of observations within one pixel.
         points: Number of points.
-        observations_mean: Mean number of observations a point.
+        observations_mean: Mean number of observations per point.
         observations_median: Median of the same.
     """
 
@@ -149,7 +149,7 @@ def summarize_depth(errors: FloatArray) -> PointDepthErrors:
 def reprojection_errors(model: Model) -> ReprojectionErrors:
     """Distances of a model's points to their observations, and how many those are.
 
-    A point behind a camera that claims to see it counts as infinitely far.
+    Points behind a camera that observes them have an infinite distance.
     """
     points = model.points3D_xyz[model.track_points]
     residuals = track_residuals(model.views, points, model.track_views, model.track_points2D)
@@ -186,7 +186,7 @@ def segment_lengths(curves: Curves) -> SegmentLengths:
 
 
 def edge_points(model: Model, input_model: Model) -> Model:
-    """The points of `model` whose ids `input_model` does not hold."""
+    """The points of `model` whose ids are not in `input_model`."""
     return select_points(model, ~np.isin(model.point3D_ids, input_model.point3D_ids))
 
 

@@ -1,4 +1,4 @@
-"""How well edges are told to be lines, arcs, ellipses or splines: against true curves by kind."""
+"""Errors of the kinds and radii of fitted curves, against true curves of known kinds."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from colmap_edges.core.curves3d import (
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.arrays import read_arrays
 
-# An arc of a circle is right where the true curve is the circle: gaps are no error of kind.
+# An arc is right if the true curve is a circle: gaps are not errors of kind.
 FAMILIES = np.array([LINE, ARC, ARC, ELLIPTIC_ARC, ELLIPTIC_ARC, SPLINE])
-SAMPLES = 5  # for each threshold
-MIN_SHARE = 0.5  # of a curve's samples that lie on the true curve whose radius it is asked for
+SAMPLES = 5  # samples per threshold
+# Minimum share of a curve\'s samples on the true curve with which radii are compared.
+MIN_SHARE = 0.5
 MAX_RADIUS_ERROR = 0.01
 
 
@@ -34,7 +35,7 @@ class TrueCurves:
         points: (N, 3) samples.
         curves: (N,) curve of each.
         kinds: (C,) index into `KINDS`.
-        radii: (C, 2) larger and smaller radius; NaN where there is none.
+        radii: (C, 2) larger and smaller radius; NaN for lines and splines.
     """
 
     points: FloatArray
@@ -45,11 +46,11 @@ class TrueCurves:
 
 @dataclass(frozen=True, kw_only=True)
 class KindErrors:
-    """How well kinds and radii are told.
+    """Errors of kinds and radii.
 
     Attributes:
-        num_true: Number of true curves that are found: on which a sample of a result lies.
-        num_found: Number of curves of the result that lie on any.
+        num_true: Number of true curves found, with at least one sample of the result on them.
+        num_found: Number of curves of the result on true curves.
         times_found: Their ratio.
         right_kind: Share of the result's length, as far as it lies on true curves, whose kind is
             that of the true curve; arcs count for circles.
@@ -76,7 +77,7 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
         spacing: largest distance between samples along a curve.
 
     Returns:
-        The curves, None where the file does not tell their kinds.
+        The curves; None if the file does not hold their kinds.
     """
     data = read_arrays(path) if path.suffix == ".npz" else {}
     if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
@@ -95,11 +96,11 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
 
 
 def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindErrors:
-    """Judge the kinds and radii of curves by the true curves nearest to their samples.
+    """Compare kinds and radii of curves with the true curves nearest to their samples.
 
     Args:
         result: Curves as fitted.
-        true: Samples of the true ones, nearer to each other than the threshold.
+        true: Samples of the true curves, closer than the threshold.
         threshold: Distance within which a sample lies on a true curve, world units.
 
     Raises:
@@ -135,7 +136,7 @@ def radius_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Largest relative errors of the radii of round curves of the right kind, and their lengths.
 
-    Samples are of the (n,) curves `owners`, lie on the true curves `of`, and stand for lengths.
+    Samples belong to the (n,) curves `owners`, lie on the true curves `of`, and represent lengths.
     """
     lengths = np.bincount(owners, weights, result.num_curves)
     errors, kept = [], []
@@ -152,7 +153,7 @@ def radius_errors(
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    """The value below which half of the weights are; NaN of nothing."""
+    """The value below which half of the weight is; NaN without values."""
     if not len(values):
         return float("nan")
     order = np.argsort(values, kind="stable")

@@ -1,4 +1,4 @@
-"""A choice of a model's points, and the rays of its pixels."""
+"""Selection of a model's points, and the rays of its pixels."""
 
 from __future__ import annotations
 

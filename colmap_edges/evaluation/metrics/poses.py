@@ -1,4 +1,4 @@
-"""Errors of poses against true cameras, and models with such errors to try adjustments on."""
+"""Errors of poses against true cameras, and models with simulated pose errors."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class TruePoses:
         """The pycolmap.Rigid3d of an image.
 
         Raises:
-            ColmapEdgesError: when it has none.
+            ColmapEdgesError: if it has none.
         """
         if name not in self.cam_from_world:
-            raise ColmapEdgesError(f"there is no true pose of image {name}")
+            raise ColmapEdgesError(f"the true cameras hold no pose of image {name}")
         return pycolmap.Rigid3d(np.array(self.cam_from_world[name]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrueCameras(TruePoses):
-    """The one true camera of a scene and the true poses.
+    """The true camera of a scene, shared by all images, and the true poses.
 
     Attributes:
         model: COLMAP's name of the camera model.
@@ -57,7 +57,7 @@ def load_true_cameras(path: Path) -> TrueCameras:
     """Read `true_cameras.json`.
 
     Raises:
-        ColmapEdgesError: when it is no such file.
+        ColmapEdgesError: if it is not such a file.
     """
     try:
         return TrueCameras(**json.loads(read_text(path)))
@@ -85,7 +85,7 @@ def pose_errors(reconstruction: Any, truth: TruePoses) -> tuple[float, float]:
     similarity = pycolmap.estimate_sim3d(found, expected)
     if similarity is None:
         raise ColmapEdgesError(
-            f"{len(images)} camera centres fix no similarity; 3 apart are needed"
+            f"{len(images)} camera centres do not determine a similarity; give at least 3"
         )
     moved = np.array([similarity * center for center in found])
     turns = [
@@ -98,10 +98,10 @@ def pose_errors(reconstruction: Any, truth: TruePoses) -> tuple[float, float]:
 
 
 def at_true_cameras(reconstruction: Any, truth: TrueCameras, names: list[str] | None = None) -> Any:
-    """A model of the true cameras, with the SfM observations triangulated anew.
+    """A model of the true cameras, with the SfM observations triangulated again.
 
     Args:
-        reconstruction: gives the observations and where points about are; it is not changed.
+        reconstruction: the model with the observations and approximate points; not changed.
         truth: cameras and poses.
         names: images to keep; all when not given.
     """
@@ -129,10 +129,10 @@ def at_true_cameras(reconstruction: Any, truth: TrueCameras, names: list[str] | 
 
 
 def with_pose_noise(reconstruction: Any, noise_px: float, random_seed: int) -> Any:
-    """A copy whose poses are off, with points triangulated anew for them.
+    """A copy with noisy poses, and points triangulated again.
 
-    Every image turns and shifts at random, in equal parts, so that the projections of its points
-    move by `noise_px` (root mean square).
+    Every image is rotated and shifted at random, in equal parts, so that the projections of its
+    points move by `noise_px` (root mean square).
     """
     rng = np.random.default_rng(random_seed)
     result = pycolmap.Reconstruction(reconstruction)

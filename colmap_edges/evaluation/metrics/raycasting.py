@@ -1,4 +1,4 @@
-"""Rays against triangle meshes (trimesh over Embree), with depths in double precision."""
+"""Ray casting on triangle meshes (trimesh with Embree), with depths in double precision."""
 
 from __future__ import annotations
 
@@ -27,13 +27,17 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def check_geometry(geometry: Any, path: Path) -> None:
-    """Raise `ColmapEdgesError` when vertices are no 3D points or faces name none of them."""
+    """Raise `ColmapEdgesError` if vertices are not finite 3D points or faces are invalid."""
     vertices = np.asarray(getattr(geometry, "vertices", np.empty(0)))
     faces = np.asarray(getattr(geometry, "faces", np.empty(0)))
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
-        raise ColmapEdgesError(f"{path} is damaged: its vertices are no finite 3D points")
+        raise ColmapEdgesError(
+            f"{path} is damaged: its vertices are not finite 3D points; write it again"
+        )
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ColmapEdgesError(f"{path} is damaged: a face names a vertex that is not there")
+        raise ColmapEdgesError(
+            f"{path} is damaged: a face refers to a missing vertex; write it again"
+        )
 
 
 def load_geometry(path: Path) -> Any:
@@ -46,11 +50,11 @@ def load_geometry(path: Path) -> Any:
         raise ColmapEdgesError(f"{path} does not exist; give a mesh or point cloud")
     try:
         loaded = trimesh.load(path, process=False, maintain_order=True)
-        if isinstance(loaded, trimesh.Scene):  # such as GLB's
+        if isinstance(loaded, trimesh.Scene):  # such as of GLB
             loaded = trimesh.util.concatenate(loaded.dump())
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
-        if isinstance(error, ImportError):  # of what trimesh guesses encodings with
+        if isinstance(error, ImportError):  # of trimesh's optional library for encodings
             reason = "its text is not UTF-8"
         raise ColmapEdgesError(f"{path} is not a readable mesh or point cloud: {reason}") from error
     check_geometry(loaded, path)
@@ -58,7 +62,7 @@ def load_geometry(path: Path) -> Any:
 
 
 class RayCaster:
-    """A mesh ready to be hit by rays."""
+    """A mesh with an acceleration structure for ray casting."""
 
     def __init__(self, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
         """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3)."""

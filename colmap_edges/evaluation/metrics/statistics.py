@@ -1,4 +1,4 @@
-"""Errors summed up: one definition of MAE, RMSE, sigma and quantiles for every table."""
+"""Error statistics: MAE, RMSE, sigma and quantiles, defined once for all tables."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ErrorStatistics:
 
 
 def summarize(errors: NDArray[np.floating]) -> ErrorStatistics:
-    """Statistics of signed `errors` (any shape); NaN throughout when there are none."""
+    """Statistics of signed `errors` (any shape); all NaN without errors."""
     signed = np.asarray(errors, dtype=np.float64).ravel()
     if not signed.size:
         nan = float("nan")

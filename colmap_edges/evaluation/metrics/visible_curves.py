@@ -1,4 +1,4 @@
-"""True curves as the images show them: visibility, thresholds in pixels, marks on surfaces."""
+"""Errors of curves by visibility, with thresholds in pixels at the scene's depth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from colmap_edges.evaluation.readers.curves import Curves
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """Where samples of curves are seen.
+    """Visibility of samples of curves.
 
     Attributes:
         count: (N,) number of views that see each.
@@ -33,10 +33,10 @@ class Visibility:
 
 
 def visibility(points: FloatArray, views: Sequence[View], caster: RayCaster | None) -> Visibility:
-    """Which views see `points` (N, 3): in the image, ahead, and nothing of the surface before.
+    """Visibility of `points` (N, 3) in views: inside the image and not occluded by the surface.
 
-    A point counts as hidden when the surface is hit nearer than it by more than three pixels'
-    length at its depth, which leaves room for the surface's own triangles.
+    A point is occluded if the surface is hit more than three pixels' length (at the point's depth)
+    in front of it; the tolerance allows for the surface's own triangles.
     """
     count = np.zeros(len(points), dtype=np.int64)
     nearest_seen = np.full(len(points), np.inf)
@@ -76,7 +76,7 @@ class ViewRecall:
 
 @dataclass(frozen=True, kw_only=True)
 class VisibleCurveErrors:
-    """How well reconstructed curves match true ones, as the images show them.
+    """Errors of reconstructed curves against true curves, by visibility in the images.
 
     Thresholds are pixels at the scene's depth: each sample's own distance is its
     `Visibility.pixel_size` times the threshold.
@@ -86,13 +86,12 @@ class VisibleCurveErrors:
         accuracy: Mean distance from samples of the result to the true curves, world units.
         completeness: Mean distance from samples of the visible true curves to the result.
         recall_by_views: The recall by the number of views, each range twice the one before.
-        on_surface: Share of the result within each threshold of the true surface; the part of it
-            that is on no true curve are marks on the surface that no curve lists. Empty without
-            a surface.
+        on_surface: Share of the result within each threshold of the true surface, including
+            painted edges that are no true curves. Empty without a surface.
         result_samples: Number of samples of the result.
         reference_samples: Number of samples of the visible true curves.
         spacing: Distance between samples along the curves, world units.
-        unit: World units a unit of these figures is: 1.
+        unit: World units per unit of these figures: 1.
     """
 
     scores: list[Score]
@@ -117,16 +116,16 @@ def compare_visible_curves(
 ) -> VisibleCurveErrors:
     """Precision against all true curves, recall against those at least `min_views` views see.
 
-    A sample of the result takes the threshold of the nearest true sample. Both are sampled every
-    fifth of the median of the smallest threshold.
+    A sample of the result has the threshold of the nearest true sample. Both are sampled at a fifth
+    of the median of the smallest threshold.
 
     Args:
         result: Reconstructed curves.
         reference: True curves, or samples of them.
         views: The posed images.
-        surface: True surface, a mesh with `vertices` and `faces`; None: nothing is hidden.
+        surface: True surface, a mesh with `vertices` and `faces`; None for no occlusion.
         thresholds_px: Distances in pixels.
-        min_views: Views that must see what is asked for.
+        min_views: Minimum number of views that see a curve counted in recall.
 
     Raises:
         ColmapEdgesError: The reference is empty.

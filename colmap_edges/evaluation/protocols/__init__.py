@@ -1,1 +1,1 @@
-"""Benchmarks' data and rules: DTU, Strecha, scenes with any reference."""
+"""Data and protocols of benchmarks: DTU, Strecha, scenes with any reference."""

@@ -57,7 +57,7 @@ def posed_images(
 ) -> tuple[Path, list[PosedImage]]:
     """Images and poses of a scan in the official layout.
 
-    Pixel coordinates of the calibration are taken as they are, as all peers take them.
+    Pixel coordinates of the calibration are used unchanged, as by all other systems.
 
     Args:
         root: Folder with Rectified/ or Cleaned/ and Calibration/cal18/, also below SampleSet.
@@ -155,7 +155,7 @@ def choose_images(
         )
     missing = sorted(positions - set(chosen)) if isinstance(positions, frozenset) else []
     if missing or not chosen:
-        of = f"position {missing[0]:03d}" if missing else "the positions asked for"
+        of = f"position {missing[0]:03d}" if missing else "the requested positions"
         raise ColmapEdgesError(f"{folder} holds no image NAME_POSITION_{light or 'LIGHT'} of {of}")
     return dict(sorted(chosen.items()))
 
@@ -200,7 +200,7 @@ def find(root: Path, relative: str) -> Path:
 
 
 def find_if_there(root: Path, relative: str) -> Path | None:
-    """`relative` below `root`, or below the SampleSet in it; None in neither place."""
+    """`relative` below `root`, or below its SampleSet; None if neither exists."""
     return next((root / p / relative for p in PARTS if (root / p / relative).exists()), None)
 
 

@@ -1,6 +1,6 @@
 """DTU as MVSNet repackages it: Cameras/, Rectified/scanN_train/, Depths/.
 
-Reference: Yao, Luo, Li, Fang, Quan, MVSNet, ECCV 2018. Two sizes of the same images are around:
+Reference: Yao, Luo, Li, Fang, Quan, MVSNet, ECCV 2018. The images exist in two sizes:
 1600 x 1200 pixels (Rectified/scanN or Rectified_raw/scanN, Cameras, Depths_raw/scanN), and crops of
 the halved images, 640 x 512 (Rectified/scanN_train, Cameras/train, Depths/scanN_train), whose
 cameras and depth maps are those of images of a quarter of that size, 160 x 128. Camera i takes
@@ -24,20 +24,20 @@ from colmap_edges.evaluation.protocols import dtu
 from colmap_edges.images.files import read_picture
 from colmap_edges.runtime.input_files import read_bytes, read_text
 
-# From the pixels of Cameras/train to those of the crops.
+# Scale factor from the pixels of Cameras/train to those of the crops.
 CROP_OVER_CAMERA = 4.0
-# What depth_visual_NNNN.png shows darker than this is no surface (training code of MVSNet's kind).
+# Pixels of depth_visual_NNNN.png darker than this have no depth (as in MVSNet's training code).
 _MIN_VISUAL = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Where the images of a scan are, and what belongs to images of their size.
+    """Paths of a scan's images, and of the cameras and depth maps of their size.
 
     Attributes:
         image_path: Folder of the images.
         camera_path: Folder of NNNNNNNN_cam.txt.
-        pixel_factor: From the cameras' pixels to the images'.
+        pixel_factor: Scale factor from the cameras' pixels to the images'.
         depth_path: Folder of depth_map_NNNN.pfm, which may be missing.
     """
 
@@ -55,7 +55,7 @@ def is_layout(root: Path) -> bool:
 
 
 def find_layout(root: Path, scan: int) -> Layout:
-    """Images of a scan, those of full size before the crops.
+    """The layout of a scan; images of full size are preferred to crops.
 
     Raises:
         ColmapEdgesError: There are none.
@@ -105,9 +105,9 @@ def posed_images(
 
 
 def check_size(image: PosedImage, camera_path: Path) -> None:
-    """Check that the principal point is in the middle half of the image, as those of DTU are.
+    """Check that the principal point is in the middle half of the image, as in DTU.
 
-    Releases differ in the sizes of their images; cameras of another size put it elsewhere.
+    Releases differ in the sizes of their images; cameras of another size violate this.
 
     Raises:
         ColmapEdgesError: It is not.
@@ -115,8 +115,8 @@ def check_size(image: PosedImage, camera_path: Path) -> None:
     x, y = image.calibration[:2, 2] / (image.width, image.height)
     if not (0.25 < x < 0.75 and 0.25 < y < 0.75):
         raise ColmapEdgesError(
-            f"{camera_path} is not of images of {image.width} x {image.height} pixels, as "
-            f"{image.name} is: its principal point is at {x:.2f}, {y:.2f} of their size"
+            f"{camera_path} is not for images of {image.width} x {image.height} pixels like "
+            f"{image.name}: its principal point is at {x:.2f}, {y:.2f} of their size"
         )
 
 
@@ -140,7 +140,9 @@ def read_camera(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
     rotation = pose[:3, :3]
     finite = np.isfinite(pose).all() and np.isfinite(calibration).all()
     if not finite or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
-        raise ColmapEdgesError(f"{path} is not a camera of MVSNet's: its rotation is none")
+        raise ColmapEdgesError(
+            f"{path} is not a camera of MVSNet's: its rotation is not orthonormal"
+        )
     return calibration, rotation, pose[:3, 3]
 
 
@@ -167,13 +169,13 @@ def _without_background(depth: Float32Array, visual_path: Path) -> Float32Array:
     if visual_path.is_file():
         visual = read_picture(visual_path).max(axis=2)
         if visual.shape != depth.shape:
-            raise ColmapEdgesError(f"{visual_path} is not of the size of its depth map")
+            raise ColmapEdgesError(f"{visual_path} has another size than its depth map")
         known &= visual > _MIN_VISUAL
     return np.where(known, depth, np.float32(0))
 
 
 def read_pfm(path: Path) -> Float32Array:
-    """Read a gray portable float map, (H, W), top row first (the file begins with the last).
+    """Read a grayscale portable float map, (H, W), top row first (the file stores it last).
 
     Raises:
         ColmapEdgesError: The file holds something else.
@@ -191,5 +193,5 @@ def read_pfm(path: Path) -> Float32Array:
             raise ValueError(f"its size is {shape[1]} x {shape[0]}")
         values = np.frombuffer(content, order, shape[0] * shape[1]).reshape(shape)
     except (ValueError, OverflowError) as error:
-        raise ColmapEdgesError(f"{path} is not a gray PFM: {error}") from error
+        raise ColmapEdgesError(f"{path} is not a grayscale PFM: {error}") from error
     return values[::-1].astype(np.float32)

@@ -1,4 +1,4 @@
-"""How good a mesh or 3D edges are on any scene, with whatever reference there is."""
+"""Evaluation of a mesh or 3D edges on any scene, with any kind of reference."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from colmap_edges.evaluation.readers import peers, results
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 
 Record = dict[str, Any]
-THRESHOLDS = (0.005, 0.01, 0.02)  # of the longest side of the reference's box
+THRESHOLDS = (0.005, 0.01, 0.02)  # relative to the longest side of the reference's box
 
 
 def evaluate_mesh(
@@ -43,7 +43,7 @@ def evaluate_mesh(
     """Measure a mesh against reference depth maps, a mesh, a point cloud, or SfM points.
 
     Args:
-        mesh_path: The mesh to judge.
+        mesh_path: The mesh.
         input_path: COLMAP model with the views. Without a reference, its points are the
             reference: they are held out only if the mesh was made without them.
         reference_path: Folder of depth maps (*.npz), mesh or point cloud file, or none.
@@ -53,7 +53,7 @@ def evaluate_mesh(
         pictures_path: Folder for error maps.
 
     Returns:
-        What `evaluation.json` holds.
+        The content of `evaluation.json`.
     """
     model = load_model(input_path)
     mesh = load_mesh(mesh_path)
@@ -155,8 +155,8 @@ def evaluate_edges(
         sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
-        surface_path: True surface: then visibility in at least three views is asked of the true
-            curves and `thresholds_px` apply.
+        surface_path: True surface; if given, recall counts true curves visible in at least three
+            views, and `thresholds_px` apply.
         reference_depth_path: Folder of depth maps.
         thresholds: Distances for precision and recall; default 0.005, 0.01 and 0.02 of the
             longest side of the reference's box.
@@ -165,7 +165,7 @@ def evaluate_edges(
         crop: Count only what lies in the reference's box.
 
     Returns:
-        What `evaluation.json` holds.
+        The content of `evaluation.json`.
     """
     model = load_model(sparse_path)
     found = peers.read_curves(edges_path)
@@ -176,7 +176,7 @@ def evaluate_edges(
         "twins": _twins(found, run, model),
     }
     points = _edge_points(edges_path, model, input_path)
-    if edges_path.suffix in (".ply", ".npz"):  # a peer's lines are sampled where they project to
+    if edges_path.suffix in (".ply", ".npz"):  # other lines are sampled at their projections
         record["reprojection"] = asdict(edges.reprojection_errors(points))
     if reference_path is not None:
         true = load_curves(reference_path)
@@ -198,14 +198,14 @@ def evaluate_edges(
 
 
 def _edge_points(edges_path: Path, model: Model, input_path: Path | None) -> Model:
-    """The points of edges: those that a model has beyond its input's, or samples of lines."""
+    """The points of edges: those of a model that its input lacks, or samples of lines."""
     if edges_path.suffix not in (".ply", ".npz"):
         return edges.points_of_edges(peers.load(edges_path, model), model)
     return model if input_path is None else edges.edge_points(model, load_model(input_path))
 
 
 def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> Record:
-    """How well kinds and radii are told, where the reference and the output folder tell them."""
+    """Errors of kinds and radii, if reference and output folder hold them."""
     true = kinds.true_curves(reference_path, threshold / kinds.SAMPLES)
     if true is None or not (edges_path.parent / "edges.json").is_file():
         return {}
@@ -223,7 +223,7 @@ def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
 
 
 def _twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
-    """Share of the edges' length that lies doubled, in pixels of the views that observe them."""
+    """Shares of the edges' length with parallel twins, in pixels of the observing views."""
     if run is None:
         sizes = visible_curves.visibility(found.points, model.views, None).pixel_size
     else:
@@ -240,7 +240,7 @@ def _as_graph(
     *,
     unit_size: bool,
 ) -> Record:
-    """How often each true edge is found and, where nodes are known, how well corners are."""
+    """How often true edges are found and, with nodes, precision and recall of corners."""
     unit = float(np.ptp(true.points, axis=0).max()) if unit_size else 1.0
     times = edge_graphs.times_found(found, true, thresholds, unit)
     record: Record = {"times_found": [asdict(row) for row in times]}
@@ -276,7 +276,7 @@ def _against_visible_curves(
     surface_path: Path,
     thresholds_px: Sequence[float],
 ) -> Record:
-    """Errors in pixels, and beside them how far the SfM points are off the same surface."""
+    """Errors in pixels, and those of the SfM points against the same surface."""
     surface = load_mesh(surface_path)
     record: Record = asdict(
         visible_curves.compare_visible_curves(

@@ -16,24 +16,26 @@ from colmap_edges.runtime.input_files import read_text
 def find_folders(folder: Path) -> tuple[Path, Path]:
     """Folders of a scene's images and of its NAME.camera files.
 
-    Images are in `folder` or in images/ in it; cameras beside them, in `folder`, or in a folder in
-    it, such as gt_dense_cameras/.
+    Images are in `folder` or in its images/; cameras are in the same folder, in `folder`, or in a
+    folder of it, such as gt_dense_cameras/.
 
     Raises:
         ColmapEdgesError: There is no NAME.camera.
     """
     if not folder.is_dir():
-        raise ColmapEdgesError(f"{folder} is no folder; give one of a scene's images and cameras")
+        raise ColmapEdgesError(
+            f"{folder} is not a folder; give a folder with a scene's images and cameras"
+        )
     image_path = folder / "images" if (folder / "images").is_dir() else folder
     others = sorted(path for path in folder.iterdir() if path.is_dir())
     for camera_path in (image_path, folder, *others):
         if any(camera_path.glob("*.camera")):
             return image_path, camera_path
-    raise ColmapEdgesError(f"{folder} holds no NAME.camera, nor does a folder in it")
+    raise ColmapEdgesError(f"{folder} holds no NAME.camera, and no folder in it does")
 
 
 def posed_images(image_path: Path, camera_path: Path | None = None) -> list[PosedImage]:
-    """Images of a folder that have a NAME.camera file, beside them or in `camera_path`.
+    """Images with a NAME.camera file in the same folder or in `camera_path`.
 
     Raises:
         ColmapEdgesError: No image has one, or one cannot be read.
@@ -100,4 +102,4 @@ def _numbers(path: Path) -> FloatArray:
     try:
         return np.array(read_text(path).replace(",", " ").split(), dtype=np.float64)
     except ValueError as error:
-        raise ColmapEdgesError(f"{path} holds something else than numbers: {error}") from error
+        raise ColmapEdgesError(f"{path} must hold numbers only: {error}") from error

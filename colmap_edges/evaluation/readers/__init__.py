@@ -1,1 +1,1 @@
-"""Files of other programs, and outputs of this one, read for evaluation."""
+"""Readers of reference data, of other systems' results, and of our output folders."""

@@ -35,7 +35,7 @@ def load_curves(path: Path) -> Curves:
     """Read curves from .npz (`points`, `edges`) or .ply (`vertex` and optional `edge` elements).
 
     Raises:
-        ColmapEdgesError: The file is missing, unreadable or names points it does not hold.
+        ColmapEdgesError: The file is missing, unreadable or refers to missing points.
     """
     if not path.is_file():
         raise ColmapEdgesError(f"{path} does not exist; give curves as .ply or .npz")
@@ -55,11 +55,13 @@ def load_curves(path: Path) -> Curves:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         segments = np.asarray(segments, dtype=np.int64).reshape(-1, 2)
     except (ValueError, TypeError) as error:
-        raise ColmapEdgesError(f"{path}: no numbers by three and two") from error
+        raise ColmapEdgesError(
+            f"{path}: points must be numbers in rows of three, edges in rows of two"
+        ) from error
     if not np.isfinite(points).all():
         raise ColmapEdgesError(f"{path}: a point is not finite")
     if len(segments) and (segments.min() < 0 or segments.max() >= len(points)):
-        raise ColmapEdgesError(f"{path}: a segment names a point outside 0..{len(points) - 1}")
+        raise ColmapEdgesError(f"{path}: a segment refers to a point outside 0..{len(points) - 1}")
     return Curves(points=points, segments=segments)
 
 

@@ -1,4 +1,4 @@
-"""Results of Line3D++, LIMAP and EdgeGraph3D as 3D edges, for the same mesher (paper: table 2)."""
+"""Readers of results of Line3D++, LIMAP and EdgeGraph3D as 3D edges (paper: table 2)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 from colmap_edges.runtime.input_files import read_bytes, read_text
 
-# What readers of damaged files come to.
+# Exceptions raised for damaged files.
 DAMAGE = (
     ValueError,
     KeyError,
@@ -35,13 +35,13 @@ DAMAGE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One straight 3D line of a peer.
+    """One straight 3D line of another system.
 
     Attributes:
         segments: (S, 2, 3) its 3D segments, by their ends.
         image_ids: (O,) COLMAP ids of the images that see it.
-        ends2D: (O, 2, 2) ends of the 2D segments seen there, pixels; NaN where the format holds
-            none: then the whole line counts as seen.
+        ends2D: (O, 2, 2) ends of the 2D segments seen there, pixels; NaN if the format holds
+            none, in which case the whole line counts as seen.
     """
 
     segments: FloatArray
@@ -50,7 +50,7 @@ class Line:
 
 
 def load(path: Path, model: Model, spacing_px: float = 4.0) -> Edges3D:
-    """Read a peer's result, told apart by what `path` is.
+    """Read a result of another system, recognised by its path.
 
     Line3D++: `.txt`; LIMAP 2.0: the model folder or its `structures`; LIMAP 1.x: `alltracks.txt`
     or the folder of `track_*.txt`; EdgeGraph3D: openMVG `.json`.
@@ -98,7 +98,7 @@ def read_curves(path: Path) -> Curves:
     if path.suffix in (".ply", ".npz"):
         return load_curves(path)
     if not path.exists():
-        raise ColmapEdgesError(f"{path} does not exist; give 3D edges")
+        raise ColmapEdgesError(f"{path} does not exist; give a file of 3D edges")
     try:
         segments = np.concatenate([line.segments for line in read_lines(path)])
     except DAMAGE as error:
@@ -233,18 +233,19 @@ class _Reader:
 
 
 def sample_lines(lines: Iterable[Line], model: Model, spacing_px: float = 4.0) -> Edges3D:
-    """Points along every 3D segment, each seen where its projection lies on the 2D segment.
+    """Points along every 3D segment, observed where their projections are on the 2D segment.
 
-    A point beyond the ends of the 2D segment of a view by more than two pixels is not seen there;
-    points that fewer than two views see are left out, and what remains of a segment is one edge
-    for each unbroken run.
+    A view does not observe points more than two pixels beyond the ends of its 2D segment. Points
+    observed by fewer than two views are dropped; each remaining unbroken run becomes an edge.
     """
     views = {view.image_id: index for index, view in enumerate(model.views)}
     edges: list[_Run] = []
     for line in lines:
         missing = set(line.image_ids.tolist()) - set(views)
         if missing:
-            raise ColmapEdgesError(f"a line is seen in image {min(missing)}, not in the model")
+            raise ColmapEdgesError(
+                f"a line is observed in image {min(missing)}, which is not in the model"
+            )
         indices = np.array([views[i] for i in line.image_ids.tolist()], dtype=np.int32)
         for ends in line.segments:
             edges += _sample_segment(ends, indices, line.ends2D, model.views, spacing_px)
@@ -329,10 +330,10 @@ def _edges(
 
 
 def read_openmvg(path: Path, model: Model) -> Edges3D:
-    """Read the points of an openMVG `sfm_data` JSON (EdgeGraph3D's output), each an edge by itself.
+    """Read the points of an openMVG `sfm_data` JSON (EdgeGraph3D's output), each as an edge.
 
-    EdgeGraph3D appends its edge points to the SfM points without telling them apart: give a file
-    from which the SfM points were taken out, or mesh without the model's own points.
+    EdgeGraph3D appends its edge points to the SfM points without marking them: give a file without
+    the SfM points, or mesh without the model's own points.
     """
     data = json.loads(read_text(path))
     names = {Path(view.name).stem: index for index, view in enumerate(model.views)}
@@ -340,7 +341,7 @@ def read_openmvg(path: Path, model: Model) -> Edges3D:
     for entry in data["views"]:
         name = entry["value"]["ptr_wrapper"]["data"]["filename"]
         if Path(name).stem not in names:
-            raise ColmapEdgesError(f"{path} is of image {name}, which the model does not hold")
+            raise ColmapEdgesError(f"{path} is of image {name}, which is not in the model")
         views[int(entry["key"])] = names[Path(name).stem]
     points, counts, seen, pixels = [], [], [], []
     for entry in data["structure"]:

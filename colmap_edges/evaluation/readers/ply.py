@@ -29,7 +29,7 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of numbers that are none, which readers check
+            warnings.simplefilter("ignore")  # of NaN, which readers check
             elements = PlyData.read(BytesIO(content)).elements
     except Exception as error:  # plyfile's parser has no list of what it raises
         reason = " ".join(str(error).split())[:200] or type(error).__name__

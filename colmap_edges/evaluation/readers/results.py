@@ -1,4 +1,4 @@
-"""The edges of an output folder, or of LIMAP, read back: points, tracks, nodes and curves."""
+"""Reader of the edges of an output folder, or of LIMAP, with nodes, curves and faces."""
 
 from __future__ import annotations
 
@@ -20,24 +20,30 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.readers.peers import DAMAGE
 from colmap_edges.export.curve_records import curves_of_records
+from colmap_edges.export.faces import read_faces
 from colmap_edges.runtime.input_files import read_text
+from colmap_edges.surfaces.faces.outlines import Face
+
+FACES = "faces.json"
 
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenEdges:
-    """What `read_edges` gives back.
+    """The result of `read_edges`.
 
     Attributes:
-        edges: the edges, with tracks and nodes; of observations the views and pixels are known.
+        edges: the edges, with tracks and nodes; observations have views and pixels.
         curves: the lines, arcs, circles, ellipses and splines that they consist of.
-        point3D_ids: (N,) int64 ids of the edge points in the model; -1 of LIMAP's lines.
-        model: the model with the edge points, whose views observations name by index.
+        point3D_ids: (N,) int64 ids of the edge points in the model; -1 for LIMAP's lines.
+        model: the model with the edge points, to whose views observations refer by index.
+        faces: planar faces between the edges, if `use_faces` was set.
     """
 
     edges: Edges3D
     curves: Curves3D
     point3D_ids: IntArray
     model: Model
+    faces: list[Face]
 
 
 def read_edges(path: Path | str, model_path: Path | str | None = None) -> WrittenEdges:
@@ -50,10 +56,11 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
             folder or in `sparse` there.
 
     Returns:
-        Points, tracks, nodes and curves. Curves of early outputs and of LIMAP are fitted now.
+        Points, tracks, nodes, curves, faces. Curves of early outputs and of LIMAP are
+            fitted when read.
 
     Raises:
-        ColmapEdgesError: there are no edges there, or files are missing or do not fit together.
+        ColmapEdgesError: there are no edges, or files are missing or inconsistent.
     """
     path = Path(path)
     if (path / "edges.json").is_file():
@@ -62,17 +69,19 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
         try:
             curves = curves_of_records(records, edges.edge_offsets) if records is not None else None
         except (AssertionError, *DAMAGE) as error:
-            raise ColmapEdgesError(f"{path} holds curves that are none: {error}") from error
+            raise ColmapEdgesError(f"{path} holds invalid curves: {error}") from error
         curves = fit_curves(edges) if curves is None else curves
-        return WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, model=model)
+        faces = read_faces(path / FACES, model) if (path / FACES).is_file() else []
+        return WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, model=model, faces=faces)
     model = load_model(Path(model_path) if model_path else model_beside(path))
     edges = peers.load(path, model)
     unknown = np.full(edges.num_points, -1, np.int64)
-    return WrittenEdges(edges=edges, curves=fit_curves(edges), point3D_ids=unknown, model=model)
+    curves = fit_curves(edges)
+    return WrittenEdges(edges=edges, curves=curves, point3D_ids=unknown, model=model, faces=[])
 
 
 def model_beside(path: Path) -> Path:
-    """The model of the folder of LIMAP's lines, or of the one around.
+    """The model in the folder of LIMAP's lines, or in its parent.
 
     Raises:
         ColmapEdgesError: there is none.
@@ -142,7 +151,7 @@ def edges_of_run(
 def read_nodes(
     records: list[dict[str, Any]], written: Model, views: Int32Array, edge_offsets: IntArray
 ) -> Nodes:
-    """The nodes of edges.json, with what the written model tells of them."""
+    """The nodes of edges.json, with positions and tracks from the written model."""
     ids = np.array([record["point3D_id"] for record in records], np.int64)
     rows = np.searchsorted(written.point3D_ids, ids)
     through = [record["through"] for record in records]
@@ -167,7 +176,7 @@ def tracks_of(written: Model, rows: IntArray, views: Int32Array) -> Observations
 
 
 def sigmas_of(records: list[dict[str, Any]], lengths: IntArray) -> FloatArray:
-    """(N,) deviations of the points of (E,) records; NaN where one tells none."""
+    """(N,) standard deviations of the points of (E,) records; NaN if missing."""
     parts = [
         np.array(record.get("sigmas", [None] * length), np.float64)
         for record, length in zip(records, lengths.tolist(), strict=True)

@@ -1,7 +1,8 @@
-"""Which of the labelled cells are believed, and the points that the mesher gets of them."""
+"""Acceptance of labelled cells that views agree on, and their points for the mesher."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,14 +17,21 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
 )
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights
+from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
-AGREEING_SHARE = 1 / 3  # of the views that hold the place
-MAX_THROUGH = 0.1  # views that show a plane behind it, for each that agrees
-MAX_HIDDEN = 0.0  # views that show a plane before it, for each that agrees: none may
-NEAR_CELLS = 3.0  # within which the mesher has no two points of its own
-SPACING_CELLS = 1.2  # between points of a face
+AGREEING_SHARE = 2 / 3  # minimum share of agreeing views among those that contain the position
+MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
+MAX_HIDDEN = 0.0  # maximum number of views that see a plane in front of it, per agreeing view
+NEAR_CELLS = 3.0  # radius in which two other points of the mesher suppress a face point
+SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
+NUM_NEAR = 8  # nearest samples of triangles that a face point is compared with
+MAX_SPREAD = 300_000  # number of samples of triangles, in addition to one for each triangle
+STEPS = np.array([0.7548776662466927, 0.5698402909980532])  # of the low-discrepancy sequence R2
+SPACING_CELLS = 1.2  # distance between points of a face
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +42,11 @@ class Samples:
         points: (S, 3) world units.
         sizes: (S,) sides of the cells there, world units.
         planes: (S,) int32.
-        holding: (S,) int32 views in whose pictures a place lies, its own and neighbours.
+        holding: (S,) int32 views on the same side of the plane in whose pictures a place lies, its
+            own and neighbours.
         agreeing: (S,) int32 of them those that show the plane there, or one at its depth.
-        through: (S,) int32 of them those that show a plane farther away.
-        hidden: (S,) int32 of them those that show a nearer plane.
+        through: (S,) int32 views, on either side, that show a plane farther away.
+        hidden: (S,) int32 of the holding views those that show a nearer plane.
         offsets: (S + 1,) of the agreeing views.
         views: (T,) int32 agreeing views, row by row.
     """
@@ -121,3 +130,53 @@ def seen_points(samples: Samples, chosen: IntArray) -> SeenPoints:
         offsets_of(np.diff(samples.offsets)[chosen]),
         samples.views[entries_of(samples.offsets, chosen)],
     )
+
+
+def lacking_points(faces: SeenPoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
+    """The points of faces at which a mesh has no triangle that faces the view.
+
+    Where the mesh of points and edges is as the faces are, points on these only disturb it: a plate
+    that gets points on one side alone is pierced by their cells.
+
+    Args:
+        faces: points, each with the view in which it is a cell's place first.
+        views: all views.
+        surface: mesh of points and edges without faces.
+    """
+    if not len(faces.points) or not len(surface.faces):
+        return faces
+    first = faces.track_views[faces.track_offsets[:-1]]
+    sights = faces.points - np.array([view.center for view in views])[first]
+    angles = np.array([CELL_PX / blank_grid(view).focal_px for view in views])
+    sizes = np.linalg.norm(sights, axis=1) * angles[first]
+    spread, normals = spread_points(surface, float(np.quantile(sizes, 0.25)))
+    near = min(NUM_NEAR, len(spread))
+    distances, rows = cKDTree(spread).query(faces.points, near)
+    distances, rows = distances.reshape(-1, near), rows.reshape(-1, near)
+    off = np.abs(np.einsum("ijk,ijk->ij", faces.points[:, None] - spread[rows], normals[rows]))
+    facing = np.einsum("ijk,ik->ij", normals[rows], sights) < 0
+    here = facing & (off <= SAME_CELLS * sizes[:, None]) & (distances <= 2 * sizes[:, None])
+    lacking = np.flatnonzero(~here.any(axis=1))
+    return SeenPoints(
+        faces.points[lacking],
+        offsets_of(np.diff(faces.track_offsets)[lacking]),
+        faces.track_views[entries_of(faces.track_offsets, lacking)],
+    )
+
+
+def spread_points(surface: Mesh, spacing: float) -> tuple[FloatArray, FloatArray]:
+    """Points (P, 3) on a mesh about `spacing` apart, and the unit normals (P, 3) there."""
+    corners = surface.vertices[surface.faces].astype(np.float64)
+    sides = corners[:, 1:] - corners[:, :1]
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    doubled = np.linalg.norm(normals, axis=1)
+    areas = doubled / 2
+    spacing = max(spacing, float(np.sqrt(areas.sum() / MAX_SPREAD)))
+    counts = np.ceil(areas / spacing**2).astype(np.int64)
+    triangle = np.repeat(np.arange(len(counts)), counts)
+    one, other = (STEPS[:, None] * np.arange(1, len(triangle) + 1)) % 1
+    beyond = one + other > 1
+    one, other = np.where(beyond, 1 - one, one), np.where(beyond, 1 - other, other)
+    points = corners[triangle, 0] + one[:, None] * sides[triangle, 0]
+    points += other[:, None] * sides[triangle, 1]
+    return points, normals[triangle] / doubled[triangle, None]

@@ -1,7 +1,7 @@
-"""Which labelled cells lie between what was observed of their plane, and not beyond all of it.
+"""Test of whether labelled cells are enclosed by observed points of their plane.
 
-Labels spread over plain regions, beyond the end of a wall also over a backdrop, which nothing
-contradicts there. Between edges of a plane it is likely to go on; beyond the last it is a guess.
+Labels spread over plain regions, and beyond the end of a wall also over a backdrop, where nothing
+contradicts them. Between its observed points a plane probably continues; beyond them it may not.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import extents_of, planes_of_points, split_by_view
 
-# Steps (columns, rows) of 16 directions all around, in order of their angles.
+# Steps (columns, rows) of 16 directions, sorted by angle.
 DIRECTIONS = (
     *((1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)),
     *((-1, 0), (-2, -1), (-1, -1), (-1, -2), (0, -1), (1, -2), (1, -1), (2, -1)),
 )
-MAX_OPEN = len(DIRECTIONS) // 2 - 1  # side by side: what encloses a cell is on no one side of it
-ENCLOSED_SHARE = 1 / 2  # of a piece's cells, or of the views that agree on a place
+# maximum number of adjacent open directions: points enclose a cell from all sides
+MAX_OPEN = len(DIRECTIONS) // 2 - 1
+# minimum share of enclosed cells of a piece, or of agreeing views at a position
+ENCLOSED_SHARE = 1 / 2
 
 
 def are_enclosed(

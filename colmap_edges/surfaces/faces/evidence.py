@@ -1,4 +1,4 @@
-"""What is known of a scene's surfaces before faces are looked for: points of edges and of SfM."""
+"""Observed points on surfaces, from edges and SfM, for face detection."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 
-TANGENT_REACH = 8  # points to both sides of an edge point whose chord is its tangent
-MAX_BEND = 0.05  # of that chord's length, by which an edge with a tangent leaves it
-SFM_WEIGHT_PX = 4.0  # length of edge that an SfM point is worth
+TANGENT_REACH = 8  # half length, in points, of the chord that is an edge point's tangent
+MAX_BEND = 0.05  # maximum deviation of the edge from that chord, relative to its length
+SFM_WEIGHT_PX = 4.0  # weight of an SfM point, as length of an edge
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,8 @@
-"""Faint lines on planes: borders of walls and ceilings that no single image shows clearly.
+"""Faint lines on planes, such as borders of walls and ceilings, too weak in any single image.
 
-Where a cell is taken for a plane, the changes of gray in it are taken for marks on that plane.
-Those of several views fall on one line of the plane only if they are on it: a mark, or the border
-to another plane, which lies on both.
+Intensity gradients in a cell are projected onto the plane that the cell is labelled with. Gradients
+of several views coincide on a line of the plane only if they belong to it: as a mark, or as the
+border to another plane, which lies on both.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from colmap_edges.surfaces.faces.evidence import Evidence, sight_of
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
-# Pixels are those of the small pictures. Set by trial on rooms (docs/experiments.md).
-BLUR_PX = 1.0
-MIN_SLOPE = 0.5  # gray levels a pixel of the blurred picture; noise of means of pixels is less
-NUM_ANGLES = 120  # of half a turn
-WIDTH_PX = 2.0  # of lines
-MAX_PLACES = 4000  # beside each other, so many line widths
-MAX_TURN = 0.08  # sine between a mark and its line
-MIN_PIXELS = 60  # of all views on a line
-MIN_VIEWS = 3  # that see a stretch of a line
-MIN_STEPS = 8  # such stretches of a line
+# Lengths are in pixels of the reduced images. Set by trial on rooms (docs/experiments.md).
+BLUR_PX = 1.0  # standard deviation of the blur of the reduced images
+MIN_SLOPE = 0.5  # minimum gradient of the blurred image per pixel, above the noise of pixel means
+NUM_ANGLES = 120  # number of line directions in half a turn
+WIDTH_PX = 2.0  # width of lines
+MAX_PLACES = 4000  # maximum number of parallel line positions
+MAX_TURN = 0.08  # maximum sine of the angle between a gradient's edge direction and its line
+MIN_PIXELS = 60  # minimum number of pixels on a line, over all views
+MIN_VIEWS = 3  # minimum number of views of a stretch of a line
+MIN_STEPS = 8  # minimum number of such stretches
 STEP_PX = 3.0  # length of a stretch
-MAX_LINES = 24  # of a plane
-MAX_TRIED = 40  # for each of them
+MAX_LINES = 24  # maximum number of lines on a plane
+MAX_TRIED = 40  # candidates per line
 SIGMA_PX = 0.7  # standard deviation of a point of a line
 
 
@@ -98,8 +98,8 @@ def ridges(gray: ByteArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 def rays_of(view: View, grid: Grid, pixels: FloatArray) -> FloatArray:
     """(N, 3) world directions, one unit deep, through (N, 2) pixels of the small picture."""
-    ideal = (pixels - grid.principal) / grid.focal_px
-    rays: FloatArray = np.column_stack([ideal, np.ones(len(ideal))]) @ view.rotation
+    undistorted = (pixels - grid.principal) / grid.focal_px
+    rays: FloatArray = np.column_stack([undistorted, np.ones(len(undistorted))]) @ view.rotation
     return rays
 
 

@@ -1,4 +1,4 @@
-"""Planar faces of a scene: planes from edges, labels in views, what views agree on."""
+"""Detection of planar faces: planes from edges, labels in views, agreement of views."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from colmap_edges.surfaces.faces.labelling import (
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Body, SeenPoints, within
 
-NUM_ROUNDS = 2  # of labelling: each view by itself, then in agreement
+NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +38,30 @@ class Faces:
     """Planar faces of a scene.
 
     Attributes:
-        faces: as they are reported.
-        points: on them, where the mesher has no points of its own, with the views that show them.
-        num_planes: planes that were tried.
-        labelled: share of all cells that show a plane.
+        faces: the faces, each a connected piece of a plane.
+        points: points on them with observing views, where the mesher has none of its own.
+        num_planes: number of plane hypotheses.
+        num_cells: number of cells in all views.
+        num_labelled: number of cells labelled with a plane.
+        num_believed: number of labelled cells accepted by the agreement of views.
     """
 
     faces: list[Face]
     points: SeenPoints
     num_planes: int
-    labelled: float
+    num_cells: int
+    num_labelled: int
+    num_believed: int
+
+    @property
+    def area(self) -> float:
+        """Of all faces together, square world units."""
+        return float(sum(face.area for face in self.faces))
 
 
-NO_FACES = Faces(faces=[], points=NO_POINTS, num_planes=0, labelled=0.0)
+NO_FACES = Faces(
+    faces=[], points=NO_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
+)
 
 
 def find_faces(
@@ -94,5 +105,7 @@ def find_faces(
         faces=outline_faces(samples, np.flatnonzero(believed), planes, model.camera_centers),
         points=seen_points(samples, added),
         num_planes=len(planes.offsets),
-        labelled=float(np.mean(labels >= 0)),
+        num_cells=labels.size,
+        num_labelled=int(np.sum(labels >= 0)),
+        num_believed=int(np.sum(believed)),
     )

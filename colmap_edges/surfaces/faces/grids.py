@@ -1,4 +1,4 @@
-"""Views as small undistorted pictures in gray, in which faces are labelled."""
+"""Reduced, undistorted grayscale images of the views, in which faces are labelled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
-CELL_PX = 4  # side of a cell in pixels of the small picture
+CELL_PX = 4  # side of a cell in pixels of the reduced image
 NUM_COLUMNS = 80  # cells along the longer side of an image
 
 
@@ -50,8 +50,10 @@ def make_grid(view: View, image: Picture) -> Grid:
         small = np.asarray(cv2.resize(small, half, interpolation=cv2.INTER_AREA), np.uint8)
     small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    ideal = (np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal) / blank.focal_px
-    pixels = view.image_from_ideal(ideal * view.focal_px)
+    undistorted = (
+        np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal
+    ) / blank.focal_px
+    pixels = view.image_from_undistorted(undistorted * view.focal_px)
     scale = np.array([width / view.width, height / view.height])
     at = (pixels * scale - 0.5).astype(np.float32).reshape(height, width, 2)
     gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

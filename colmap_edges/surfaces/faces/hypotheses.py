@@ -1,29 +1,31 @@
-"""Planes on which many edges and points lie (random samples of pairs of edges, and directions)."""
+"""Plane hypotheses supported by edges and points, from random edge pairs and directions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray
+from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, offsets_of
 from colmap_edges.surfaces.faces.evidence import Evidence
 
-MAX_POINTS = 4000  # on which hypotheses are tried
-NUM_PAIRS = 6000  # of edges that are tried
-NUM_NEAR = 256  # points among which the other edge of a pair is
-NUM_AXES = 6  # directions of many edges
+MAX_POINTS = 4000  # maximum number of points for scoring hypotheses
+NUM_PAIRS = 6000  # number of sampled pairs of edges
+NUM_NEAR = 256  # number of nearest points from which the second edge of a pair is drawn
+NUM_AXES = 6  # number of dominant edge directions
 AXIS_COSINE = np.cos(np.radians(3.0))
-MAX_SLOPE = 0.1  # sine between an edge and a plane on which it lies
-TOLERANCE = 1.2  # standard deviations
-MIN_SHARE = 0.005  # of all edges' length that lies on a plane
-MAX_PLANES = 60
-EXPLAINED_WEIGHT = 0.3  # of edges that lie on a plane already, since two planes meet at edges
-LEAST_WEIGHT = 0.1  # of edges that lie on many
-CHUNK = 256  # hypotheses at a time
-SAME_SHARE = 0.7  # of the points of one plane that lie on another of which it is a duplicate
-SNAP_GAIN = 0.97  # of a plane's support that has to stay when its normal becomes a common one
+MAX_SLOPE = 0.1  # maximum sine of the angle between an edge and its plane
+TOLERANCE = 1.2  # maximum distance of a point from its plane, in standard deviations
+MIN_SHARE = 0.005  # minimum share of all edges' length on a plane
+MAX_PLANES = 60  # maximum number of planes
+EXPLAINED_WEIGHT = 0.3  # weight of edges already on one plane, since two planes meet at an edge
+LEAST_WEIGHT = 0.1  # weight of edges on many planes
+CHUNK = 256  # hypotheses per batch
+SAME_SHARE = 0.7  # minimum share of shared points of duplicate planes
+SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,22 @@ class Planes:
 
     normals: FloatArray
     offsets: FloatArray
+
+
+class Narrow(NamedTuple):
+    """Points in single precision, as many planes are held against them.
+
+    Attributes:
+        points: (3, N) from their middle.
+        rays: (3, N) directions in which they are seen, as long as their tolerance along these.
+        across: (N,) squares of the tolerance across.
+        tangents: (3, N).
+    """
+
+    points: Float32Array
+    rays: Float32Array
+    across: Float32Array
+    tangents: Float32Array
 
 
 class Hypotheses:
@@ -55,19 +73,29 @@ class Hypotheses:
         self.sigmas, self.ray_sigmas = evidence.sigmas[chosen], evidence.ray_sigmas[chosen]
         self.weights = evidence.weights[chosen]
         self.rng = rng
+        self.middle = np.median(self.points, axis=0) if count else np.zeros(3)
+        self.narrow = Narrow(
+            points=(self.points - self.middle).astype(np.float32).T,
+            rays=(TOLERANCE * self.ray_sigmas[:, None] * self.rays).astype(np.float32).T,
+            across=((TOLERANCE * self.sigmas) ** 2).astype(np.float32),
+            tangents=self.tangents.astype(np.float32).T,
+        )
 
-    def members(self, normals: FloatArray, offsets: FloatArray) -> Float32Array:
-        """(K, N) 1 where a point lies on a plane, 0 elsewhere."""
-        members = np.zeros((len(offsets), len(self.points)), np.float32)
+    def members(self, normals: FloatArray, offsets: FloatArray) -> Any:
+        """(K, N) sparse float32 array, 1 where a point lies on a plane."""
+        planes = normals.astype(np.float32)
+        places = (offsets - normals @ self.middle).astype(np.float32)
+        columns, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         for first in range(0, len(offsets), CHUNK):
             part = slice(first, first + CHUNK)
-            chosen = normals[part].T
-            along = (self.rays @ chosen) * self.ray_sigmas[:, None]
-            off = (self.points @ chosen - offsets[part]) ** 2
-            near = off <= TOLERANCE**2 * (along**2 + self.sigmas[:, None] ** 2)
-            near &= np.abs(self.tangents @ chosen) <= MAX_SLOPE
-            members[part] = near.T
-        return members
+            off = planes[part] @ self.narrow.points - places[part, None]
+            near = off**2 <= (planes[part] @ self.narrow.rays) ** 2 + self.narrow.across
+            near &= np.abs(planes[part] @ self.narrow.tangents) <= MAX_SLOPE
+            columns.append(np.nonzero(near)[1])
+            counts.append(np.count_nonzero(near, axis=1))
+        indices, starts = np.concatenate(columns), offsets_of(np.concatenate(counts))
+        ones = np.ones(len(indices), np.float32)
+        return sparse.csr_array((ones, indices, starts), (len(offsets), len(self.points)))
 
     def deviations(self, normal: FloatArray) -> FloatArray:
         """(N,) standard deviations of the points' distances from a plane."""
@@ -227,8 +255,9 @@ def greedy(
     weights, open_ = whole.copy(), np.ones(len(offsets), bool)
     found: list[tuple[FloatArray, float]] = []
     owned: list[BoolArray] = []
+    unexplained = support
     while len(found) < MAX_PLANES and open_.any():
-        left = np.where(open_, members @ weights, 0)
+        left = np.where(open_, unexplained, 0)
         best = int(np.argmax(left))
         if left[best] < least:
             break
@@ -241,6 +270,7 @@ def greedy(
         if any(is_same(own, other, whole) for other in owned):
             continue
         weights[own] = np.maximum(EXPLAINED_WEIGHT * weights[own], LEAST_WEIGHT * whole[own])
+        unexplained = members @ weights
         found.append(fitted)
         owned.append(own)
     return found

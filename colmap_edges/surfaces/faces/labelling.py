@@ -1,4 +1,4 @@
-"""Which plane each cell of each view shows: graph cuts in every view, in agreement with others."""
+"""Labelling of the cells of every view with planes, by graph cuts, consistent between views."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 
-NUM_NEIGHBORS = 12  # views that see the most of the same points, which a view agrees with
-ON_TOLERANCE = 2.0  # standard deviations of a point's distance from a plane on which it lies
-ON_SLOPE = 3 * MAX_SLOPE  # sine between a short piece of edge and such a plane
-REACH = 2.0  # times the distance of the farthest points from their middle: where planes may be
-NUM_SIDES = 16  # of the polygon around a plane's points
-INNER = 0.995  # share of the points that is within each side
-MAX_SWEEPS = 2  # of alpha expansion over all planes; more change next to nothing
+NUM_NEIGHBORS = 12  # number of views with the most shared points, with which labels are compared
+ON_TOLERANCE = 2.0  # maximum distance of a point from its plane, in standard deviations
+ON_SLOPE = 3 * MAX_SLOPE  # maximum sine of the angle between a short piece of an edge and its plane
+REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
+NUM_SIDES = 16  # number of sides of the polygon around a plane's points
+INNER = 0.995  # share of the points inside each side
+MAX_SWEEPS = 2  # sweeps of alpha expansion over all planes; further ones change little
 
 
 class EvidenceWeights(NamedTuple):

@@ -1,4 +1,4 @@
-"""Faces as they are reported: plane, outlines, area and the views that show it."""
+"""Faces for the output: plane, outlines, area and observing views."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_o
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
-MIN_CELLS = 8  # of the raster on a face that is reported
-MAX_SIDE = 2000  # cells of that raster
+MIN_CELLS = 8  # minimum number of raster cells of a face
+MAX_SIDE = 2000  # maximum side of that raster, in cells
 
 
 @dataclass(frozen=True, kw_only=True)
 class Face:
-    """One connected piece of a plane that views show.
+    """A connected piece of a plane seen by views.
 
     Attributes:
         normal: (3,) unit normal, towards the views.
         offset: normal . x = offset, world units.
-        area: square world units, holes left out.
+        area: area without holes, square world units.
         outline: (P, 3) closed polygon around it.
-        holes: closed polygons (P, 3) of what is left out within it.
-        views: (V,) indices of the views that show it.
-        plane: index of its plane; faces of one plane have the same.
+        holes: closed polygons (P, 3) of its holes.
+        views: (V,) indices of the views that see it.
+        plane: index of its plane; coplanar faces share it.
     """
 
     normal: FloatArray
