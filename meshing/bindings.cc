@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Python face of the mesher: converts arrays, releases the GIL, calls the core, converts back.
+// Python bindings of the mesher: convert arrays, release the GIL, call the core, convert back.
 #include <CGAL/version.h>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -38,7 +38,7 @@ mesher::Rows ToRows(const Vector<std::int64_t>& offsets, const Vector<Index>& va
   return {{offsets.data(), offsets.data() + offsets.size()}, ToIndices(values)};
 }
 
-// A numpy array that owns a copy of `values`, `Columns` numbers an item.
+// A numpy array that owns a copy of `values`, with `Columns` numbers per item.
 template <typename T, std::size_t Columns, typename Item>
 nb::ndarray<nb::numpy, T> ToArray(const std::vector<Item>& values) {
   static_assert(sizeof(Item) == Columns * sizeof(T));

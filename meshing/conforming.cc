@@ -23,35 +23,56 @@ std::vector<Segment> SegmentsOf(const Rows& polylines) {
 class Splitter {
  public:
   Splitter(double min_length, std::vector<double> radii, DelaunayBuilder& builder, Rows& rays)
-      : min_length_(min_length), radii_(std::move(radii)), builder_(builder), rays_(rays) {}
+      : min_length_(min_length),
+        radii_(std::move(radii)),
+        builder_(builder),
+        rays_(rays),
+        last_change_(builder.num_vertices(), 0) {}
 
   // Splits until nothing is left to split; insertions may break edges that were there before, so
-  // all pieces are looked at again until none has changed.
-  Index Split(std::vector<Segment> pieces) {
+  // pieces near them are looked at again until none has changed. Returns how many are no edges.
+  Index Split(const std::vector<Segment>& segments) {
+    std::vector<Piece> pieces;
+    for (const Segment& segment : segments) pieces.push_back({segment});
     bool has_changed = true;
     while (has_changed) {
       has_changed = false;
-      std::vector<Segment> next;
-      missing_ = 0;
-      for (const Segment& piece : pieces) has_changed |= SplitOne(piece, next);
+      std::vector<Piece> next;
+      for (const Piece& piece : pieces)
+        if (IsKnown(piece))
+          next.push_back(piece);
+        else
+          has_changed |= SplitOne(piece.ends, next);
       pieces.swap(next);
     }
-    return missing_;
+    return static_cast<Index>(
+        std::count_if(pieces.begin(), pieces.end(), [](const Piece& p) { return !p.is_edge; }));
   }
 
  private:
-  // Pieces of `piece` go to `pieces`; returns whether a point was added.
-  bool SplitOne(const Segment& piece, std::vector<Segment>& pieces) {
-    const auto [a, b] = piece;
+  struct Piece {
+    Segment ends;
+    bool is_edge = false;
+    Index when = kNone;  // number of points added when `is_edge` was found
+  };
+
+  // An insertion makes and breaks edges between neighbors of the new vertex only.
+  bool IsKnown(const Piece& piece) const {
+    const auto [a, b] = piece.ends;
+    return piece.when != kNone && std::min(last_change_[a], last_change_[b]) <= piece.when;
+  }
+
+  // Pieces of `ends` go to `pieces`; returns whether a point was added.
+  bool SplitOne(const Segment& ends, std::vector<Piece>& pieces) {
+    const auto [a, b] = ends;
     if (builder_.IsEdge(a, b)) {
-      pieces.push_back(piece);
+      pieces.push_back({ends, true, added_});
       return false;
     }
     const Vec3 at_a = builder_.points()[a], at_b = builder_.points()[b];
     const Index before = builder_.num_vertices();
     if (Norm(at_b - at_a) < 2 * min_length_) {
-      pieces.push_back(piece);
-      ++missing_;
+      pieces.push_back({ends, false, added_});
       return false;
     }
     const Index middle = Middle(a, b);
@@ -76,6 +97,8 @@ class Splitter {
     const Index added = builder_.Insert(middle, a);
     if (added == before) {
       radii_.push_back(radius);
+      last_change_.push_back(++added_);
+      for (const Index neighbor : builder_.Neighbors(added)) last_change_[neighbor] = added_;
       AddRays(a, b);
     }
     return added;
@@ -92,19 +115,19 @@ class Splitter {
   std::vector<double> radii_;
   DelaunayBuilder& builder_;
   Rows& rays_;
-  Index missing_ = 0;
+  std::vector<Index> last_change_;  // of each vertex: which added point is the last beside it
+  Index added_ = 0;
 };
 
 }  // namespace
 
 ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
                         DelaunayBuilder& builder, Rows& rays) {
-  std::vector<Segment> segments = SegmentsOf(polylines);
+  const std::vector<Segment> segments = SegmentsOf(polylines);
   ConformingStats stats;
   stats.segments = static_cast<Index>(segments.size());
   const Index before = builder.num_vertices();
-  stats.segments_missing =
-      Splitter(min_length, std::move(radii), builder, rays).Split(std::move(segments));
+  stats.segments_missing = Splitter(min_length, std::move(radii), builder, rays).Split(segments);
   stats.points_added = builder.num_vertices() - before;
   return stats;
 }

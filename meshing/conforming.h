@@ -10,7 +10,7 @@ namespace mesher {
 
 struct ConformingStats {
   Index segments = 0;
-  Index segments_missing = 0;  // pieces that are still no edges: too short to be split
+  Index segments_missing = 0;  // pieces that are not edges and too short to be split
   Index points_added = 0;
 };
 

@@ -18,7 +18,10 @@ void AddOne(std::vector<std::int64_t>& counts, Index cell) {
 }
 
 void CountCrossed(const RayWalker& walker, std::vector<std::int64_t>& counts) {
-  AddOne(counts, walker.Walk(0, [&](const Crossing& crossing) { AddOne(counts, crossing.cell); }));
+  AddOne(counts, walker.Walk(0, [&](const Crossing& crossing) {
+    AddOne(counts, crossing.cell);
+    return true;
+  }));
 }
 
 void CountRay(const RayWalker& walker, RayCounts& counts) {

@@ -12,16 +12,16 @@
 namespace mesher {
 
 struct VoteOptions {
-  // Of one ray: for the cells it crosses, for their neighbors and for the neighbors of those.
+  // Votes of one ray for the cells it crosses, for their neighbors and for the neighbors of those.
   std::array<double, 3> weights{1, 0, 0};
-  double behind = 1;              // of one ray, against each of the two cells that follow its point
+  double behind = 1;              // of one ray against each of the two cells behind its point
   double threshold = 2.1;         // votes that make a cell free
-  double background_weight = 16;  // of a ray to the background against one to a point
+  double background_weight = 16;  // of a background ray relative to one to a point
   int num_threads = 1;
 };
 
-// Votes of all rays for each cell to be free, less those against it; see VisibilityProblem for
-// `rays`.
+// Sum of the votes of all rays for each cell to be free, minus those against; see VisibilityProblem
+// for `rays`.
 std::vector<double> CountVotes(const Triangulation& triangulation, const Rows& rays,
                                const std::vector<Vec3>& cameras,
                                const std::vector<BackgroundRay>& background,

@@ -10,8 +10,8 @@
 namespace mesher {
 namespace {
 
-// Votes that a solid cell costs when it is opened, beyond those that it lacks: behind it there may
-// be more solid that no ray has anything to say about.
+// Cost in votes of opening a solid cell, beyond the votes that it lacks: behind it there can be
+// more solid cells without any votes.
 constexpr double kOpeningCost = 8;
 constexpr int kMaxFlips = 32;
 
@@ -59,7 +59,7 @@ class FanFinder {
 
   const std::vector<Index>& cells() const { return cells_; }
 
-  // One fan of a side at most.
+  // At most one fan per side.
   bool IsRegular(Index vertex, const std::vector<std::uint8_t>& is_free) {
     const auto& fans = Find(vertex, is_free);
     return fans.size() < 2 || (fans.size() == 2 && fans[0].is_free != fans[1].is_free);
@@ -174,7 +174,7 @@ class Sweep {
     return cost;
   }
 
-  // Cells change to the side that votes want, the surest first, where that keeps the manifold.
+  // Cells change to the side of their votes, clearest first, where the boundary stays a manifold.
   void FollowVotes() {
     std::vector<Index> ranks(votes_.size()), by_rank(votes_.size());
     std::iota(by_rank.begin(), by_rank.end(), 0);

@@ -15,17 +15,18 @@ struct ManifoldRegion {
   Index cells_opened = 0;  // solid by votes, but free in the region
 };
 
-// The region of free cells that has a 2-manifold for a boundary and hardly differs from the cells
-// that votes make free. `votes` are those beyond the threshold: cells from 0 are free.
+// The region of free cells whose boundary is a 2-manifold and that differs little from the cells
+// that votes make free. `votes` are relative to the threshold: cells from 0 are free.
 //
 // Growing a region cell by cell from the most voted one (Litvinov & Lhuillier 2013, Romanoni &
-// Matteucci 2015) keeps a manifold at every step, but is cornered by the many vertices where voted
-// cells touch in a vertex or along an edge only. This sweep begins with all voted cells and repairs
-// these critical vertices: of several fans of free (or of solid) cells around a vertex, connected
-// through facets, the one whose votes are least against it changes sides as a whole, until one fan
-// of each remains. That may make neighboring vertices critical, which are repaired in turn. Cells
-// pay for changing sides often, and stay solid after `kMaxFlips` changes, so that the repair ends.
-// Then the region grows and shrinks cell by cell towards the votes, as long as it stays a manifold.
+// Matteucci 2015) keeps a manifold at every step, but gets stuck at the many vertices where voted
+// cells touch only in a vertex or along an edge. This sweep starts from all voted cells and repairs
+// these critical vertices: of the fans of free (or of solid) cells around a vertex, connected
+// through facets, the one with the least opposing votes changes its label as a whole, until one fan
+// of each remains. This can make neighboring vertices critical, which are repaired in turn.
+// Changing labels repeatedly costs votes, and cells stay solid after `kMaxFlips` changes, so the
+// repair ends. Then single cells change to the label of their votes, as long as the boundary stays
+// a manifold.
 ManifoldRegion SweepManifold(const Triangulation& triangulation, const std::vector<double>& votes);
 
 // Whether the cells around a vertex that are in `region`, and those that are not, each form at most

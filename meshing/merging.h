@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Points of polylines that nearly coincide become one. Thousands of copies of one curve, each a
-// hair off, would make needle cells between them, and every ray would cross all of these.
+// Merges nearly coinciding points of polylines. Otherwise many copies of one curve would have
+// needle-shaped cells between them, and every ray would cross all of these.
 #pragma once
 
 #include <vector>

@@ -99,8 +99,8 @@ class UnitFrame {
   double scale_ = 1;
 };
 
-// The input as the triangulation wants it: distinct points in canonical order, each with the
-// cameras that see it or a duplicate of it.
+// The input of the triangulation: distinct points in canonical order, each with the cameras that
+// see it or a duplicate of it.
 struct Scene {
   UnitFrame frame;
   std::vector<Vec3> points;
@@ -108,7 +108,7 @@ struct Scene {
   Rows rays;
   std::vector<Vec3> cameras;
   Rows polylines;
-  std::vector<double> radii;  // within which points of polylines are taken for one
+  std::vector<double> radii;  // within which points of polylines are merged
   std::vector<BackgroundRay> background;
 };
 
@@ -182,7 +182,7 @@ std::vector<Index> United(const Rows& rows, const std::vector<Index>& chosen) {
   return values;
 }
 
-// The scene with nearly coinciding points of polylines made one, which all their cameras see.
+// The scene with nearly coinciding points of polylines merged, with all their cameras.
 Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>& stats) {
   const auto radii = MergeRadii(scene.points, scene.rays, scene.cameras, scene.polylines, factor);
   const auto representatives = Representatives(scene.points, radii);
@@ -213,8 +213,8 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   return merged;
 }
 
-// Makes the cameras that see the background vertices, in an order that depends on their places
-// alone, for rays to start at. No rays lead to these vertices.
+// Makes the cameras with background rays vertices, in an order that depends only on their
+// positions. No rays lead to these vertices.
 void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& scene) {
   std::vector<Index> cameras = input.background_cameras;
   std::sort(cameras.begin(), cameras.end(), [&](Index a, Index b) {
@@ -236,7 +236,7 @@ void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& sc
   }
 }
 
-// Without any cell if the points span no volume. Adds the rays of points that it adds.
+// Has no cell if the points span no volume. Adds the rays of the points that it adds.
 Triangulation Triangulate(const MesherInput& input, const MesherOptions& options, Scene& scene,
                           std::map<std::string, double>& stats) {
   DelaunayBuilder builder(scene.points);
@@ -285,7 +285,7 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
   return std::move(region.is_free);
 }
 
-// How far away each vertex is seen from: the distance of the nearest of its cameras, or the median
+// Viewing distance of each vertex: the distance of the nearest of its cameras, or the median
 // length of all rays if that is longer. Unlike the spacing of points it does not shrink where
 // points are added, which must not tear holes elsewhere.
 std::vector<double> SeenFrom(const std::vector<Vec3>& points, const Scene& scene) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Points and who sees them in, a surface out.
+// The mesher: takes points and the cameras that see them, returns a surface.
 #pragma once
 
 #include <array>
@@ -19,14 +19,14 @@ struct MesherInput {
   Rows visibility;  // point -> cameras
   std::vector<Vec3> cameras;
   Rows polylines;  // rows of points that the mesh should follow
-  // Lines of sight to the background, which meet nothing: from which camera, in which direction.
+  // Background rays, which pass through free space only: camera and direction of each.
   std::vector<Index> background_cameras;
   std::vector<Vec3> background_directions;
 };
 
 struct MesherOptions {
   std::string method = "graphcut";  // or "carve" or "manifold"
-  // Points of polylines closer than this are one, in typical segments at their distance.
+  // Points of polylines closer than this are merged, in typical segments at their distance.
   double merge_factor = 0.05;
   // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
   double min_segment_factor = 0.25;
@@ -38,7 +38,7 @@ struct MesherOptions {
 struct MesherResult {
   std::vector<Vec3> vertices;
   std::vector<std::array<Index, 3>> faces;
-  std::vector<Index> sources;  // input point at a vertex, kNone for those that were added
+  std::vector<Index> sources;  // input point of each vertex; kNone for added ones
   std::map<std::string, double> stats;
 };
 

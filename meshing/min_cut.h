@@ -9,7 +9,7 @@
 
 namespace mesher {
 
-// Capacities are whole numbers, so that sums do not depend on their order and the cut is exact.
+// Capacities are integers, so that sums do not depend on their order and the cut is exact.
 struct CutProblem {
   std::vector<std::int64_t> source;  // per cell
   std::vector<std::int64_t> sink;    // per cell

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Work shared among threads; sums are of integers and so do not depend on who adds first.
+// Work shared among threads; sums are of integers, so they do not depend on the order.
 #pragma once
 
 #include <algorithm>
@@ -31,7 +31,7 @@ void ParallelChunks(std::int64_t count, int num_threads, Work&& work) {
   try {
     for (std::size_t i = 1; i < errors.size(); ++i) threads.emplace_back(run, std::ref(errors[i]));
   } catch (const std::system_error&) {
-    // The system has no more threads to give; those that there are do the work.
+    // The system refuses more threads; the existing ones do the work.
   }
   run(errors[0]);
   for (auto& thread : threads) thread.join();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Exact signs, for the rare cases where floating point cannot tell.
+// Exact signs, for cases that floating point cannot decide.
 #pragma once
 
 #include "types.h"

@@ -4,7 +4,7 @@
 // Points are projected along the ray to a plane, where the ray is the origin and the side on which
 // an edge passes it is the sign of a 2D cross product. A sign too close to call is computed
 // exactly, and a ray that meets an edge or a vertex is treated as if its target were moved by an
-// infinitesimal: every ray has one answer, always the same, and no walk can run in circles.
+// infinitesimal: every ray has one reproducible result, and no walk can run in circles.
 #pragma once
 
 #include <algorithm>
@@ -15,17 +15,25 @@
 
 namespace mesher {
 
-// The ray leaves `cell` through its facet `facet` into `next`, `distance` away from the vertex.
+// The ray leaves `cell` through its facet `facet` into `next`, whose facet `entry` that is,
+// `distance` away from the vertex.
 struct Crossing {
   Index cell;
   int facet;
   Index next;
+  int entry;
   double distance;
+};
+
+// Cells around a vertex in which the search for those of a ray begins; it finds the same from any.
+struct StartCells {
+  Index front = kNone, behind = kNone;
 };
 
 class RayWalker {
  public:
-  RayWalker(const Triangulation& triangulation, Index vertex, const Vec3& target)
+  RayWalker(const Triangulation& triangulation, Index vertex, const Vec3& target,
+            const StartCells& near = {})
       : triangulation_(triangulation),
         vertex_(vertex),
         origin_(triangulation.points[vertex]),
@@ -41,7 +49,9 @@ class RayWalker {
     const Vec3 normal = Cross(axis, direction_);
     axis_u_ = (1 / Norm(normal)) * normal;
     axis_v_ = Cross(direction_, axis_u_);
-    FindStart();
+    const Index any = near.front == kNone ? FirstFinite() : near.front;
+    front_ = FindStart(any, 1);
+    behind_ = FindStart(near.behind == kNone ? any : near.behind, -1);
   }
 
   double length() const { return length_; }
@@ -50,6 +60,9 @@ class RayWalker {
   // where they leave the convex hull at once.
   Index front() const { return front_; }
   Index behind() const { return behind_; }
+
+  // Where the search for the cells of a ray from the same vertex, near this one, may begin.
+  StartCells near() const { return {front_, behind_}; }
 
   // Calls visit(cell) for the infinite cells around the vertex whose hull facet faces the ray (if
   // `ahead`) or its prolongation: those that a ray passes which leaves the convex hull at once.
@@ -67,22 +80,22 @@ class RayWalker {
   // Only valid if there is such a cell.
   Crossing BehindExit() const {
     const Cell& cell = triangulation_.cells[behind_];
-    int facet = 0;
-    while (cell.vertices[facet] != vertex_) ++facet;
+    const int facet = PositionOf(vertex_, cell);
     Projected corners[3];
     for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[facet][i]]);
-    return {behind_, facet, cell.neighbors[facet], -Depth(corners)};
+    const Index next = cell.neighbors[facet];
+    return {behind_, facet, next, triangulation_.MirrorIndex(behind_, next), -Depth(corners)};
   }
 
-  // Calls visit(Crossing) for every facet between the vertex and the target, in order; returns the
-  // last cell, which holds the target or lies outside the convex hull. Needs a cell in front.
+  // Calls visit(Crossing) for every facet between the vertex and the target, in order, until it
+  // returns false; returns the last cell, which holds the target or lies outside the convex hull,
+  // or kNone if the walk was ended before. Needs a cell in front.
   // Distances of crossings whose facet lies wholly beyond `far` (and before the target) are only
   // known to be beyond it.
   template <typename Visit>
   Index Walk(double far, Visit&& visit) const {
     Index cell_index = front_;
-    int exit = 0;
-    while (triangulation_.cells[front_].vertices[exit] != vertex_) ++exit;
+    int exit = PositionOf(vertex_, triangulation_.cells[front_]);
     Projected corners[3];
     for (int i = 0; i < 3; ++i)
       corners[i] = Project(triangulation_.cells[front_].vertices[kFacet[exit][i]]);
@@ -94,9 +107,9 @@ class RayWalker {
         if (IsBeyondTarget(corners, distance)) return cell_index;
       }
       const Index next_index = triangulation_.cells[cell_index].neighbors[exit];
-      visit(Crossing{cell_index, exit, next_index, distance});
       const Cell& next = triangulation_.cells[next_index];
       const int entry = triangulation_.MirrorIndex(cell_index, next_index);
+      if (!visit(Crossing{cell_index, exit, next_index, entry, distance})) return kNone;
       const Index apex_vertex = next.vertices[entry];
       if (apex_vertex == kInfinite) return next_index;
 
@@ -106,8 +119,7 @@ class RayWalker {
       const int replaced = ReplacedCorner(corners, apex);
       const Index leaving = corners[replaced].vertex;
       corners[replaced] = apex;
-      exit = 0;
-      while (next.vertices[exit] != leaving) ++exit;
+      exit = PositionOf(leaving, next);
       cell_index = next_index;
     }
   }
@@ -175,26 +187,38 @@ class RayWalker {
                        points[corners[2].vertex], target_) <= 0;
   }
 
-  void FindStart() {
-    for (const Index* c = triangulation_.stars.begin(vertex_);
-         c != triangulation_.stars.end(vertex_); ++c) {
-      const Cell& cell = triangulation_.cells[*c];
-      int at = 0;
-      while (cell.vertices[at] != vertex_) ++at;
-      if (cell.IsInfinite()) continue;
+  // Which of a cell's vertices `vertex` is; without branches, which would be guessed wrong.
+  static int PositionOf(Index vertex, const Cell& cell) {
+    return (cell.vertices[1] == vertex) + 2 * (cell.vertices[2] == vertex) +
+           3 * (cell.vertices[3] == vertex);
+  }
+
+  Index FirstFinite() const {
+    const Index* c = triangulation_.stars.begin(vertex_);
+    while (triangulation_.cells[*c].IsInfinite()) ++c;
+    return *c;
+  }
+
+  // The cell around the vertex that the ray (`sign` 1) or its prolongation (-1) enters, or kNone.
+  // Goes from cell to cell around the vertex, each time through a facet that lies between cell and
+  // ray. On cells of a Delaunay triangulation such a way ends.
+  Index FindStart(Index at, int sign) const {
+    while (true) {
+      const Cell& cell = triangulation_.cells[at];
+      if (cell.IsInfinite()) return kNone;  // the way led out of the convex hull, as the ray does
+      const int apex = PositionOf(vertex_, cell);
       Projected corners[3];
-      for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[at][i]]);
-      const int side = Side(corners[0], corners[1]);
-      if (side == 0 || Side(corners[1], corners[2]) != side || Side(corners[2], corners[0]) != side)
-        continue;
-      (side > 0 ? front_ : behind_) = *c;
+      for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[apex][i]]);
+      int i = 0;
+      while (i < 3 && sign * Side(corners[i], corners[(i + 1) % 3]) > 0) ++i;
+      if (i == 3) return at;
+      at = cell.neighbors[kFacet[apex][(i + 2) % 3]];
     }
   }
 
   // Cosine between the ray and the outward normal of an infinite cell's hull facet.
   double HullFacing(const Cell& cell) const {
-    int at = 0;
-    while (cell.vertices[at] != kInfinite) ++at;
+    const int at = PositionOf(kInfinite, cell);
     const auto& points = triangulation_.points;
     const Vec3& a = points[cell.vertices[kFacet[at][0]]];
     const Vec3& b = points[cell.vertices[kFacet[at][1]]];

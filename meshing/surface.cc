@@ -108,7 +108,7 @@ class Extractor {
   std::vector<Index> facet_ids_;
 };
 
-// Removes the facets that are not to be kept and renumbers the others. Returns how many went.
+// Removes the facets that are not kept and renumbers the others. Returns the number removed.
 Index Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
   std::vector<Index> new_ids(facets.corners.size(), kNone);
   Index count = 0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// From free and solid cells to an oriented, manifold triangle surface.
+// Extraction of an oriented, manifold triangle surface from free and solid cells.
 #pragma once
 
 #include <array>
@@ -35,7 +35,7 @@ struct Surface {
 // along an edge or in a vertex only, the surface is cut open there and keeps its shape: in the
 // result every edge has one or two faces and the faces around a vertex form one fan or one disk.
 //
-// `ranges` holds for each vertex how far away it is seen from; the shortest of a facet counts.
+// `ranges` holds the viewing distance of each vertex; the shortest of a facet counts.
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
                        const std::vector<double>& ranges, const SurfaceOptions& options);
 

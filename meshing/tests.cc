@@ -72,6 +72,7 @@ std::set<Quad> FiniteCellsOfWalk(const Triangulation& triangulation, Index verte
   if (walker.front() == kNone) return cells;
   const Index last = walker.Walk(0, [&](const Crossing& crossing) {
     cells.insert(Corners(triangulation, triangulation.cells[crossing.cell]));
+    return true;
   });
   if (!triangulation.cells[last].IsInfinite())
     cells.insert(Corners(triangulation, triangulation.cells[last]));
@@ -169,6 +170,64 @@ void TestWalkerOnGrids() {
     for (const Quad& cell : expected)
       Check(cells.count(cell) || Touches(cell, target, target),
             "walker misses a cell of the perturbed ray", round);
+  }
+}
+
+// Every ray is walked for once: those of edges' points by one of such a point near their own.
+void TestFarWeights() {
+  for (int round = 0; round < 20; ++round) {
+    Random random(round);
+    const auto points = Sorted(RandomPoints(200, random));
+    Rows rays;
+    for (std::size_t v = 0; v < points.size(); ++v) {
+      for (Index camera = 0; camera < 5; ++camera)
+        if (random() % 2) rays.values.push_back(camera);
+      rays.offsets.push_back(static_cast<std::int64_t>(rays.values.size()));
+    }
+    const double radius = round == 0 ? 0 : 0.5;
+    std::vector<std::uint8_t> is_edge(points.size());
+    for (auto& flag : is_edge) flag = random() % 4 > 0;
+    const auto weights = FarWeights(points, is_edge, rays, 5, radius);
+    for (Index camera = 0; camera < 5; ++camera) {
+      Index walker = kNone, left = 0;
+      for (Index v = 0; v < rays.size(); ++v)
+        for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
+          if (rays.values[ray] != camera) continue;
+          Check(is_edge[v] || weights[ray] == 1, "a lone ray does not walk for itself", round);
+          if (!is_edge[v]) continue;
+          if (weights[ray] > 0) {
+            Check(left == 0, "a ray is walked for twice, or never", round);
+            Check(walker == kNone || Norm(points[v] - points[walker]) > radius,
+                  "a ray walks that another may walk for", round);
+            walker = v, left = weights[ray];
+          }
+          Check(walker != kNone && Norm(points[v] - points[walker]) <= radius,
+                "a ray far away walks for another", round);
+          --left;
+        }
+      Check(left == 0, "rays are walked for that are not there", round);
+    }
+  }
+}
+
+// The search for the cells of a ray around its vertex finds the same from wherever it begins.
+void TestWalkerStartsAnywhere() {
+  for (int round = 0; round < 10; ++round) {
+    Random random(round);
+    const auto points = Sorted(round % 2 ? GridPoints(4) : RandomPoints(100, random));
+    const Triangulation triangulation = DelaunayBuilder(points).Flatten();
+    for (const Vec3& direction : RandomPoints(20, random)) {
+      const Index vertex = random() % points.size();
+      const Vec3 target = points[vertex] + (round % 4 == 1 ? Vec3{1, 0, 0} : direction);
+      const RayWalker walker(triangulation, vertex, target);
+      const auto& stars = triangulation.stars;
+      for (const Index* c = stars.begin(vertex); c != stars.end(vertex); ++c) {
+        if (triangulation.cells[*c].IsInfinite()) continue;
+        const RayWalker other(triangulation, vertex, target, {*c, *c});
+        Check(other.front() == walker.front() && other.behind() == walker.behind(),
+              "another start finds another cell", round);
+      }
+    }
   }
 }
 
@@ -408,6 +467,8 @@ void TestAllMethodsOnHardInput() {
 int main() {
   mesher::TestWalkerOnRandomPoints();
   mesher::TestWalkerOnGrids();
+  mesher::TestWalkerStartsAnywhere();
+  mesher::TestFarWeights();
   mesher::TestCutEqualsBoost();
   mesher::TestSurfaceOfRandomLabels();
   mesher::TestSweepEndsWithTheNearestManifold();

@@ -62,6 +62,14 @@ bool DelaunayBuilder::IsEdge(Index a, Index b) const {
   return impl_->delaunay.is_edge(impl_->handles[a], impl_->handles[b], cell, i, j);
 }
 
+std::vector<Index> DelaunayBuilder::Neighbors(Index v) const {
+  std::vector<Delaunay::Vertex_handle> around;
+  impl_->delaunay.finite_adjacent_vertices(impl_->handles[v], std::back_inserter(around));
+  std::vector<Index> neighbors;
+  for (const auto vertex : around) neighbors.push_back(vertex->info());
+  return neighbors;
+}
+
 Index DelaunayBuilder::Nearest(const Vec3& point, Index near) const {
   return impl_->delaunay.nearest_vertex(ToPoint(point), impl_->handles[near]->cell())->info();
 }

@@ -40,8 +40,8 @@ struct Triangulation {
   }
 };
 
-// A line of sight from a vertex, where a camera stands, that meets nothing up to its target, which
-// lies outside the convex hull.
+// A background ray from a vertex at a camera's centre to its target, which lies outside the convex
+// hull.
 struct BackgroundRay {
   Index vertex;
   Vec3 target;
@@ -59,11 +59,14 @@ class DelaunayBuilder {
   const std::vector<Vec3>& points() const { return points_; }
   bool IsEdge(Index a, Index b) const;
 
+  // The vertices to which edges lead from `v`, without the one at infinity.
+  std::vector<Index> Neighbors(Index v) const;
+
   // The vertex nearest to `point`, starting the search at vertex `near`.
   Index Nearest(const Vec3& point, Index near) const;
 
   // Inserts `point`, starting the search at vertex `near`; returns its index, or that of the vertex
-  // that is already there.
+  // that exists already.
   Index Insert(const Vec3& point, Index near);
 
   Triangulation Flatten() const;

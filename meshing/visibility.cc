@@ -27,16 +27,21 @@ class SoftWeight {
   double factor_, far_;
 };
 
-void AddRay(const Triangulation& triangulation, const RayWalker& walker, const SoftWeight& weight,
-            double solid, CutProblem& problem) {
+// `far_weight` is that of the part of the ray that is far from its point.
+void AddRay(const RayWalker& walker, const SoftWeight& weight, double solid,
+            std::int64_t far_weight, CutProblem& problem) {
   if (walker.front() == kNone) {
     walker.VisitOutside(true, [&](Index cell) { AtomicAdd(problem.source[cell], kRayWeight); });
   } else {
+    std::int64_t num_rays = 1;
     const Index last = walker.Walk(weight.far(), [&](const Crossing& crossing) {
-      const int back = triangulation.MirrorIndex(crossing.cell, crossing.next);
-      AtomicAdd(problem.arcs[4 * std::size_t(crossing.next) + back], weight(crossing.distance));
+      if (crossing.distance >= weight.far()) num_rays = far_weight;
+      if (num_rays == 0) return false;
+      AtomicAdd(problem.arcs[4 * std::size_t(crossing.next) + crossing.entry],
+                num_rays * weight(crossing.distance));
+      return true;
     });
-    AtomicAdd(problem.source[last], kRayWeight);
+    if (last != kNone) AtomicAdd(problem.source[last], num_rays * kRayWeight);
   }
   const std::int64_t solid_weight = Scaled(solid, kRayWeight);
   if (walker.behind() == kNone) {
@@ -50,9 +55,10 @@ void AddRay(const Triangulation& triangulation, const RayWalker& walker, const S
 }
 
 void AddBackgroundRay(const RayWalker& walker, std::int64_t weight, CutProblem& problem) {
-  if (walker.front() == kNone) return;  // away from all points
+  if (walker.front() == kNone) return;  // the ray leads away from all points
   walker.Walk(0, [&](const Crossing& crossing) {
     AtomicAdd(problem.arcs[4 * std::size_t(crossing.cell) + crossing.facet], weight);
+    return true;
   });
 }
 
@@ -134,19 +140,46 @@ double TypicalSpacing(const Triangulation& triangulation) {
   return *quartile;
 }
 
+std::vector<Index> FarWeights(const std::vector<Vec3>& points,
+                              const std::vector<std::uint8_t>& is_edge, const Rows& rays,
+                              std::size_t num_cameras, double radius) {
+  struct Run {
+    Index vertex = kNone;
+    std::int64_t ray = 0;
+  };
+  std::vector<Index> weights(rays.values.size(), 0);
+  std::vector<Run> runs(num_cameras);
+  for (Index v = 0; v < rays.size(); ++v)
+    for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
+      if (!is_edge[v]) {
+        weights[ray] = 1;
+        continue;
+      }
+      Run& run = runs[rays.values[ray]];
+      if (run.vertex == kNone || Norm(points[run.vertex] - points[v]) > radius) run = {v, ray};
+      ++weights[run.ray];
+    }
+  return weights;
+}
+
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
                              const std::vector<Vec3>& cameras,
                              const std::vector<std::uint8_t>& is_edge,
                              const std::vector<BackgroundRay>& background,
                              const VisibilityOptions& options) {
   CutProblem problem(triangulation.cells.size());
-  const SoftWeight weight(options.sigma_factor * TypicalSpacing(triangulation));
+  const double sigma = options.sigma_factor * TypicalSpacing(triangulation);
+  const SoftWeight weight(sigma);
+  const auto far_weights = FarWeights(triangulation.points, is_edge, rays, cameras.size(), sigma);
   ParallelChunks(triangulation.num_vertices(), options.num_threads, [&](auto begin, auto end) {
     for (auto v = begin; v < end; ++v) {
       const double solid = is_edge[v] ? options.edge_solid_weight : 1;
-      for (const Index* camera = rays.begin(v); camera != rays.end(v); ++camera)
-        AddRay(triangulation, RayWalker(triangulation, v, cameras[*camera]), weight, solid,
-               problem);
+      StartCells near;
+      for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
+        const RayWalker walker(triangulation, v, cameras[rays.values[ray]], near);
+        near = walker.near();
+        AddRay(walker, weight, solid, far_weights[ray], problem);
+      }
     }
   });
   const std::int64_t background_weight = Scaled(options.background_weight, kRayWeight);
@@ -154,9 +187,13 @@ CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& ray
     problem.source[cell] += num_rays * background_weight;
   });
   ParallelChunks(background.size(), options.num_threads, [&](auto begin, auto end) {
-    for (auto i = begin; i < end; ++i)
-      AddBackgroundRay(RayWalker(triangulation, background[i].vertex, background[i].target),
-                       background_weight, problem);
+    StartCells near;
+    for (auto i = begin; i < end; ++i) {
+      if (i == begin || background[i].vertex != background[i - 1].vertex) near = {};
+      const RayWalker walker(triangulation, background[i].vertex, background[i].target, near);
+      near = walker.near();
+      AddBackgroundRay(walker, background_weight, problem);
+    }
   });
   AddQuality(triangulation, options, problem);
   return problem;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What the rays between points and cameras say about each cell: free space or solid.
+// Votes of the rays between points and cameras for labelling cells free or solid.
 #pragma once
 
 #include "min_cut.h"
@@ -8,23 +8,31 @@
 namespace mesher {
 
 struct VisibilityOptions {
-  double sigma_factor = 1;         // softness of a point's depth, in units of the spacing of points
-  double quality_weight = 0.1;     // weight of well-shaped surfaces against one ray
-  double edge_solid_weight = 0.7;  // of the solid behind an edge point, against that behind others
-  double background_weight = 16;   // of a ray to the background against one to a point
+  double sigma_factor = 1;         // sigma of a point's depth, in units of the spacing of points
+  double quality_weight = 0.1;     // weight of the surface quality relative to one ray
+  double edge_solid_weight = 0.7;  // of the solid behind an edge point, relative to other points
+  double background_weight = 16;   // of a background ray relative to one to a point
   int num_threads = 1;
 };
 
-// Unit of the whole-number weights: one ray.
+// Unit of the integer weights: one ray.
 constexpr std::int64_t kRayWeight = 1 << 20;
 
 // Length that a quarter of the triangulation's edges fall short of.
 double TypicalSpacing(const Triangulation& triangulation);
 
+// How many rays each ray stands for where it is far from its point, 0 for those for which another
+// does: rays from points of edges near each other to the same camera cross much the same cells
+// there. The first of a run of such points, in their order, within `radius` of it walks for all;
+// rays from other points stand for themselves.
+std::vector<Index> FarWeights(const std::vector<Vec3>& points,
+                              const std::vector<std::uint8_t>& is_edge, const Rows& rays,
+                              std::size_t num_cameras, double radius);
+
 // Soft visibility (Labatut et al. 2009) and surface quality as a minimum cut problem. Row v of
-// `rays` holds the cameras that see vertex v; none of them may coincide with the vertex. What lies
-// behind a point is taken for solid; edge_solid_weight says how much for vertices with is_edge set,
-// since a ray that grazes an occluding edge goes on through free space on one side of it.
+// `rays` holds the cameras that see vertex v; none of them may coincide with the vertex. The cell
+// behind a point is solid, with the weight edge_solid_weight for vertices with is_edge set, since a
+// ray that grazes an occluding edge continues through free space on one side of it.
 CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& rays,
                              const std::vector<Vec3>& cameras,
                              const std::vector<std::uint8_t>& is_edge,

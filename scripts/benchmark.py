@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Time the stages on scenes: wall and CPU seconds and peak memory, medians over runs.
+"""Measure wall seconds, CPU seconds and peak memory of the stages, as medians over runs.
 
-Scenes are folders with images and a COLMAP model, or made-up cities of any number of images. With
---compare or --setting, two variants take turns, so that what else the machine does burdens both
-alike. Writes JSON and prints a table.
+Scenes are folders with images and a COLMAP model, or synthetic cities of any number of images. With
+--compare or --setting, two variants run alternately, so that other load affects both alike. Writes
+JSON and prints a table.
 
 Examples:
   scripts/benchmark.py --data_path ../shared/data --scene fountain-P11
@@ -39,12 +39,12 @@ from colmap_edges.evaluation.tables import markdown
 ROOT = Path(__file__).resolve().parents[1]
 MEASURES = ("wall_s", "cpu_s", "peak_mb")
 WHOLE = "whole process"
-Stages = dict[str, dict[str, Any]]  # what report.json says of each stage, by name
+Stages = dict[str, dict[str, Any]]  # entries of report.json by stage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What is timed: a folder with images and a model, or a city of `num_views` made-up images."""
+    """A scene: a folder with images and a model, or a synthetic city of `num_views` images."""
 
     name: str
     path: Path
@@ -53,7 +53,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is compared: the source tree that runs, and its flags."""
+    """A variant: a source tree and flags."""
 
     name: str
     tree: Path
@@ -63,12 +63,14 @@ class Variant:
 @click.command(help=__doc__.replace("\n\n", "\n\n\b\n") if __doc__ else None)
 @click.option("--data_path", type=Path, help="Folder of scenes, each with images and a model.")
 @click.option("--scene", "names", multiple=True, help="Scene of data_path [all]; can be repeated.")
-@click.option("--synthetic", type=int, multiple=True, help="Images of a made-up city; repeatable.")
+@click.option(
+    "--synthetic", type=int, multiple=True, help="Images of a synthetic city; repeatable."
+)
 @click.option("--points_per_view", default=650, show_default=True, help="SfM points of a city.")
 @click.option("--command", default="mesh", type=click.Choice(("reconstruct", "mesh")))
 @click.option("--runs", default=3, show_default=True, help="Runs of which medians are taken.")
 @click.option("--flags", default="", help="Flags for all variants, as one string.")
-@click.option("--compare", metavar="COMMIT", help="Compare with this commit, built anew.")
+@click.option("--compare", metavar="COMMIT", help="Compare with a build of this commit.")
 @click.option("--setting", metavar="FLAGS", help="Compare with the same code with these flags.")
 @click.option("--output_path", type=Path, default=Path("benchmark.json"), show_default=True)
 @exit_on_error()
@@ -108,13 +110,13 @@ def data_scenes(data_path: Path | None, names: tuple[str, ...]) -> list[Scene]:
         return []
     data_path = data_path.resolve()
     if not data_path.is_dir():
-        raise ColmapEdgesError(f"data_path {data_path} is no folder")
+        raise ColmapEdgesError(f"data_path {data_path} is not a folder")
     chosen = names or sorted(p.name for p in data_path.iterdir() if (p / "images").is_dir())
     return [Scene(name=name, path=data_path / name) for name in chosen]
 
 
 def city_scene(num_views: int, points_per_view: int, folder: Path) -> Scene:
-    """Make a city and its model in a process of its own, whose memory nobody measures."""
+    """Make a city and its model in a separate process, whose memory is not measured."""
     path = folder / f"city-{num_views}"
     arguments = ["--num_views", str(num_views), "--points_per_view", str(points_per_view)]
     make = [*city_command(arguments, path), "--only_write"]
@@ -132,7 +134,7 @@ def city_command(arguments: list[str], folder: Path) -> list[str]:
 def variants_of(
     flags: list[str], compare: str | None, setting: str | None
 ) -> Iterator[list[Variant]]:
-    """The variants to compare; a commit is built in a worktree that goes at the end."""
+    """The variants to compare; a commit is built in a temporary worktree."""
     own = Variant(name="this tree", tree=ROOT, flags=tuple(flags))
     if setting is not None:
         other = (*flags, *shlex.split(setting))
@@ -182,7 +184,7 @@ def measure(
 
 
 def run_once(scene: Scene, variant: Variant, command: str, folder: Path) -> Stages:
-    """Records by stage of one run in a process of its own."""
+    """Records by stage of one run in a separate process."""
     if scene.num_views:
         report = folder / "report.json"
         arguments = ["--num_views", str(scene.num_views), "--report", str(report)]
@@ -239,7 +241,7 @@ def medians(runs: list[Stages]) -> dict[str, dict[str, float]]:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """A description of the machine."""
     return {
         "processor": processor_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
@@ -250,7 +252,7 @@ def machine() -> dict[str, Any]:
 
 
 def processor_name() -> str:
-    """The processor's name, where the system tells it."""
+    """The processor's name, if known."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -284,7 +286,7 @@ def written(measures: dict[str, float]) -> list[str]:
 
 
 def ratios(measures: dict[str, float], other: dict[str, float] | None, compared: bool) -> list[str]:
-    """The ratios of a row, empty where there is nothing to compare with."""
+    """The ratios of a row; empty without a second variant."""
     if not compared:
         return []
     if other is None:

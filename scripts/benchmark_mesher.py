@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Mesh a made-up scene of any size; print seconds per step and the peak memory."""
+"""Mesh a synthetic scene of any size; print seconds per step and the peak memory."""
 
 from __future__ import annotations
 

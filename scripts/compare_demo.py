@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Print the errors of the demo's meshes against the true surface, and draw what came out."""
+"""Print the errors of the demo's meshes against the true surface, and draw the results."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def shade(mesh_path: Path, view: View) -> np.ndarray:
     mesh = load_mesh(mesh_path)
     rows, columns = np.indices((view.height, view.width))
     pixels = np.column_stack([columns.ravel() + 0.5, rows.ravel() + 0.5])
-    rays = np.column_stack([view.ideal_from_image(pixels) / view.focal_px, np.ones(len(pixels))])
+    rays = np.column_stack(
+        [view.undistorted_from_image(pixels) / view.focal_px, np.ones(len(pixels))]
+    )
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ view.rotation
     center = mesh.vertices.mean(axis=0)
     mesh.vertices -= center

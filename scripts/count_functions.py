@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
-"""Prints how long functions and the package are, and fails where a function is over `MAX_LINES`.
+"""Print lengths of functions and of the package; fail if a function exceeds `MAX_LINES`.
 
-Lines of a function count from its name to its end, decorators left out; docstrings and comments
-count everywhere, blank lines too. Of the package, without tests: its lines by language, its options
-and its constants.
+Lines of a function include docstrings, comments and blank lines, but not decorators. For the
+package, without tests, lines by language, options and constants are counted.
 """
 
 import ast
@@ -14,7 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import lizard
+SEARCHED = sys.path.copy()
+
+import lizard  # noqa: E402 - its import puts the program's folder first in sys.path
+
+sys.path[:] = SEARCHED
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("colmap_edges", "meshing", "scripts", "tests")
@@ -26,7 +29,7 @@ CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]+")
 
 
 class Function(NamedTuple):
-    """A function, where it is and how long."""
+    """A function with its location and length."""
 
     lines: int
     path: Path
@@ -92,7 +95,7 @@ def module_constants(path: Path) -> list[str]:
 
 
 def print_package() -> None:
-    """Print how large the package is, and how much there is to turn in it."""
+    """Print the size of the package, and the numbers of its options and constants."""
     lines = package_lines()
     print(f"The package: {lines['Python']} lines of Python, {lines['C++']} of C++")
     modules = sorted((ROOT / "colmap_edges").rglob("*.py"))
@@ -104,7 +107,7 @@ def print_package() -> None:
 
 
 def main() -> None:
-    """Print the figures and what is too long."""
+    """Print the figures and the functions that are too long."""
     too_long = []
     for language, functions in functions_by_language().items():
         lengths = [function.lines for function in functions]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/api.md: what there is to call from Python, from the docstrings in the code."""
+"""Write docs/api.md, the reference of the Python interface, from the docstrings."""
 
 import ast
 import re
@@ -11,14 +11,13 @@ ROOT = Path(__file__).resolve().parents[1]
 TARGET = ROOT / "docs" / "api.md"
 HEAD = """# Python interface
 
-Made by `scripts/document_api.py` from the docstrings. Arrays are numpy's, with shapes in brackets;
-pixels are COLMAP's (the centre of the first one is (0.5, 0.5)), lengths world units where nothing
-else is said. Options are in [options.md](options.md), examples in [recipes.md](recipes.md).
-Whatever goes wrong with the input raises a `ColmapEdgesError` whose text says what, where and the
-remedy.
+Made by `scripts/document_api.py` from the docstrings. Arrays are numpy's, with shapes in brackets.
+Unless stated otherwise, pixels are COLMAP's (the centre of the first one is (0.5, 0.5)) and lengths
+are world units. Options are in [options.md](options.md), examples in [recipes.md](recipes.md).
+Invalid input raises a `ColmapEdgesError`, whose text names the problem, its place and the remedy.
 
 """
-# What is documented: module, the names in it, the module from which they are to be imported.
+# Documented names: module, names, and the module from which users import them.
 PUBLIC = (
     ("pipeline.reconstruct", ("reconstruct", "EdgeReconstruction"), "colmap_edges"),
     ("core.edges3d", ("Edges3D",), "colmap_edges"),
@@ -26,6 +25,9 @@ PUBLIC = (
     ("core.curves3d", ("Curves3D",), "colmap_edges"),
     ("evaluation.readers.results", ("read_edges", "WrittenEdges"), "colmap_edges"),
     ("export.graph", ("to_networkx",), "colmap_edges"),
+    ("export.tables", ("to_pandas", "EdgeTables"), "colmap_edges"),
+    ("surfaces.faces.finding", ("Faces",), "colmap_edges"),
+    ("surfaces.faces.outlines", ("Face",), "colmap_edges"),
     ("surfaces.mesher", ("mesh",), "colmap_edges"),
     ("surfaces.mesh", ("Mesh",), "colmap_edges"),
     ("export.meshes", ("write_mesh",), "colmap_edges"),
@@ -68,7 +70,7 @@ def definitions(module: str) -> dict[str, Definition]:
 
 
 def signature(node: ast.FunctionDef) -> str:
-    """A function's name, parameters and result, a parameter a line where they are many."""
+    """A function's name, parameters and result, one parameter per line if they are many."""
     result = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     parameters = re.split(r", (?![^[]*\])", ast.unparse(node.args))
     parameters = [re.sub(r"(: [^=]+)=", r"\1 = ", parameter) for parameter in parameters]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the parts of docs/architecture.md that the code tells: folders, modules, libraries.
+"""Write the generated parts of docs/architecture.md: folders, modules, libraries.
 
 Which folder may import which is a contract of import-linter in pyproject.toml.
 """
@@ -19,7 +19,7 @@ else:
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "colmap_edges"
 TARGET = ROOT / "docs" / "architecture.md"
-# Modules that may import a library that others must do without.
+# Libraries that only some modules are allowed to import.
 LIBRARIES = {
     "pycolmap": (
         "colmap.model",
@@ -31,9 +31,9 @@ LIBRARIES = {
         "edges2d.blur",
         "edges2d.detection",
         "edges2d.edge_maps",
+        "edges2d.faint_chains",
         "evaluation.pictures",
         "images.background",
-        "images.edge_maps",
         "images.files",
         "images.masks",
         "report.overlay",
@@ -46,6 +46,7 @@ LIBRARIES = {
         "surfaces.silhouettes",
     ),
     "networkx": ("export.graph",),
+    "pandas": ("export.tables",),
     "plotly": ("report.page",),
     "plyfile": ("evaluation.readers.ply",),
     "pymeshlab": ("evaluation.metrics.clouds", "surfaces.simplify"),
@@ -82,7 +83,7 @@ def module_paths() -> dict[str, Path]:
 
 
 def folder_rank(module: str) -> int:
-    """Where a module's folder stands among the layers, the lowest first."""
+    """The rank of a module's folder among the layers, lowest first."""
     names = [name for layer in reversed(layers()) for name in layer]
     folder = module.partition(".")[0]
     return names.index(folder) if folder in names else len(names)
@@ -114,13 +115,13 @@ def libraries() -> dict[str, set[str]]:
 
 
 def first_line(path: Path) -> str:
-    """What a module's docstring begins with."""
+    """The first line of a module's docstring."""
     docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return docstring.partition("\n")[0]
 
 
 def layer_list() -> str:
-    """The folders, the lowest first, with what each is for."""
+    """The folders, lowest first, with their purposes."""
     lines = []
     for layer in reversed(layers()):
         for name in layer:
@@ -131,7 +132,7 @@ def layer_list() -> str:
 
 
 def module_table() -> str:
-    """Every module with its one job, folder by folder."""
+    """Every module with its purpose, by folder."""
     lines = ["| module | its job |", "|---|---|"]
     for module, path in module_paths().items():
         if path.name != "__init__.py":
@@ -151,7 +152,7 @@ PARTS = {"folders": layer_list, "modules": module_table, "libraries": library_ta
 
 
 def page(text: str) -> str:
-    """The page with its parts made anew; each stands between a comment and `<!-- end -->`."""
+    """The page with its generated parts updated; each is between a comment and `<!-- end -->`."""
     for name, make in PARTS.items():
         begin = text.index(f"<!-- {name} -->\n") + len(f"<!-- {name} -->\n")
         text = f"{text[:begin]}{make()}\n{text[text.index('<!-- end -->', begin) :]}"

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Writes docs/options.md and docs/constants.md: options and constants with what they mean.
+"""Writes docs/options.md and docs/constants.md, the tables of options and constants.
 
-With --check writes nothing, and fails where a page is not as the code.
+With --check it writes nothing and fails if a page does not match the code.
 """
 
 import re
@@ -18,55 +18,54 @@ from colmap_edges.options import PRESETS, PipelineOptions
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# Options
 
-Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows those in bold,
-`--help_full` all. Flags may be written with hyphens and in any case; in a TOML file (`--config`)
-groups are tables, and one file serves all commands: each takes the keys that it knows. Numbers
-have a range, both ends of it included; beyond it they mean nothing in their unit, or ask for more
-than machines have. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
-No option is in world units: defaults hold for any scale of the model. Pixels are those of the given
-images; where the images are upsampled for detection, a run converts them once. `report.json` holds
-the options as given under `options`, and all settings as used, in pixels of the upsampled images,
-under `settings`. Chains have one point for each pixel of the upsampled images. Where a run reads,
-also masks (`--mask_path`) and edge images (`--edge_path`), writes, keeps what later runs reuse
-(`--cache_path`) and works (`--scheduler`) are no options of it; see [recipes](recipes.md). Values
-that are no options are [constants](constants.md) of the method.
+Made by `scripts/document_options.py`. `colmap-edges mesh --help` shows the options in bold,
+`--help_full` all. Flags can be written with hyphens and in any case. In a TOML file (`--config`)
+groups are tables; one file serves all commands, and each command reads the keys that it has. Ranges
+include both ends. In Python the group `EdgeGraph` is `colmap_edges.options.EdgeGraphOptions`.
+
+No option is in world units: defaults hold for any scale of the model. Lengths in pixels of the
+given images are converted once per run to pixels of the upsampled images, in which edges are
+detected. `report.json` holds the options as given (`options`) and the converted ones (`settings`).
+Flags for inputs, outputs, the cache and the cluster are described in the [recipes](recipes.md).
+All other values are [constants](constants.md) of the method.
 
 """
 CONSTANTS_HEAD = """# Constants
 
-Made by `scripts/document_options.py`. These values belong to the method and have no flag; what a
-user can want to turn are [options](options.md). They are fields beside the options in
-[colmap_edges/options](../colmap_edges/options/__init__.py), held to a range and settable from
+Made by `scripts/document_options.py`. These values belong to the method and have no flag; values
+for users are [options](options.md). They are fields of the option classes in
+[colmap_edges/options](../colmap_edges/options/__init__.py), have a range, and can be set from
 Python: `RefinementOptions(noise_px=0.2)`. `scripts/halve_and_double.py` halves and doubles each and
-prints what changes; [experiments](experiments.md) has a table.
+prints the changes; [experiments](experiments.md) has a table.
 
-Together with the tolerances among the options they state one model of what is observed:
+Together with the tolerances among the options they define the observation model:
 
-- **Noise across a chain.** A chain point is off across its chain by `Refinement.noise_px` (standard
-  deviation). `robust_scale_px`, `max_smoothing_distance_px` and the standard deviations of depths,
-  which `max_sigma_ratio` bounds, are counted in it. Along the epipolar line it is larger by one
-  over the sine of the angle between both, which `min_epipolar_angle_deg` bounds.
-- **Errors of poses and lenses.** They move whole stretches of chains by pixels of the given images:
-  the options `ChainDepth.max_disagreement_px` and `Refinement.max_residual_px`, and
-  `Refinement.search_radius_px`; in the paper's way of tracing its tolerances. Only these lengths
-  are converted where images are upsampled.
-- **Missing observations.** An edge is not hidden in a view with the chance `visibility_rate`, and
-  detected where it is visible with `detection_rate`. `min_log_likelihood_ratio` and `break_penalty`
-  are log odds under this model.
+- **Noise across a chain.** A chain point deviates across its chain by `Refinement.noise_px`
+  (standard deviation). `robust_scale_px`, `max_smoothing_distance_px` and the standard deviations
+  of depths (bounded by `max_sigma_ratio`) are multiples of it. Along the epipolar line the noise
+  is divided by the sine of the angle between both, which `min_epipolar_angle_deg` bounds.
+- **Errors of poses and distortion.** They shift whole stretches of chains by some pixels of the
+  given images. The options `ChainDepth.max_disagreement_px` and `Refinement.max_residual_px`, the
+  constant `Refinement.search_radius_px` and the tolerances of the paper's tracing allow for them.
+  Only these lengths are converted to pixels of the upsampled images.
+- **Missing observations.** An edge is unoccluded in a view with the probability `visibility_rate`,
+  and then detected with `detection_rate`. `min_log_likelihood_ratio` and `break_penalty` are log
+  odds under this model.
 - **Wrong observations.** Any chain can be near by chance; the option `Tracing.max_false_edges`
-  bounds how many edges that makes. View-dependent contours scatter more than edges, which
-  `max_residual_ratio` bounds.
-- **Intensities.** How much the sides of an edge differ between views is learned from each scene;
-  `side_gray_weight` weighs the photometric term against the noise across.
+  bounds the number of accidental edges. View-dependent contours have larger residuals than edges;
+  `max_residual_ratio` separates them.
+- **Intensities.** The distribution of intensity differences between views is learned from each
+  scene; `side_gray_weight` weights the photometric term against the noise across edges.
 
-The rest says how densely curves are sampled, when pieces are one edge, and how rays weigh in the
-mesh. Numbers that only one module needs stand at its top and are [listed below](#single-modules).
+The other constants set how densely curves are sampled, when pieces are joined to one edge, and the
+weights of rays in the mesher. Numbers used by a single module are defined at its top and
+[listed below](#single-modules).
 
 """
 MODULES_HEAD = """
 ## Single modules
 
-Numbers of one step alone, sorted by what they are. They have no range and are not set from Python.
+Numbers of single steps, grouped by kind. They have no range and cannot be set from Python.
 """
 # Folders of the method, and of the numbers in them the kinds, by the ends of their names.
 METHOD = ("images", "edges2d", "edges3d", "surfaces", "poses", "colmap/thinning.py")
@@ -87,7 +86,7 @@ KINDS = {
         ),
         *("FINEST",),
     ),
-    "Gray levels": ("LEVELS", "DEVIATION", "DIFFERENCE"),
+    "Intensities (0 to 255)": ("LEVELS", "DEVIATION", "DIFFERENCE"),
     "Shares, ratios and odds": (
         *(
             "RATIO",
@@ -104,7 +103,7 @@ KINDS = {
         ),
         *("WEIGHT", "PRIOR", "GAIN", "ACROSS", "STRONGEST", "NEXT", "SCALE"),
     ),
-    "How many are looked at: time against certainty": ("",),
+    "Limits that trade time for accuracy": ("",),
 }
 TABLE = ["| constant | value | range | meaning | where it comes from |", "|---|---|---|---|---|"]
 
@@ -164,11 +163,13 @@ def module_numbers() -> Iterator[tuple[str, str, str, str]]:
         path for name in METHOD for path in (package / name, *package.glob(f"{name}/**/*.py"))
     ):
         lines = path.read_text(encoding="utf-8").splitlines() if path.suffix == ".py" else []
-        for before, line in zip(["", *lines], lines, strict=False):
+        above: list[str] = []  # lines of the comment before
+        for line in lines:
             found = re.fullmatch(r"([A-Z][A-Z0-9_]+) = (-?[\d_.e+-]+)(?:  # (.*))?", line)
             if found:
-                meaning = found[3] or before.partition("# ")[2]
+                meaning = found[3] or " ".join(above)
                 yield found[1], found[2], meaning, path.relative_to(package).as_posix()
+            above = [*above, line.removeprefix("# ")] if line.startswith("# ") else []
 
 
 def module_tables() -> str:

@@ -16,12 +16,12 @@ from colmap_edges.evaluation.protocols import scene
 @click.command(help=__doc__)
 @click.option("--edges_path", type=Path, required=True, help="edges.ply, or a peer's lines.")
 @click.option("--sparse_path", type=Path, required=True, help="COLMAP model with edge points.")
-@click.option("--input_path", type=Path, help="Model without edge points, to tell them apart.")
+@click.option("--input_path", type=Path, help="Model without edge points.")
 @click.option("--reference_path", type=Path, help="True curves: .npz (points, edges) or .ply.")
 @click.option(
     "--surface_path",
     type=Path,
-    help="True surface (.ply): asks recall of curves that three views see, at --thresholds_px.",
+    help="True surface (.ply); recall then counts curves that three views see, at --thresholds_px.",
 )
 @click.option("--reference_depth_path", type=Path, help="Folder of depth maps (*.npz).")
 @click.option(
@@ -32,7 +32,7 @@ from colmap_edges.evaluation.protocols import scene
 )
 @click.option("--thresholds_px", multiple=True, type=float, default=(1.0, 2.0), show_default=True)
 @click.option("--unit_size", type=bool, default=False, help="Scale the reference to size 1.")
-@click.option("--crop", type=bool, default=False, help="Judge only inside the reference's box.")
+@click.option("--crop", type=bool, default=False, help="Evaluate only inside the reference's box.")
 @click.option("--output_path", type=Path, help="File for the figures as JSON.")
 @exit_on_error()
 def main(output_path: Path | None, **arguments: object) -> None:

@@ -14,7 +14,7 @@ from colmap_edges.evaluation.protocols import scene
 
 
 @click.command(help=__doc__)
-@click.option("--mesh_path", type=Path, required=True, help="Mesh to judge.")
+@click.option("--mesh_path", type=Path, required=True, help="Mesh to evaluate.")
 @click.option("--input_path", type=Path, required=True, help="COLMAP model with the views.")
 @click.option(
     "--reference_path",

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The paper's tables for any COLMAP models: meshed by several methods and measured.
+"""The paper's tables for any COLMAP models, meshed by several methods.
 
-Finished scenes are not done again; remove a scene's folder below --output_path to redo it.
+Results of finished scenes are reused; remove a scene's folder below --output_path to redo it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from colmap_edges.evaluation import benchmark, scenes
 )
 @click.option("--unit", default="world unit", show_default=True, help="Unit of the lengths.")
 @click.option("--view_names", multiple=True, help="Views that see a reference mesh, or 'all'.")
-@click.option("--methods", multiple=True, default=("SfM", "edges"), show_default=True)
+@click.option("--methods", multiple=True, default=("SfM", "edges", "faces"), show_default=True)
 @click.option("--peers", multiple=True, help="NAME=PATH of a peer's result; {scene} in it varies.")
 @click.option("--baseline", default="", help="Row of the average variation; default: the first.")
 @click.option("--output_path", type=Path, required=True, help="Folder for meshes and tables.")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""From images with Strecha's .camera files to the paper's tables."""
+"""The paper's tables for images with Strecha's .camera files."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Write an undistorted COLMAP model's images and poses in the layout of a benchmark.
 
-neus: image/ and cameras_sphere.npz, as DTU is often passed on. strecha: images with .camera files.
+neus: image/ and cameras_sphere.npz, a common form of DTU. strecha: images with .camera files.
 Images are linked, not copied.
 """
 
@@ -28,7 +28,7 @@ def main(layout: str, image_path: Path, input_path: Path, output_path: Path) -> 
     distorted = [view.name for view in model.views if not view.camera.is_undistorted()]
     if distorted:
         raise ColmapEdgesError(
-            f"{distorted[0]} is distorted, and neither layout can say so; undistort first"
+            f"{distorted[0]} is distorted, which neither layout supports; undistort it first"
         )
     folder = output_path / "image" if layout == "neus" else output_path
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Halve and double every constant of the method, and print what changes.
 
-DATA holds scenes as folders of images/ and sparse/ with what is known of them: curves.npz (or
-gt_curves.npz, gt_edges.ply), reference_depth/, surface.ply (or gt_mesh.ply);
-scripts/make_cad_objects.py makes such. Without a scene demo in it, tests/data/demo is taken.
-Figures of a scene are the length of its edges, F against its curves (at 0.005 of their size) and,
-without curves or for what concerns the mesh alone, the mean absolute error of the mesh's depth.
-Detected and traced edges are reused where a constant does not concern them.
+DATA holds scenes as folders of images/ and sparse/ with references: curves.npz (or
+gt_curves.npz, gt_edges.ply), reference_depth/, surface.ply (or gt_mesh.ply), as made by
+scripts/make_cad_objects.py. If it has no scene `demo`, tests/data/demo is added. The figures of a
+scene are the length of its edges, F against its curves (at 0.005 of their size) and, without curves
+or for constants of the mesher, the mean absolute error of the mesh's depth. Detected and traced
+edges are reused if a constant does not affect them.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class Constant:
 
     @property
     def name(self) -> str:
-        """As docs/constants.md has it."""
+        """The name in docs/constants.md."""
         return group_prefix(type(getattr(PipelineOptions(), self.group))) + self.entry.name
 
     @property
     def of_mesh(self) -> bool:
-        """Whether it leaves edges as they are."""
+        """Whether it affects only the mesh."""
         return self.group == "meshing"
 
     def base(self, options: PipelineOptions) -> PipelineOptions:
@@ -66,7 +66,7 @@ class Constant:
         return options
 
     def others(self) -> Iterator[Any]:
-        """Half and double of the value, or the range's ends where these are nearer."""
+        """Half and double of the value, clipped to the range."""
         value, group = self.entry.default, getattr(PipelineOptions(), self.group)
         for factor in (0.5, 2):
             given = type(value)(factor * value)
@@ -77,17 +77,17 @@ class Constant:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A scene, and what is measured on it with some options."""
+    """A scene, and the figures measured on it."""
 
     folder: Path
     cache_path: Path
 
     def known(self, names: tuple[str, ...]) -> Path | None:
-        """The first of some files that the scene has."""
+        """The first existing file of some names."""
         return next((p for name in names if (p := self.folder / name).exists()), None)
 
     def figures(self, options: PipelineOptions, of_mesh: bool) -> dict[str, float]:
-        """Length, F and MAE as far as they are known; `of_mesh` asks for the mesh's alone."""
+        """Length, F and MAE, as far as references exist; with `of_mesh` the mesh's only."""
         curves, surface = self.known(CURVES), self.known(SURFACES)
         meshed = surface is not None and (of_mesh or curves is None)
         with tempfile.TemporaryDirectory() as folder:
@@ -114,7 +114,7 @@ class Scene:
 
 
 def numbers(with_options: bool) -> list[Constant]:
-    """Every constant that is a number and not 0, and where asked for such options, too."""
+    """Every nonzero numeric constant and, on request, every such option."""
     found = []
     for whole in fields(PipelineOptions):
         group = getattr(PipelineOptions(), whole.name)
@@ -129,7 +129,7 @@ def find_scenes(data: Path, names: tuple[str, ...], cache_path: Path) -> list[Sc
     """The named scenes of a folder, or all that there are.
 
     Raises:
-        ColmapEdgesError: when one is not there, or none is.
+        ColmapEdgesError: if one is missing, or there is none.
     """
     found = {path.parent.name: path.parent for path in sorted(data.glob("*/sparse"))}
     found.setdefault("demo", DEMO)
@@ -140,12 +140,12 @@ def find_scenes(data: Path, names: tuple[str, ...], cache_path: Path) -> list[Sc
 
 
 def shown(figures: dict[str, float]) -> str:
-    """Figures as they are."""
+    """Figures as text."""
     return ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
 def compared(before: dict[str, float], after: dict[str, float]) -> str:
-    """How much each figure changes, in per cent of what it was."""
+    """The relative change of each figure, in per cent."""
     return ", ".join(
         f"{name} {100 * (after[name] / value - 1):+.1f} %"
         for name, value in before.items()
@@ -156,7 +156,7 @@ def compared(before: dict[str, float], after: dict[str, float]) -> str:
 def rows(
     scenes: list[Scene], constants: list[Constant], options: PipelineOptions
 ) -> Iterator[list[str]]:
-    """A row for each half and double as soon as it is known, after one of all as they are."""
+    """One row for the defaults, then one for each half and double as soon as it is measured."""
     before: dict[str, dict[str, float]] = {}
     for constant in constants:
         base = constant.base(options)

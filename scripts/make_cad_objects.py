@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Make textureless CAD objects with their views, true surface and true sharp curves.
 
-Needs manifold3d beside the extra "evaluation". Each object is a folder of images/, sparse/ (poses
-without points), surface.ply and curves.npz, for `colmap-edges` and scripts/evaluate_edges.py. The
-curves tell of each edge of the mesh the curve it is of, and of each curve its kind and radii.
+Needs manifold3d in addition to the extra "evaluation". Each object is a folder of images/, sparse/
+(poses without points), surface.ply and curves.npz, for `colmap-edges` and evaluate_edges.py.
+curves.npz holds the curve of each edge of the mesh, and kind and radii of each curve.
 """
 
 from __future__ import annotations

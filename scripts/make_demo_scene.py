@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Make the demo scene: its surface, true curves, true cameras, images and sparse model.
 
-Needs, in an environment of its own with Python 3.11 (Blender's wheel has no other):
+Needs a separate environment with Python 3.11, which Blender's wheel requires:
     pip install bpy==5.0.1 manifold3d==3.5.4 pillow pycolmap==4.2.1
-Everything is seeded; a render takes about 20 s on two cores.
+All random numbers are seeded. A render takes about 20 s on two cores.
 """
 
 from __future__ import annotations

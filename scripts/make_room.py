@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Make furnished, mostly plain rooms seen from inside, with their true surface and curves.
+"""Make furnished, mostly plain rooms seen from inside, with ground truth.
 
-Needs manifold3d beside the extra "evaluation". Each room is a folder of images/, sparse/ (true
-poses, and the few points that SIFT finds), surface.ply and curves.npz, for `colmap-edges mesh`,
-scripts/evaluate_scene.py and scripts/evaluate_edges.py. One to two minutes of a core each.
+Needs manifold3d in addition to the extra "evaluation". Each room is a folder of images/, sparse/
+(true poses and SIFT points), surface.ply and curves.npz, for `colmap-edges mesh`,
+scripts/evaluate_scene.py and scripts/evaluate_edges.py. A room takes one to two minutes of a core.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rooms.render import Pinhole, write_images
 
 from colmap_edges.colmap.triangulation import PosedImage, triangulate
 
-CUT = 0.1  # metres: longest side of the triangles that light is computed for
+CUT = 0.1  # maximum side of the triangles for which light is computed, metres
 SIZE = (640, 480)  # pixels
 
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""The paper's tables over Strecha's and DTU's scenes together, from images on.
+"""The paper's tables over Strecha's and DTU's scenes together, computed from the images.
 
-Rows are the SfM points alone, the paper's way, ours ("edges"), and other systems, such as Line3D++
-and LIMAP, in the scenes that --peers has a result of. Finished rows are not done again: run it once
-for the models (OUT/SCENE/sparse), run the other systems on these, and run it again.
+Rows are the SfM points alone, the paper's method, ours ("edges"), and other systems, such as
+Line3D++ and LIMAP, in the scenes for which --peers has results. Finished rows are reused: run this
+once for the models (OUT/SCENE/sparse), run the other systems on these, and run this again.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _strecha_scene(folder: Path, reference: Path, peers: dict[str, str]) -> scen
 
 
 def _with_given_peers(listed: list[scenes.Scene], paths: dict[str, str]) -> list[scenes.Scene]:
-    """Scenes with those peers alone whose results are there."""
+    """The scenes, with only those peers whose results exist."""
     found = [
         replace(scene, peers={name: path for name, path in scene.peers.items() if path.exists()})
         for scene in listed

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Triangulate lines with LIMAP 2.0 on a COLMAP model, for comparison.
 
-Needs an environment of its own: pip install pylimap==2.0.0 (brings OpenCV and pycolmap). Segments
+Needs a separate environment: pip install pylimap==2.0.0 (brings OpenCV and pycolmap). Segments
 are OpenCV's LSD, the longest of each image; each line is paired with every line of the views that
 share most SfM points; everything else is LIMAP's default. Distorted images are undistorted first,
-as LIMAP asks for.
+as LIMAP requires.
 """
 
 from __future__ import annotations

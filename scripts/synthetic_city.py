@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Reconstruct the 3D edges of a made-up city of any size and write what each stage cost.
+"""Reconstruct the 3D edges of a synthetic city of any size, and record the cost of each stage.
 
-Buildings stand on a grid with windows on their walls and round domes on their roofs; cameras fly
-over it on a denser grid and look in four directions. The city grows with the number of cameras, so
-that every camera sees about as much whatever their number. No image is rendered: edge graphs are
-known 3D curves projected, seen from their front, within the image. Other flags are those of
-`colmap-edges reconstruct`.
+Buildings with windows and round domes stand on a grid; cameras are above it on a denser grid and
+look in four directions. The city grows with the number of cameras, so that every camera sees about
+the same number of curves. No image is rendered: edge graphs are projections of the front-facing
+3D curves. Other flags are those of `colmap-edges reconstruct`.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import json
 import sys
 import tempfile
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,21 +50,21 @@ FloatArray = NDArray[np.float64]  # not the package's: benchmark.py runs this wi
 
 FOCAL_RATIO = 0.875  # focal length in widths of an image
 FLIGHT_HEIGHT, FLIGHT_STEP, TILT = 2.4, 0.6, np.radians(25)  # in sides of a block
-REACH = 2.2  # radius around where a camera looks within which it may see, in sides of a block
+REACH = 2.2  # visible radius around a camera's target, in sides of a block
 MARGIN = 3  # blocks around the cameras
 MIN_CHAIN = 10  # points
-TRACK_RATIO = 0.5  # share of the views that see an SfM point in which it was matched
+TRACK_RATIO = 0.5  # share of the views seeing an SfM point that observe it
 CURVE_NOISE_PX, POINT_NOISE_PX = 0.15, 0.05  # of a curve in a view as a whole, and of each point
 
 
 @dataclass(frozen=True, kw_only=True)
 class City:
-    """What there is to see, from where.
+    """The curves, points and cameras of a city.
 
     Attributes:
         curves: (C, 4, 3) of each curve o, a, u, v: o + t a + cos(2 pi t) u + sin(2 pi t) v.
         normals: (C, 2, 3) of the two faces that a curve borders.
-        sides: (C, 2) uint8 gray on the dark and the bright side, which is to its left.
+        sides: (C, 2) uint8 intensity on the dark and the bright side, which is to its left.
         points: (N, 3) SfM points.
         point_normals: (N, 3) of their faces.
         poses: (V, 3, 4) cam_from_world.
@@ -80,6 +80,11 @@ class City:
     poses: FloatArray
     targets: FloatArray
     size: tuple[int, int]
+
+    @cached_property
+    def places(self) -> cKDTree:
+        """The middles of the curves as seen from above, to be searched."""
+        return cKDTree((self.curves[:, 0] + self.curves[:, 1] / 2)[:, :2])
 
 
 def make_city(
@@ -239,7 +244,7 @@ def write_city(city: City, folder: Path, seed: int = 0) -> None:
 def observations(
     city: City, camera: Any, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Of all observations of SfM points: (T,) points, (T,) ids of images, (T, 2) pixels."""
+    """The (T,) points, (T,) image ids and (T, 2) pixels of all observations of SfM points."""
     tree = cKDTree(city.points[:, :2])
     owners, images, pixels = [], [], []
     for index, pose in enumerate(city.poses):
@@ -258,12 +263,12 @@ def observations(
 
 
 def see_city(city: City, view: View, seed: int = 0) -> Chains:
-    """The chains of a view: the curves that it sees from their front, a point each pixel."""
+    """The chains of a view: its front-facing curves, one point per pixel."""
     index = view.image_id - 1
     rng = np.random.default_rng([seed, index])
-    middles = city.curves[:, 0] + city.curves[:, 1] / 2
-    near = np.flatnonzero(np.linalg.norm(middles[:, :2] - city.targets[index], axis=1) < REACH)
-    facing = np.einsum("cfk,ck->cf", city.normals[near], view.center - middles[near]) > 0
+    near = np.sort(city.places.query_ball_point(city.targets[index], REACH)).astype(np.int64)
+    middles = city.curves[near, 0] + city.curves[near, 1] / 2
+    facing = np.einsum("cfk,ck->cf", city.normals[near], view.center - middles) > 0
     near = near[facing.any(axis=1)]
     pieces = np.array([view.project(curve_at(city.curves[near], t))[0] for t in EIGHTHS])
     lengths = np.linalg.norm(np.diff(pieces, axis=0), axis=2).sum(axis=0)

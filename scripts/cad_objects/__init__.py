@@ -1,1 +1,1 @@
-"""Textureless CAD objects, seen from all around: edges from cameras alone, with known truth."""
+"""Textureless CAD objects seen from all sides, with ground truth."""

@@ -1,4 +1,4 @@
-"""Views of a mesh by rays: matte gray under three lamps before a white background."""
+"""Rendering of a mesh by ray casting: matte gray, three lamps, white background."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from demo_scene.cameras import look_at
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 SIZE, FOCAL = 800, 1111.0  # pixels
-DISTANCE = 4.0  # of the cameras from the origin, at which they look
+DISTANCE = 4.0  # distance of the cameras from the origin, at which they look
 NUM_VIEWS = 50
-RAYS = 3  # a pixel, along each of its sides
-CREASE = np.radians(15)  # from this angle on two faces meet in an edge
+RAYS = 3  # rays per pixel along each of its sides
+CREASE = np.radians(15)  # minimum angle between two faces that meet in an edge
 NOISE = 0.4  # standard deviation, gray levels
 AMBIENT = 0.16
 LAMPS = (((1, -0.6, 1.2), 0.34), ((-1, 0.4, -0.7), 0.2), ((-0.3, 1, 0.5), 0.14))
-TURN_DEG = 180 * (3 - np.sqrt(5))  # from one view to the next: spreads them evenly
+TURN_DEG = 180 * (3 - np.sqrt(5))  # golden angle between successive views, to spread them evenly
 
 
 def make_model(num_views: int = NUM_VIEWS, size: int = SIZE) -> pycolmap.Reconstruction:
@@ -40,7 +40,7 @@ def make_model(num_views: int = NUM_VIEWS, size: int = SIZE) -> pycolmap.Reconst
 
 
 def render(mesh: trimesh.Trimesh, model: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write what the images of the model see of the mesh."""
+    """Render the images of the model."""
     smooth = trimesh.graph.smooth_shade(mesh, angle=CREASE)
     caster = RayMeshIntersector(smooth)
     random = np.random.default_rng(0)

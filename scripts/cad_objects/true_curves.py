@@ -10,16 +10,16 @@ from itertools import pairwise
 
 import numpy as np
 
-# Turn at a vertex from which on two curves meet there: a full turn in 128 parts turns by 2.8.
+# Turn at a vertex above which curves end there; a circle of 128 segments turns by 2.8 degrees.
 MAX_TURN = np.radians(10)
 LINE, ARC, CIRCLE, ELLIPTIC_ARC, ELLIPSE, SPLINE = range(6)  # core.curves3d.KINDS
-STRAIGHT = 1e-6  # of its length: how far a line's points may lie aside
-ROUND = 5e-4  # of its radius, likewise for circles and ellipses
-MIN_VERTICES = 5  # of what is no line
+STRAIGHT = 1e-6  # maximum deviation of a line's points, relative to its length
+ROUND = 5e-4  # maximum deviation from circles and ellipses, relative to the radius
+MIN_VERTICES = 5  # minimum number of vertices of a bent curve
 
 
 def curves_by_kind(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What each of the (E, 2) edges between (P, 3) points belongs to.
+    """The curves of the (E, 2) edges between (P, 3) points, with kinds and radii.
 
     Returns:
         (E,) curve of each edge; (C,) kind of each curve; (C, 2) its radii, NaN where none.
@@ -83,8 +83,8 @@ def walk(
 def pieces(points: np.ndarray) -> list[tuple[int, int]]:
     """Ends (first, last) of the stretches of a chain (n, 3) that are bent, or straight, throughout.
 
-    A straight stretch within a curve is one edge of the mesh that is longer than those around by
-    far, or successive edges on one line.
+    A straight stretch within a curve is one edge of the mesh that is much longer than its
+    neighbours, or successive edges on one line.
     """
     steps = np.diff(points, axis=0)
     lengths = np.linalg.norm(steps, axis=1)

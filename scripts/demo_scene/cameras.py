@@ -1,4 +1,4 @@
-"""The true cameras: where they stand and what they look at."""
+"""The true cameras of the demo scene."""
 
 from __future__ import annotations
 

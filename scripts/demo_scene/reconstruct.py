@@ -12,7 +12,7 @@ from demo_scene.cameras import Intrinsics, TrueCamera
 
 SEED = 1
 CAMERA_MODEL = "SIMPLE_RADIAL"
-PEAK_THRESHOLD = 0.0025  # under COLMAP's 0.0067: the blotches are faint so as not to be edges
+PEAK_THRESHOLD = 0.0025  # below COLMAP's 0.0067, since the blotches are too faint to be edges
 
 
 def reconstruct(
@@ -23,7 +23,7 @@ def reconstruct(
 ) -> pycolmap.Reconstruction:
     """Return COLMAP's model of the images, aligned by a similarity to the true centres.
 
-    What a given `database` already holds is not computed again.
+    Existing contents of `database` are reused.
     """
     pycolmap.set_random_seed(SEED)
     with tempfile.TemporaryDirectory() as temporary:

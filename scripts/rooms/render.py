@@ -17,7 +17,7 @@ RAYS = 3  # through a pixel at borders and on textures, along each of its sides
 FOCAL = 430 / 640  # of the image's width: 73 degrees across
 BLUR = 0.45  # pixels, of the lens
 NOISE, SHOT = 0.5, 0.9  # gray levels: of the sensor, and of the light at white
-SKY = 3.0  # light of what no surface hides
+SKY = 3.0  # light of directions without a surface
 MIDDLE = 0.45  # light, of 1 at white, that the typical pixel is exposed to
 TYPICAL = 60  # percentile of that pixel
 
