@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Write edge images (PNG, white on black) of a detector, for --edge_path.
 
-The edges of EdgeDrawing, with the faint straight ones that a run adds to them, have the working
-scale of a run of colmap-edges, at which images may be upsampled; Canny's have the photographs' size.
+EdgeDrawing's edges, with the faint straight ones that a run adds, have the working scale of a run
+of colmap-edges, at which images may be upsampled; Canny's have the photographs' size.
 """
 
 from __future__ import annotations
