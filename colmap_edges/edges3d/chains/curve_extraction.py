@@ -32,7 +32,7 @@ def find_curves(
     Args:
         graph: the view's edge graph of P points.
         edge_index: search index of the graph.
-        covered: (P,) points that observe an edge already.
+        covered: (P,) whether a point already observes an edge.
         depths: depths of S samples on its chains.
         agreeing: (S,) number of other views that confirm each depth.
         options: conditions for a run, and spacing of edge points.

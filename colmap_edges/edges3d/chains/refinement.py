@@ -193,7 +193,7 @@ def align_side_gray(
 def aligned(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[Curves, FloatArray, FloatArray]:
-    """One scale of `align_side_gray`: the curves aligned by intensities, with the same results."""
+    """One pass of `align_side_gray` from coarse to fine; returns the same."""
     options, num_threads = observers.options, observers.num_threads
     weight = options.side_gray_weight * options.noise_px**2
     for reach in GRAY_REACHES:

@@ -55,7 +55,7 @@ def estimate(same: IntArray, chance: IntArray) -> SideLikelihoods:
         chance: (M, 2) the same differences for random pairs of edges.
 
     Returns:
-        The ratios; the limit is 1.5 times the 90 % quantile of the smaller difference.
+        The ratios; the limit is 1.5 times the 90 % quantile of the smaller difference, plus 1.
     """
     limit = 1.5 * float(np.percentile(same.min(axis=1), 90)) + 1
     same, chance = same[same.min(axis=1) <= limit], chance[chance.min(axis=1) <= limit]

@@ -244,7 +244,7 @@ def curves_traced(
 
 
 def score_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
-    """Quality of a view: its number of confirmed samples, weighted by their resolution."""
+    """Quality of a view: sum over its samples of agreeing views times pixels per world unit."""
     return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
 
