@@ -92,7 +92,7 @@ class Body(NamedTuple):
     mask: BoolArray
 
     def at(self, points: FloatArray) -> tuple[IntArray, BoolArray]:
-        """(K,) indices of the (N, 3) points that are in the image, (K,) whether in the foreground."""
+        """(K,) indices of the (N, 3) points in the image, (K,) whether in the foreground."""
         pixels, depths = self.view.project(points)
         scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
         seen = np.flatnonzero(self.view.holds(pixels, depths))

@@ -42,10 +42,11 @@ def follow_edges(
     """Turn PEPCs into 3D edges.
 
     PEPCs are processed in order. Selections of three well-conditioned views are tried, those
-    supported by most other views first. A selection is valid if it triangulates and can be followed. Selections
-    of the same 3D point count as one, and those with at least two fewer supporting views are
-    ignored. A PEPC with exactly one valid selection is extended to further views and followed in
-    both directions in all its views. Starts on chains covered by an earlier 3D edge are skipped.
+    supported by most other views first. A selection is valid if it triangulates and can be
+    followed. Selections of the same 3D point count as one, and those with at least two fewer
+    supporting views are ignored. A PEPC with exactly one valid selection is extended to further
+    views and followed in both directions in all its views. Starts on chains covered by an earlier
+    3D edge are skipped.
 
     Returns:
         3D edges with points about `step_px` apart, and the number of starts by outcome.
