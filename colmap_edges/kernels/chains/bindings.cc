@@ -1,4 +1,4 @@
-// Python face of tracing by depths along chains: depths, observations, refinement, occlusion.
+// Bindings of tracing by depths along chains: depths, observations, refinement, occlusion.
 #include "common/bindings.h"
 
 #include <nanobind/stl/optional.h>
@@ -104,7 +104,7 @@ OutArray<double> SeparationsArray(const EdgeIndex& view, Points3D points, Points
   return ToArray(std::move(columns), {2, count});
 }
 
-// What the arrays of curves and their observations say; they must outlive it.
+// View on the arrays of curves and their observations, which must outlive it.
 ObservedCurves ToObservedCurves(const Rotation& rotation, const Translation& translation,
                                 double focal, const Points2D& undistorted,
                                 const Doubles& inverse_depths,

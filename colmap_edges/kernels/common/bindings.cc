@@ -1,4 +1,4 @@
-// Python face of what all tracing uses: the index of a view's edge graph, polylines, triangulation.
+// Bindings common to both methods: index of a view's edge graph, polylines, triangulation.
 #include "common/bindings.h"
 
 #include <nanobind/stl/vector.h>
@@ -99,7 +99,7 @@ nb::tuple TriangulateTracksArrays(const std::vector<const EdgeIndex*>& views, Lo
                         ToArray(std::move(errors), {count}));
 }
 
-// Costs are those of PieceCosts in their order, row by row for each polyline.
+// Costs: one row of PieceCosts, in the order of its fields, per polyline.
 nb::tuple CutPiecesArrays(Points3D points, Doubles weights, Longs offsets,
                           InArray<double, nb::shape<-1, -1, 5>> costs, int64_t max_places,
                           int num_threads) {
@@ -123,7 +123,7 @@ nb::tuple CutPiecesArrays(Points3D points, Doubles weights, Longs offsets,
         std::vector<Piece>& pieces = found[row * count + e];
         totals[row * count + e] = table.Cut(cost, &pieces);
         if (rows > 1 || size <= max_places) continue;
-        // The best cut between places apart; now between all the points around its cuts.
+        // The best cuts between spaced places are refined among all points around them.
         const PieceTable fine(all + first, weights.data() + first,
                               PlacesNear(pieces, size, 1 + size / max_places));
         pieces.clear();

@@ -1,5 +1,5 @@
-// Python face of what works on one image: edge points at sub-pixel positions, sides, colours, and
-// corners and junctions of its chains.
+// Bindings of the processing of one image: sub-pixel positions, side intensities and colours of
+// edge points, corners and junctions of chains.
 #include "common/bindings.h"
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Python face of the adjustment of poses and points.
+// Bindings of the adjustment of poses and points.
 #include "common/bindings.h"
 
 #include <nanobind/stl/array.h>
@@ -14,7 +14,7 @@ namespace {
 using namespace nb::literals;
 using Rotations = InArray<double, nb::shape<-1, 3, 3>>;
 
-// The measurements and where they are linearised; holds on to the arrays given.
+// The measurements and the point of linearisation; keeps the given arrays alive.
 class BoundAdjustment {
  public:
   BoundAdjustment(Longs offsets, Ints views, Points2D pixels, Points2D normals, Points3D tangents,
