@@ -291,7 +291,7 @@ void BindPaper(nb::module_& m) {
         "resolution"_a, "seed"_a,
         "(N,) communities of a weighted graph by Louvain's method, numbered by their first nodes.");
   m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
-        "Where intervals of most views overlap: inverse distances and numbers of views.");
+        "Maxima of the overlap of the views' intervals: inverse distances and numbers of views.");
   nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
       .def(nb::init<const Views&>(), "indexes"_a)
       .def("covers", &Covers, "views"_a, "positions"_a, "(N,) whether places are covered, uint8.");
@@ -299,9 +299,8 @@ void BindPaper(nb::module_& m) {
         "start_positions"_a, "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a,
         "max_error_px"_a, "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a,
         "max_stretch"_a, "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
-        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track "
-        "offsets, track views and "
-        "positions, and the outcome of each start.");
+        "3D edges of PEPCs, which are added to `covered`: points, edge offsets, closed, track "
+        "offsets, track views and positions, and the outcome of each start.");
 }
 
 }  // namespace colmap_edges
