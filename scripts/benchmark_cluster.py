@@ -55,7 +55,7 @@ class Measured(Executor):
         return result
 
     def take(self, done: Future[tuple[bytes, float]], result: Future[Any]) -> None:
-        """Unpack what a call gave."""
+        """Unpack the result of a call."""
         try:
             packed, seconds = done.result()
             self.received, self.seconds = self.received + len(packed), self.seconds + seconds

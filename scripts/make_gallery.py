@@ -41,7 +41,7 @@ def main(run_path: Path, name: str, output_path: Path) -> None:
 
 
 def contents_of(run_path: Path) -> dict[str, Contents]:
-    """What is drawn, by its name: the mesh alone, edges on it, edges on faces."""
+    """Scenes to draw by name: the mesh alone, edges on it, edges on faces."""
     written = read_edges(run_path)
     read = load_mesh(run_path / "mesh.ply")
     colors = np.asarray(read.visual.vertex_colors)[:, :3].astype(np.uint8)

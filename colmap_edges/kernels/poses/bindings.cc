@@ -141,8 +141,8 @@ void BindPoses(nb::module_& m) {
            "block_offsets"_a, "block_columns"_a,
            "Damped normal equations of the poses, with points eliminated.\n\n"
            "Returns (F, 6, 6) undamped information of each frame for fixed points, (B, 6, 6)\n"
-           "blocks to be added, of frames that share points, in the order of the CSR arrays, and (F, 6)\n"
-           "right side. Raises ValueError for a pair of frames without a block and for an\n"
+           "blocks to be added for frames that share points, in the order of the CSR arrays, and\n"
+           "(F, 6) right side. Raises ValueError for a pair of frames without a block and for an\n"
            "undetermined point.")
       .def("point_steps", &BoundAdjustment::PointSteps, "sigmas_px"_a, "robust_factor"_a,
            "damping"_a, "steps"_a, "(P, 3) steps of the points, given (F, 6) steps of the frames.");
