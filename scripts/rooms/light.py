@@ -90,7 +90,7 @@ class LitSurface:
 
 
 def barycentric(corners: NDArray, places: NDArray) -> NDArray[np.float64]:
-    """(N, 3) weights of the corners (N, 3, 3) of triangles at points in them (barycentric coordinates)."""
+    """(N, 3) barycentric coordinates of points in triangles with corners (N, 3, 3)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = places - corners[:, 0]
     aa, ab, bb = (np.einsum("ij,ij->i", *pair) for pair in ((a, a), (a, b), (b, b)))
