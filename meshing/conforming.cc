@@ -29,8 +29,8 @@ class Splitter {
         rays_(rays),
         last_change_(builder.num_vertices(), 0) {}
 
-  // Splits until nothing is left to split; insertions may break edges that were there before, so
-  // pieces near them are looked at again until none has changed. Returns how many are no edges.
+  // Splits until no piece needs it. Insertions may break existing edges, so pieces near them are
+  // tested again until none has changed. Returns the number of pieces that are not edges.
   Index Split(const std::vector<Segment>& segments) {
     std::vector<Piece> pieces;
     for (const Segment& segment : segments) pieces.push_back({segment});
@@ -53,16 +53,16 @@ class Splitter {
   struct Piece {
     Segment ends;
     bool is_edge = false;
-    Index when = kNone;  // number of points added when `is_edge` was found
+    Index when = kNone;  // number of points added before `is_edge` was computed
   };
 
-  // An insertion makes and breaks edges between neighbors of the new vertex only.
+  // An insertion creates and breaks edges between neighbors of the new vertex only.
   bool IsKnown(const Piece& piece) const {
     const auto [a, b] = piece.ends;
     return piece.when != kNone && std::min(last_change_[a], last_change_[b]) <= piece.when;
   }
 
-  // Pieces of `ends` go to `pieces`; returns whether a point was added.
+  // Writes the pieces of `ends` to `pieces`; returns whether a point was added.
   bool SplitOne(const Segment& ends, std::vector<Piece>& pieces) {
     const auto [a, b] = ends;
     if (builder_.IsEdge(a, b)) {
@@ -84,7 +84,7 @@ class Splitter {
     return is_new;
   }
 
-  // The vertex at the middle between two, or one of a polyline that is as good as there.
+  // The vertex at the midpoint of two, or a vertex of a polyline that nearly coincides with it.
   Index Middle(Index a, Index b) {
     const Vec3 middle = 0.5 * builder_.points()[a] + 0.5 * builder_.points()[b];
     const double radius = std::min(radii_[a], radii_[b]);
@@ -115,7 +115,7 @@ class Splitter {
   std::vector<double> radii_;
   DelaunayBuilder& builder_;
   Rows& rays_;
-  std::vector<Index> last_change_;  // of each vertex: which added point is the last beside it
+  std::vector<Index> last_change_;  // per vertex: the last added point among its neighbors
   Index added_ = 0;
 };
 

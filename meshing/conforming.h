@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Makes the triangulation follow polylines: adds points until their segments are edges.
+// Makes polylines edges of the triangulation by adding points.
 #pragma once
 
 #include <vector>
@@ -14,14 +14,14 @@ struct ConformingStats {
   Index points_added = 0;
 };
 
-// Splits segments of `polylines` (rows of vertices) that are not edges of the triangulation at
-// their middle, and again, until all pieces are edges or shorter than `min_length`. A new point is
-// appended to `rays` with the cameras that see both ends of the piece it splits. Where a vertex of
-// a polyline is nearer to the middle than the radii of both ends, it takes the middle's place.
+// Recursively splits segments of `polylines` (rows of vertices) that are not edges of the
+// triangulation at their midpoints, until all pieces are edges or shorter than `min_length`. A new
+// point is appended to `rays` with the cameras that see both ends of its piece. If a vertex of a
+// polyline is nearer to the midpoint than the radii of both ends, it is used instead.
 ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
                         DelaunayBuilder& builder, Rows& rays);
 
-// Median length of the segments of `polylines`; 0 without any.
+// Median length of the segments of `polylines`; 0 without segments.
 double TypicalSegmentLength(const Rows& polylines, const std::vector<Vec3>& points);
 
 }  // namespace mesher

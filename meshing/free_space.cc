@@ -7,8 +7,8 @@
 namespace mesher {
 namespace {
 
-// Of each cell: how many rays to points cross it, how many have it right behind their point, and
-// how many rays to the background cross it.
+// Per cell: the number of rays to points that cross it, of rays whose point is directly in front of
+// it, and of background rays that cross it.
 struct RayCounts {
   std::vector<std::int64_t> crossed, behind, background;
 };

@@ -10,8 +10,8 @@
 namespace mesher {
 namespace {
 
-// Cost in votes of opening a solid cell, beyond the votes that it lacks: behind it there can be
-// more solid cells without any votes.
+// Cost in votes of opening a solid cell, in addition to its missing votes, since there can be more
+// solid cells without votes behind it.
 constexpr double kOpeningCost = 8;
 constexpr int kMaxFlips = 32;
 
@@ -22,13 +22,13 @@ int SlotOf(const Cell& cell, Index vertex) {
                                       : 3;
 }
 
-// The cells around a vertex on one side, connected through facets: cells [begin, end) of `Fans`.
+// Cells around a vertex with one label, connected through facets: cells [begin, end) of `Fans`.
 struct Fan {
   bool is_free;
   std::size_t begin, end;
 };
 
-// Finds the fans around vertices. Entries are places in the rows of `Triangulation::stars`.
+// Finds the fans around vertices. Entries are indices into the values of `Triangulation::stars`.
 class FanFinder {
  public:
   explicit FanFinder(const Triangulation& triangulation)
@@ -59,7 +59,7 @@ class FanFinder {
 
   const std::vector<Index>& cells() const { return cells_; }
 
-  // At most one fan per side.
+  // Whether there is at most one fan per label.
   bool IsRegular(Index vertex, const std::vector<std::uint8_t>& is_free) {
     const auto& fans = Find(vertex, is_free);
     return fans.size() < 2 || (fans.size() == 2 && fans[0].is_free != fans[1].is_free);
@@ -83,7 +83,7 @@ class FanFinder {
 
   const Triangulation& triangulation_;
   std::vector<std::int64_t> entries_;  // of the corners of cells
-  std::vector<std::uint32_t> stamps_;  // of entries: the search that reached them last
+  std::vector<std::uint32_t> stamps_;  // per entry: the last search that reached it
   std::uint32_t stamp_ = 0;
   std::vector<Fan> fans_;
   std::vector<Index> cells_;
@@ -115,7 +115,7 @@ class Sweep {
  private:
   bool IsVoted(Index cell) const { return votes_[cell] >= 0; }
 
-  // Votes lost by changing the side of a cell.
+  // Votes lost by changing the label of a cell.
   double Cost(Index cell) const {
     const double gain = IsVoted(cell) ? votes_[cell] : votes_[cell] - kOpeningCost;
     return is_free_[cell] ? gain : -gain;
@@ -144,8 +144,8 @@ class Sweep {
     }
   }
 
-  // Which fan to flip around a critical vertex, whose fans were just found. A side keeps its last
-  // fan, unless all others are locked: then a free one, which never is, closes.
+  // The fan to flip around a critical vertex, whose fans were just found. Each label keeps its last
+  // fan, unless all others are locked; then a free fan, which is never locked, becomes solid.
   Fan CheapestFan(Index vertex) {
     const std::vector<Fan>& fans = finder_.Find(vertex, is_free_);
     const auto num_free =
@@ -174,7 +174,8 @@ class Sweep {
     return cost;
   }
 
-  // Cells change to the side of their votes, clearest first, where the boundary stays a manifold.
+  // Changes cells to the labels of their votes, those of most votes first, where the boundary stays
+  // a manifold.
   void FollowVotes() {
     std::vector<Index> ranks(votes_.size()), by_rank(votes_.size());
     std::iota(by_rank.begin(), by_rank.end(), 0);

@@ -15,11 +15,11 @@ struct ManifoldRegion {
   Index cells_opened = 0;  // solid by votes, but free in the region
 };
 
-// The region of free cells whose boundary is a 2-manifold and that differs little from the cells
-// that votes make free. `votes` are relative to the threshold: cells from 0 are free.
+// A region of free cells whose boundary is a 2-manifold and that differs little from the cells with
+// votes >= 0. `votes` are relative to the threshold.
 //
 // Growing a region cell by cell from the most voted one (Litvinov & Lhuillier 2013, Romanoni &
-// Matteucci 2015) keeps a manifold at every step, but gets stuck at the many vertices where voted
+// Matteucci 2015) keeps a manifold at every step, but stops at the many vertices where voted
 // cells touch only in a vertex or along an edge. This sweep starts from all voted cells and repairs
 // these critical vertices: of the fans of free (or of solid) cells around a vertex, connected
 // through facets, the one with the least opposing votes changes its label as a whole, until one fan
@@ -29,8 +29,8 @@ struct ManifoldRegion {
 // a manifold.
 ManifoldRegion SweepManifold(const Triangulation& triangulation, const std::vector<double>& votes);
 
-// Whether the cells around a vertex that are in `region`, and those that are not, each form at most
-// one component connected through facets: then its boundary is a disk there.
+// Whether the cells around a vertex inside and outside `region` each form at most one component
+// connected through facets, so that the boundary is a disk there.
 bool IsRegular(const Triangulation& triangulation, const std::vector<std::uint8_t>& region,
                Index vertex);
 

@@ -8,7 +8,7 @@
 namespace mesher {
 namespace {
 
-// Below the rounding of coordinates between -1 and 1.
+// Smaller than the rounding of coordinates between -1 and 1.
 constexpr double kSmallestRadius = 1e-16;
 
 // Distance of each vertex to the nearest camera that sees it; infinite without any.
@@ -21,10 +21,10 @@ std::vector<double> Ranges(const std::vector<Vec3>& points, const Rows& rays,
   return ranges;
 }
 
-// Points in cubes of the size that fits their radii, a power of two.
+// Grids of points, by their radii: cubes with a power of two as the side length.
 class Grid {
  public:
-  // The index of a point in the grid that is the same as `point`, or kNone.
+  // The index of a point in the grid that coincides with `point`, or kNone.
   Index Find(const Vec3& point, double radius, const std::vector<Vec3>& points,
              const std::vector<double>& radii) const {
     Index found = kNone;
@@ -67,8 +67,8 @@ class Grid {
     return distance <= std::min(a, b) && std::max(a, b) <= 2 * std::min(a, b);
   }
 
-  // The cube of a point, moved by a part of the cubes' side. A side is at least twice the radii of
-  // its level, so a radius around a point reaches no farther than half a side.
+  // The cube of a point, offset by a fraction of the side. A side is at least twice the radii of
+  // its level, so a radius is at most half a side.
   static Cube CubeOf(const Vec3& p, int level, double moved) {
     const double side = std::ldexp(1.0, level + 3);
     auto cell = [&](double x) { return static_cast<std::int64_t>(std::floor(x / side + moved)); };

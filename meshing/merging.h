@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Merges nearly coinciding points of polylines. Otherwise many copies of one curve would have
-// needle-shaped cells between them, and every ray would cross all of these.
+// Merges nearly coinciding points of polylines. Otherwise, between duplicates of a curve there
+// would be needle-shaped cells, which every ray would cross.
 #pragma once
 
 #include <vector>
@@ -9,16 +9,15 @@
 
 namespace mesher {
 
-// Radius of each vertex below which another one is the same: `factor` of the typical segment of
-// `polylines`, as long as the nearest camera that sees the vertex would see it; 0 for vertices on
-// no polyline or without cameras. Row v of `rays` holds the cameras that see vertex v.
+// Merging radius of each vertex: `factor` times the typical segment of `polylines`, at
+// the distance of the nearest camera that sees the vertex; 0 for vertices on no polyline or without
+// cameras. Row v of `rays` holds the cameras that see vertex v.
 std::vector<double> MergeRadii(const std::vector<Vec3>& points, const Rows& rays,
                                const std::vector<Vec3>& cameras, const Rows& polylines,
                                double factor);
 
-// Points lie in the unit cube, or near it. For each point the first one in order that stands for
-// it: itself, or one that stands for itself and is no farther away than both radii, of which none
-// is more than twice the other.
+// Points lie in the unit cube, or near it. Returns the representative of each point: the first
+// representative that is within both radii, which differ by at most a factor of two, or itself.
 std::vector<Index> Representatives(const std::vector<Vec3>& points,
                                    const std::vector<double>& radii);
 

@@ -14,7 +14,7 @@
 namespace mesher {
 namespace {
 
-// Seconds since the last call, under a name.
+// Records the seconds since the last call under a name.
 class Stopwatch {
  public:
   explicit Stopwatch(std::map<std::string, double>& stats) : stats_(stats) {}
@@ -68,7 +68,7 @@ struct Bounds {
   Vec3 low, high;
 };
 
-// The box around some points, one at least.
+// Bounding box of at least one point.
 Bounds BoundsOf(const std::vector<Vec3>& points) {
   Bounds bounds{points[0], points[0]};
   for (const Vec3& p : points)
@@ -79,8 +79,8 @@ Bounds BoundsOf(const std::vector<Vec3>& points) {
   return bounds;
 }
 
-// Shift and power-of-two scale that bring the points to the unit cube around the origin, where
-// neither huge offsets nor tiny units cost digits. Scaling by a power of two rounds nothing.
+// Shift and power-of-two scale that map the points to the unit cube around the origin, to avoid
+// loss of precision by large offsets. Scaling by a power of two is exact.
 class UnitFrame {
  public:
   explicit UnitFrame(const std::vector<Vec3>& points) {
@@ -99,20 +99,20 @@ class UnitFrame {
   double scale_ = 1;
 };
 
-// The input of the triangulation: distinct points in canonical order, each with the cameras that
-// see it or a duplicate of it.
+// The input of the triangulation: distinct points in canonical order, each with the cameras of all
+// its duplicates.
 struct Scene {
   UnitFrame frame;
   std::vector<Vec3> points;
-  std::vector<Index> sources;  // index of an input point at this place
+  std::vector<Index> sources;  // index of an input point at this position
   Rows rays;
   std::vector<Vec3> cameras;
   Rows polylines;
-  std::vector<double> radii;  // within which points of polylines are merged
+  std::vector<double> radii;  // merging radii of points of polylines
   std::vector<BackgroundRay> background;
 };
 
-// Polylines of vertices, interrupted at points that were dropped.
+// Polylines of vertices, split at dropped points.
 Rows MapPolylines(const Rows& polylines, const std::vector<Index>& vertex_of) {
   Rows mapped;
   auto finish = [&] { mapped.offsets.push_back(static_cast<std::int64_t>(mapped.values.size())); };
@@ -213,8 +213,8 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   return merged;
 }
 
-// Makes the cameras with background rays vertices, in an order that depends only on their
-// positions. No rays lead to these vertices.
+// Inserts the cameras with background rays as vertices, in an order that depends only on their
+// positions. These vertices have no rays.
 void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& scene) {
   std::vector<Index> cameras = input.background_cameras;
   std::sort(cameras.begin(), cameras.end(), [&](Index a, Index b) {
@@ -236,7 +236,7 @@ void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& sc
   }
 }
 
-// Has no cell if the points span no volume. Adds the rays of the points that it adds.
+// Empty if the points span no volume. Appends rays for the points that it adds.
 Triangulation Triangulate(const MesherInput& input, const MesherOptions& options, Scene& scene,
                           std::map<std::string, double>& stats) {
   DelaunayBuilder builder(scene.points);
@@ -254,7 +254,7 @@ Triangulation Triangulate(const MesherInput& input, const MesherOptions& options
   return builder.Flatten();
 }
 
-// 1 for the vertices on polylines, those that were added there included.
+// 1 for vertices on polylines, including added ones.
 std::vector<std::uint8_t> EdgePoints(const Triangulation& triangulation, const Scene& scene) {
   std::vector<std::uint8_t> is_edge(triangulation.points.size(), 0);
   for (Index v : scene.polylines.values) is_edge[v] = 1;
@@ -286,8 +286,8 @@ std::vector<std::uint8_t> LabelFreeCells(const Triangulation& triangulation, con
 }
 
 // Viewing distance of each vertex: the distance of the nearest of its cameras, or the median
-// length of all rays if that is longer. Unlike the spacing of points it does not shrink where
-// points are added, which must not tear holes elsewhere.
+// length of all rays if that is longer. Unlike the spacing of points, it does not depend on added
+// points, which must not cause holes elsewhere.
 std::vector<double> SeenFrom(const std::vector<Vec3>& points, const Scene& scene) {
   std::vector<double> nearest(points.size(), 0), lengths;
   lengths.reserve(scene.rays.values.size());

@@ -26,9 +26,9 @@ struct MesherInput {
 
 struct MesherOptions {
   std::string method = "graphcut";  // or "carve" or "manifold"
-  // Points of polylines closer than this are merged, in typical segments at their distance.
+  // Radius within which points of polylines are merged, in typical segments at their distance.
   double merge_factor = 0.05;
-  // Pieces of polylines are split down to this length, in medians of their segments; 0 splits none.
+  // Minimum length of split segments of polylines, in median lengths; 0 disables splitting.
   double min_segment_factor = 0.25;
   VisibilityOptions visibility;  // of graphcut
   VoteOptions votes;             // of carve and manifold

@@ -27,7 +27,7 @@ class Solver {
   Cut Solve() {
     while (first_active_ != kNone) {
       const Index node = first_active_;
-      // A node whose tree was cut off is not active any more; one that met the other tree stays.
+      // Nodes that became free are no longer active; nodes that met the other tree stay active.
       if (nodes_[node].parent == kFree || !Grow(node)) PopActive();
     }
     Cut cut;
@@ -45,7 +45,7 @@ class Solver {
   struct Node {
     std::int64_t terminal = 0;  // residual from the source (positive) or to the sink (negative)
     Index next_active = kNone;  // itself if last in the queue
-    std::int32_t stamp = 0;     // when `distance` was last known to be right
+    std::int32_t stamp = 0;     // time at which `distance` was valid
     std::int32_t distance = 0;  // arcs to the terminal
     std::uint8_t parent = kFree;
     bool in_sink_tree = false;
@@ -95,8 +95,8 @@ class Solver {
     node.next_active = kNone;
   }
 
-  // Extends the tree by the free neighbors of an active node; on meeting the other tree augments
-  // and returns true: the node has to be looked at again.
+  // Extends the tree by the free neighbors of an active node. On meeting the other tree, augments
+  // and returns true; the node must then be processed again.
   bool Grow(Index node) {
     const bool sink = nodes_[node].in_sink_tree;
     for (int arc = 0; arc < 4; ++arc) {

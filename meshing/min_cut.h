@@ -21,8 +21,8 @@ struct CutProblem {
 
 struct Cut {
   std::int64_t flow = 0;
-  // 1 for cells that the source still reaches: the smallest source side of all minimum cuts, which
-  // is unique.
+  // 1 for cells reachable from the source: the smallest source side of all minimum cuts, which is
+  // unique.
   std::vector<std::uint8_t> is_source;
 };
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Work shared among threads; sums are of integers, so they do not depend on the order.
+// Distribution of work to threads; sums are of integers and so independent of the order.
 #pragma once
 
 #include <algorithm>
@@ -39,7 +39,7 @@ void ParallelChunks(std::int64_t count, int num_threads, Work&& work) {
     if (error) std::rethrow_exception(error);
 }
 
-// Adds to a sum that other threads add to.
+// Adds atomically to a sum.
 template <typename T>
 void AtomicAdd(T& sum, T value) {
   __atomic_fetch_add(&sum, value, __ATOMIC_RELAXED);

@@ -2,9 +2,9 @@
 // Walks from a vertex of the triangulation towards a camera, cell by cell.
 //
 // Points are projected along the ray to a plane, where the ray is the origin and the side on which
-// an edge passes it is the sign of a 2D cross product. A sign too close to call is computed
-// exactly, and a ray that meets an edge or a vertex is treated as if its target were moved by an
-// infinitesimal: every ray has one reproducible result, and no walk can run in circles.
+// an edge passes it is the sign of a 2D cross product. Signs within the rounding error are computed
+// exactly, and a ray that meets an edge or a vertex is treated as if its target were displaced by
+// an infinitesimal. Every ray has one reproducible result, and every walk terminates.
 #pragma once
 
 #include <algorithm>
@@ -15,8 +15,8 @@
 
 namespace mesher {
 
-// The ray leaves `cell` through its facet `facet` into `next`, whose facet `entry` that is,
-// `distance` away from the vertex.
+// The ray leaves `cell` through its facet `facet`, at `distance` from the vertex, and enters `next`
+// through its facet `entry`.
 struct Crossing {
   Index cell;
   int facet;
@@ -25,7 +25,8 @@ struct Crossing {
   double distance;
 };
 
-// Cells around a vertex in which the search for those of a ray begins; it finds the same from any.
+// Cells around a vertex at which the search for those of a ray starts; the result does not depend
+// on them.
 struct StartCells {
   Index front = kNone, behind = kNone;
 };
@@ -56,16 +57,16 @@ class RayWalker {
 
   double length() const { return length_; }
 
-  // The cells around the vertex that the ray and its prolongation behind the vertex enter; kNone
-  // where they leave the convex hull at once.
+  // The cells around the vertex that the ray and its extension behind the vertex enter; kNone if
+  // they leave the convex hull at the vertex.
   Index front() const { return front_; }
   Index behind() const { return behind_; }
 
-  // Where the search for the cells of a ray from the same vertex, near this one, may begin.
+  // Start of the search for the cells of a similar ray from the same vertex.
   StartCells near() const { return {front_, behind_}; }
 
   // Calls visit(cell) for the infinite cells around the vertex whose hull facet faces the ray (if
-  // `ahead`) or its prolongation: those that a ray passes which leaves the convex hull at once.
+  // `ahead`) or its extension, for rays that leave the convex hull at the vertex.
   template <typename Visit>
   void VisitOutside(bool ahead, Visit&& visit) const {
     for (const Index* c = triangulation_.stars.begin(vertex_);
@@ -76,8 +77,8 @@ class RayWalker {
     }
   }
 
-  // Facet of `behind` opposite the vertex and the distance at which the prolongation meets it.
-  // Only valid if there is such a cell.
+  // Facet of `behind` opposite the vertex, and its distance along the extension. Only valid if
+  // there is such a cell.
   Crossing BehindExit() const {
     const Cell& cell = triangulation_.cells[behind_];
     const int facet = PositionOf(vertex_, cell);
@@ -88,10 +89,9 @@ class RayWalker {
   }
 
   // Calls visit(Crossing) for every facet between the vertex and the target, in order, until it
-  // returns false; returns the last cell, which holds the target or lies outside the convex hull,
-  // or kNone if the walk was ended before. Needs a cell in front.
-  // Distances of crossings whose facet lies wholly beyond `far` (and before the target) are only
-  // known to be beyond it.
+  // returns false. Returns the last cell, which contains the target or is outside the convex hull,
+  // or kNone if visit returned false. Requires a cell in front. For facets entirely beyond `far`,
+  // distances of crossings are only lower bounds.
   template <typename Visit>
   Index Walk(double far, Visit&& visit) const {
     Index cell_index = front_;
@@ -143,7 +143,7 @@ class RayWalker {
 
   static double SideValue(const Projected& a, const Projected& b) { return a.u * b.v - a.v * b.u; }
 
-  // On which side of the ray the edge from a to b passes.
+  // The side of the ray on which the edge from a to b passes.
   int Side(const Projected& a, const Projected& b) const {
     const double value = SideValue(a, b);
     const double bound = kSignError * a.size * b.size;
@@ -167,7 +167,7 @@ class RayWalker {
     return std::max({corners[0].depth, corners[1].depth, corners[2].depth});
   }
 
-  // Where the ray's line crosses the plane of a facet that it passes through.
+  // Distance at which the ray's line intersects the plane of a facet that it crosses.
   static double Depth(const Projected corners[3]) {
     const double weights[3] = {SideValue(corners[1], corners[2]), SideValue(corners[2], corners[0]),
                                SideValue(corners[0], corners[1])};
@@ -187,7 +187,7 @@ class RayWalker {
                        points[corners[2].vertex], target_) <= 0;
   }
 
-  // Which of a cell's vertices `vertex` is; without branches, which would be guessed wrong.
+  // Index of `vertex` in a cell, without branches, which would be unpredictable.
   static int PositionOf(Index vertex, const Cell& cell) {
     return (cell.vertices[1] == vertex) + 2 * (cell.vertices[2] == vertex) +
            3 * (cell.vertices[3] == vertex);
@@ -199,13 +199,13 @@ class RayWalker {
     return *c;
   }
 
-  // The cell around the vertex that the ray (`sign` 1) or its prolongation (-1) enters, or kNone.
-  // Goes from cell to cell around the vertex, each time through a facet that lies between cell and
-  // ray. On cells of a Delaunay triangulation such a way ends.
+  // The cell around the vertex that the ray (`sign` 1) or its extension (-1) enters, or kNone.
+  // Walks from cell to cell around the vertex through facets that separate the cell from the ray;
+  // in a Delaunay triangulation this terminates.
   Index FindStart(Index at, int sign) const {
     while (true) {
       const Cell& cell = triangulation_.cells[at];
-      if (cell.IsInfinite()) return kNone;  // the way led out of the convex hull, as the ray does
+      if (cell.IsInfinite()) return kNone;  // the ray leaves the convex hull
       const int apex = PositionOf(vertex_, cell);
       Projected corners[3];
       for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[apex][i]]);
@@ -237,8 +237,8 @@ class RayWalker {
   Index front_ = kNone, behind_ = kNone;
 };
 
-// Calls visit(cell, number of the camera's rays) for the cells around the cameras of background
-// rays: they are free, since no surface touches a camera.
+// Calls visit(cell, number of the camera's rays) for the cells around cameras with background rays.
+// They are free, since no surface touches a camera.
 template <typename Visit>
 void VisitAroundCameras(const Triangulation& triangulation,
                         const std::vector<BackgroundRay>& background, Visit&& visit) {

@@ -17,7 +17,7 @@ class DisjointSets {
     while (parents_[i] != i) i = parents_[i] = parents_[parents_[i]];
     return i;
   }
-  // The lower representative stays, so that results do not depend on the order of unions.
+  // The lower representative is kept, so that results do not depend on the order of unions.
   void Unite(Index a, Index b) {
     a = Find(a), b = Find(b);
     if (a < b)
@@ -76,7 +76,7 @@ class Extractor {
     }
   }
 
-  // Turns around the side through solid cells to the facet that bounds them on the other end.
+  // Rotates about the side through solid cells to the facet that bounds them at the other end.
   void FindPartner(Index side) {
     Index c = places_[side / 3];
     const Index from = facets_.From(side), to = facets_.To(side);
@@ -87,7 +87,8 @@ class Extractor {
       const Index next = cell.neighbors[across];
       const int entry = triangulation_.MirrorIndex(c, next);
       const Cell& next_cell = triangulation_.cells[next];
-      // The shared facet holds the side and one more vertex, which the next one leaves behind.
+      // The shared facet contains the side and one more vertex, which the next facet does not
+      // contain.
       for (int i = 0; i < 4; ++i)
         if (i != entry && next_cell.vertices[i] != from && next_cell.vertices[i] != to) across = i;
       c = next;
@@ -155,8 +156,8 @@ Index DropSmallComponents(Index min_faces, Facets& facets) {
   return Keep(kept, facets);
 }
 
-// One vertex for every fan or disk of facets around a vertex of the triangulation. Returns the new
-// vertex of each corner.
+// Makes one vertex for every fan or disk of facets around a vertex of the triangulation. Returns
+// the new vertex of each corner.
 std::vector<Index> SplitVertices(const Facets& facets, Surface& surface) {
   DisjointSets fans(3 * facets.corners.size());
   for (Index side = 0; side < 3 * facets.size(); ++side) {
@@ -180,8 +181,8 @@ std::vector<Index> SplitVertices(const Facets& facets, Surface& surface) {
   return new_vertex;
 }
 
-// Different edges may still join the same two vertices; all but one get a midpoint. Returns the
-// midpoint of each side, or kNone.
+// Several edges may connect the same two vertices; all but one get a midpoint. Returns the midpoint
+// of each side, or kNone.
 std::vector<Index> SplitEdges(const Facets& facets, const std::vector<Index>& vertex_of,
                               Surface& surface) {
   auto to = [&](Index side) { return vertex_of[side % 3 == 2 ? side - 2 : side + 1]; };

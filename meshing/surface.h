@@ -20,7 +20,7 @@ struct SurfaceStats {
   Index boundary_facets = 0;
   Index long_facets_dropped = 0;
   Index component_faces_dropped = 0;
-  Index vertices_split = 0;  // copies made where several sheets of surface touched
+  Index vertices_split = 0;  // vertices duplicated where several sheets of the surface touched
   Index edges_split = 0;     // midpoints added for the same reason
 };
 
@@ -31,9 +31,9 @@ struct Surface {
   SurfaceStats stats;
 };
 
-// The facets between free and solid cells, normals towards free space. Where solid cells touch
-// along an edge or in a vertex only, the surface is cut open there and keeps its shape: in the
-// result every edge has one or two faces and the faces around a vertex form one fan or one disk.
+// The facets between free and solid cells, with normals towards free space. Where solid cells touch
+// along an edge or in a vertex only, vertices are duplicated, which does not change the shape:
+// every edge has one or two faces, and the faces around a vertex form one fan or one disk.
 //
 // `ranges` holds the viewing distance of each vertex; the shortest of a facet counts.
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,

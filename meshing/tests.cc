@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Checks of the mesher's parts against CGAL's and Boost's own; exits with 1 at the first that
-// fails.
+// Tests of the mesher's parts against those of CGAL and Boost; exits with 1 at the first failure.
 #include <CGAL/Delaunay_triangulation_3.h>
 #include <CGAL/Exact_predicates_inexact_constructions_kernel.h>
 #include <CGAL/Triangulation_segment_traverser_3.h>
@@ -81,8 +80,8 @@ std::set<Quad> FiniteCellsOfWalk(const Triangulation& triangulation, Index verte
 
 Kernel::Point_3 ToPoint(const Vec3& p) { return {p.x, p.y, p.z}; }
 
-// Whether a ray that starts in a corner of a cell runs into it: it then stays on the inner side of
-// the three facets that meet there.
+// Whether a ray that starts at a corner of a cell enters it: it is then on the inner side of the
+// three facets that meet there.
 bool IsEntered(const Quad& cell, const Vec3& from, const Vec3& to) {
   for (int i = 0; i < 4; ++i) {
     if (cell[i] == from) continue;  // the facet across
@@ -92,7 +91,7 @@ bool IsEntered(const Quad& cell, const Vec3& from, const Vec3& to) {
   return true;
 }
 
-// Where a ray leaves the hull at once, the traverser still starts in a cell at its first point.
+// If a ray leaves the hull at its vertex, the traverser still starts in a cell there.
 std::set<Quad> FiniteCellsOfTraverser(const Delaunay& delaunay, const Vec3& from, const Vec3& to) {
   std::set<Quad> cells;
   auto it = delaunay.segment_traverser_cells_begin(ToPoint(from), ToPoint(to));
@@ -145,9 +144,9 @@ bool Touches(const Quad& cell, const Vec3& from, const Vec3& to) {
   return true;
 }
 
-// On a grid rays run along edges and through vertices. The walk must end, be connected, hold only
-// cells that the ray touches, and equal CGAL's for a target that is truly moved a little the way
-// the walker pretends.
+// On a grid, rays run along edges and through vertices. The walk must end, be connected, contain
+// only cells that the ray touches, and equal CGAL's for a target displaced slightly in the
+// direction of the walker's infinitesimal.
 void TestWalkerOnGrids() {
   const auto points = Sorted(GridPoints(5));
   const Triangulation triangulation = DelaunayBuilder(points).Flatten();
@@ -173,7 +172,7 @@ void TestWalkerOnGrids() {
   }
 }
 
-// Every ray is walked for once: those of edges' points by one of such a point near their own.
+// Every ray is represented exactly once: by itself, or by one of a nearby edge point.
 void TestFarWeights() {
   for (int round = 0; round < 20; ++round) {
     Random random(round);
@@ -210,7 +209,7 @@ void TestFarWeights() {
   }
 }
 
-// The search for the cells of a ray around its vertex finds the same from wherever it begins.
+// The search for the cells of a ray around its vertex does not depend on its start.
 void TestWalkerStartsAnywhere() {
   for (int round = 0; round < 10; ++round) {
     Random random(round);
@@ -323,7 +322,7 @@ void TestSurfaceOfRandomLabels() {
   }
 }
 
-// Whether one component of cells at most is on each side, by union of all pairs that share a facet.
+// Whether each label has at most one component, by union of all pairs that share a facet.
 bool IsDisk(const Triangulation& triangulation, const std::vector<std::uint8_t>& region, Index v) {
   const std::vector<Index> star(triangulation.stars.begin(v), triangulation.stars.end(v));
   int parts[2] = {0, 0};
@@ -354,8 +353,8 @@ bool MayFlip(const Triangulation& triangulation, std::vector<std::uint8_t> regio
   });
 }
 
-// Random votes are far from a manifold, ties included: the sweep has to end, with a manifold that
-// no single cell brings nearer to the votes.
+// Random votes with ties are far from a manifold: the sweep must end with a manifold that no change
+// of a single cell brings nearer to the votes.
 void TestSweepEndsWithTheNearestManifold() {
   for (int round = 0; round < 60; ++round) {
     Random random(round);
@@ -378,7 +377,7 @@ void TestSweepEndsWithTheNearestManifold() {
   }
 }
 
-// What is a manifold already stays as it is, whatever its genus: here a ring of cubes' cells.
+// A manifold of any genus is not changed; here a ring of cubes' cells.
 void TestSweepKeepsManifolds() {
   const auto points = Sorted(GridPoints(6));
   const Triangulation triangulation = DelaunayBuilder(points).Flatten();

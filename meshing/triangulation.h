@@ -40,17 +40,16 @@ struct Triangulation {
   }
 };
 
-// A background ray from a vertex at a camera's centre to its target, which lies outside the convex
-// hull.
+// A background ray from a vertex at a camera's centre to a target outside the convex hull.
 struct BackgroundRay {
   Index vertex;
   Vec3 target;
 };
 
-// Grows a triangulation point by point and flattens it. Points must be distinct and finite.
+// Builds a triangulation incrementally and flattens it. Points must be distinct and finite.
 class DelaunayBuilder {
  public:
-  // `points` are inserted in an order of their own that depends on them alone.
+  // `points` are inserted in an order that depends only on the points.
   explicit DelaunayBuilder(const std::vector<Vec3>& points);
   ~DelaunayBuilder();
 
@@ -59,7 +58,7 @@ class DelaunayBuilder {
   const std::vector<Vec3>& points() const { return points_; }
   bool IsEdge(Index a, Index b) const;
 
-  // The vertices to which edges lead from `v`, without the one at infinity.
+  // The neighbors of vertex `v` along edges, without the vertex at infinity.
   std::vector<Index> Neighbors(Index v) const;
 
   // The vertex nearest to `point`, starting the search at vertex `near`.

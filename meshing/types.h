@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Small value types that every part of the mesher shares.
+// Small value types used by all parts of the mesher.
 #pragma once
 
 #include <cmath>

@@ -27,7 +27,7 @@ class SoftWeight {
   double factor_, far_;
 };
 
-// `far_weight` is that of the part of the ray that is far from its point.
+// `far_weight` is the weight of the part of the ray that is far from its point.
 void AddRay(const RayWalker& walker, const SoftWeight& weight, double solid,
             std::int64_t far_weight, CutProblem& problem) {
   if (walker.front() == kNone) {
@@ -55,7 +55,7 @@ void AddRay(const RayWalker& walker, const SoftWeight& weight, double solid,
 }
 
 void AddBackgroundRay(const RayWalker& walker, std::int64_t weight, CutProblem& problem) {
-  if (walker.front() == kNone) return;  // the ray leads away from all points
+  if (walker.front() == kNone) return;  // the ray leaves the convex hull at its vertex
   walker.Walk(0, [&](const Crossing& crossing) {
     AtomicAdd(problem.arcs[4 * std::size_t(crossing.cell) + crossing.facet], weight);
     return true;
@@ -88,7 +88,7 @@ double SphereCosine(const Sphere& sphere, const Vec3& corner, const Vec3& outwar
   return norm > 0 ? -Dot(radius, outward) / norm : 1;
 }
 
-// Penalty between 0 and 2 for facets whose empty spheres lie deep on either side.
+// Penalty between 0 and 2 for facets with large empty spheres on either side.
 void AddQuality(const Triangulation& triangulation, const VisibilityOptions& options,
                 CutProblem& problem) {
   std::vector<Sphere> spheres(triangulation.cells.size());

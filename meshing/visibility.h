@@ -8,23 +8,24 @@
 namespace mesher {
 
 struct VisibilityOptions {
-  double sigma_factor = 1;         // sigma of a point's depth, in units of the spacing of points
-  double quality_weight = 0.1;     // weight of the surface quality relative to one ray
-  double edge_solid_weight = 0.7;  // of the solid behind an edge point, relative to other points
-  double background_weight = 16;   // of a background ray relative to one to a point
+  double sigma_factor = 1;      // sigma of a point's depth, in units of the spacing of points
+  double quality_weight = 0.1;  // weight of the surface quality relative to one ray
+  double edge_solid_weight =
+      0.7;  // of the solid cell behind an edge point, relative to other points
+  double background_weight = 16;  // of a background ray, relative to a ray to a point
   int num_threads = 1;
 };
 
 // Unit of the integer weights: one ray.
 constexpr std::int64_t kRayWeight = 1 << 20;
 
-// Length that a quarter of the triangulation's edges fall short of.
+// Lower quartile of the lengths of the triangulation's edges.
 double TypicalSpacing(const Triangulation& triangulation);
 
-// How many rays each ray stands for where it is far from its point, 0 for those for which another
-// does: rays from points of edges near each other to the same camera cross much the same cells
-// there. The first of a run of such points, in their order, within `radius` of it walks for all;
-// rays from other points stand for themselves.
+// Number of rays that each ray represents far from its point; 0 for rays represented by another.
+// Rays from nearby edge points to the same camera cross nearly the same cells there. The first of a
+// run of such points, in order, represents those within `radius`; rays of other points represent
+// themselves.
 std::vector<Index> FarWeights(const std::vector<Vec3>& points,
                               const std::vector<std::uint8_t>& is_edge, const Rows& rays,
                               std::size_t num_cameras, double radius);

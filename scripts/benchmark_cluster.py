@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Trace a made-up city on local worker processes of one thread each; what of it is no work.
+"""Measure the overhead of tracing a synthetic city on local workers of one thread each.
 
-Writes a table, a row for each number of workers: wall seconds, CPU seconds within tasks, of the
-workers around them, and of the process that was started with the scheduler in it, and megabytes
-that tasks are sent and send back. CPU seconds compare on a machine that others use, too.
+Writes a table with a row for each number of workers: wall seconds; CPU seconds in tasks, of the
+workers outside of tasks, and of the starting process with the scheduler; megabytes sent to and
+returned by tasks. CPU seconds are comparable also on a machine with other load.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Measured(Executor):
         return result
 
     def take(self, done: Future[tuple[bytes, float]], result: Future[Any]) -> None:
-        """Unpack what a call gave."""
+        """Unpack the result of a call."""
         try:
             packed, seconds = done.result()
             self.received, self.seconds = self.received + len(packed), self.seconds + seconds

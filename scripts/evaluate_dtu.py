@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""From DTU's images to the paper's tables.
+"""Compute the paper's tables from DTU's images.
 
 Reads the official layout (Rectified/scanN or Cleaned/scanN, Calibration/cal18, Points, ObsMask),
 MVSNet's (Cameras, Rectified/scanN_train, Depths) or a NeuS/IDR folder (image/, cameras*.npz).
-Finished scans are not done again.
+Results of finished scans are reused.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from colmap_edges.evaluation.protocols import dtu
 @click.command(help=__doc__)
 @click.option("--input_path", type=Path, required=True, help="Root of the data, or one folder.")
 @click.option("--output_path", type=Path, required=True, help="Folder for models and tables.")
-@click.option("--scans", type=int, multiple=True, help="Default: the paper's that are there.")
+@click.option("--scans", type=int, multiple=True, help="Default: the paper's, where present.")
 @click.option("--light", default="", help="Light of the images: 'max', or '0_r5000' to '6_r5000'.")
 @click.option(
     "--positions",

@@ -39,9 +39,9 @@ HEADER = (
 @click.option("--noise_px", "noises", type=float, multiple=True, default=(0.0, 0.2))
 @click.option("--random_seed", "seeds", type=int, multiple=True, default=(0,), show_default=True)
 @click.option("--num_threads", type=int, default=-1, show_default=True)
-@click.option("--camera_path", type=Path, help="Folder of true NAME.camera files: their scene.")
-@click.option("--image_path", type=Path, help="Its images.")
-@click.option("--input_path", type=Path, help="Its COLMAP model.")
+@click.option("--camera_path", type=Path, help="Folder of true NAME.camera files.")
+@click.option("--image_path", type=Path, help="Images of this scene.")
+@click.option("--input_path", type=Path, help="COLMAP model of this scene.")
 @exit_on_error()
 def main(
     demo_path: Path,

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The paper's tables for any COLMAP models, meshed by several methods.
+"""Compute the paper's tables for any COLMAP models, meshed by several methods.
 
 Results of finished scenes are reused; remove a scene's folder below --output_path to redo it.
 """

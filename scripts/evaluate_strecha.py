@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The paper's tables for images with Strecha's .camera files."""
+"""Compute the paper's tables from images with Strecha's .camera files."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def rows(
 @click.option("--scenes", "names", multiple=True, help="Scenes to run; default: all.")
 @click.option("--constants", "chosen", multiple=True, help="Names, or groups; default: all.")
 @click.option("--with_options", type=bool, default=False, help="Options that are numbers, too.")
-@click.option("--cache_path", type=Path, help="Folder for what is reused; default: a temporary.")
+@click.option("--cache_path", type=Path, help="Folder of reused results; default: temporary.")
 @click.option("--num_threads", type=int, default=-1, show_default=True)
 @exit_on_error()
 def main(

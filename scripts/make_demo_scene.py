@@ -38,10 +38,10 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--output_path", type=Path, default=DEMO)
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=STAGES)
-    parser.add_argument("--samples", type=int, default=16, help="rays a pixel, denoised")
-    parser.add_argument("--scale_percent", type=int, default=100, help="size, for quick looks")
-    parser.add_argument("--num_views", type=int, help="the first of the views; default: all")
-    parser.add_argument("--database_path", type=Path, help="COLMAP database to keep and go on from")
+    parser.add_argument("--samples", type=int, default=16, help="rays per pixel before denoising")
+    parser.add_argument("--scale_percent", type=int, default=100, help="image size, for previews")
+    parser.add_argument("--num_views", type=int, help="number of views; default: all")
+    parser.add_argument("--database_path", type=Path, help="COLMAP database to keep and reuse")
     return parser.parse_args()
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Pictures of a run for docs/gallery.md: its mesh, its 3D edges and its faces.
+"""Draw the mesh, the 3D edges and the faces of a run for docs/gallery.md.
 
-Writes NAME_mesh.webp, NAME_edges.webp and, of a run with --use_faces 1, NAME_faces.webp.
+Writes NAME_mesh.webp, NAME_edges.webp and, for a run with --use_faces 1, NAME_faces.webp.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WIDTH_PX = 800
 
 @click.command(help=__doc__)
 @click.option("--run_path", type=Path, required=True, help="Output folder of colmap-edges mesh.")
-@click.option("--name", required=True, help="How the pictures' names begin.")
+@click.option("--name", required=True, help="Prefix of the pictures' names.")
 @click.option("--output_path", type=Path, default=Path("docs/gallery"), show_default=True)
 @exit_on_error()
 def main(run_path: Path, name: str, output_path: Path) -> None:
@@ -41,7 +41,7 @@ def main(run_path: Path, name: str, output_path: Path) -> None:
 
 
 def contents_of(run_path: Path) -> dict[str, Contents]:
-    """What is drawn, by its name: the mesh alone, edges on it, edges on faces."""
+    """Scenes to draw by name: the mesh alone, edges on it, edges on faces."""
     written = read_edges(run_path)
     read = load_mesh(run_path / "mesh.ply")
     colors = np.asarray(read.visual.vertex_colors)[:, :3].astype(np.uint8)

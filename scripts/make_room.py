@@ -3,7 +3,7 @@
 
 Needs manifold3d in addition to the extra "evaluation". Each room is a folder of images/, sparse/
 (true poses and SIFT points), surface.ply and curves.npz, for `colmap-edges mesh`,
-scripts/evaluate_scene.py and scripts/evaluate_edges.py. A room takes one to two minutes of a core.
+scripts/evaluate_scene.py and scripts/evaluate_edges.py. A room takes 1 to 2 minutes on a core.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ SIZE = (640, 480)  # pixels
 )
 @click.option("--num_views", type=click.IntRange(2), help="The first views; default: all.")
 @click.option("--size", type=click.IntRange(16), nargs=2, default=SIZE, show_default=True)
-@click.option("--cut", type=float, default=CUT, show_default=True, help="Length, for light.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of noise and rays.")
+@click.option(
+    "--cut", type=float, default=CUT, show_default=True, help="Side of triangles for light, metres."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of noise and rays.")
 def main(
     output_path: Path,
     names: tuple[str, ...],

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """The paper's tables over Strecha's and DTU's scenes together, computed from the images.
 
-Rows are the SfM points alone, the paper's method, ours ("edges"), and other systems, such as
-Line3D++ and LIMAP, in the scenes for which --peers has results. Finished rows are reused: run this
-once for the models (OUT/SCENE/sparse), run the other systems on these, and run this again.
+Rows are the SfM points alone, the paper's method, the default method ("edges"), and other systems,
+such as Line3D++ and LIMAP, if --peers has their results. Finished rows are reused: run this once
+for the models (OUT/SCENE/sparse), run the other systems on these, and run this again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from colmap_edges.evaluation.protocols import dtu, strecha
     help="A scene of Strecha's; REFERENCE is its true mesh, cloud, or folder of depth maps.",
 )
 @click.option("--dtu", "dtu_path", type=Path, help="Root of DTU, official or as MVSNet packs it.")
-@click.option("--scans", type=int, multiple=True, help="Default: the paper's that are there.")
+@click.option("--scans", type=int, multiple=True, help="Default: the paper's, where present.")
 @click.option("--light", default="", help="Light of the images: 'max', or '0_r5000' to '6_r5000'.")
 @click.option(
     "--positions",

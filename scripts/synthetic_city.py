@@ -357,11 +357,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--num_views", type=int, required=True)
     parser.add_argument("--points_per_view", type=int, default=650)
-    parser.add_argument("--size", type=int, nargs=2, default=(800, 600), help="of an image")
-    parser.add_argument("--windows", type=int, default=2, help="a row and column of a wall")
-    parser.add_argument("--folder", type=Path, help="keeps the model and the results")
-    parser.add_argument("--only_write", action="store_true", help="make the model, no more")
-    parser.add_argument("--report", type=Path, help="JSON file to write; else printed")
+    parser.add_argument("--size", type=int, nargs=2, default=(800, 600), help="size of the images")
+    parser.add_argument("--windows", type=int, default=2, help="windows per side of a wall")
+    parser.add_argument("--folder", type=Path, help="folder in which model and results are kept")
+    parser.add_argument("--only_write", action="store_true", help="only write the model")
+    parser.add_argument("--report", type=Path, help="JSON file to write; default: print")
     arguments, flags = parser.parse_known_args()
     reuse_freed_memory()  # as the command line does
     try:

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Write edge images (PNG, white on black) of a detector, for --edge_path.
 
-EdgeDrawing's edges, with the faint straight ones that a run adds, have the working scale of a run
-of colmap-edges, at which images may be upsampled; Canny's have the photographs' size.
+EdgeDrawing's edge images, including faint straight edges, have the working scale of a run of
+colmap-edges, at which images may be upsampled; Canny's have the size of the images.
 """
 
 from __future__ import annotations

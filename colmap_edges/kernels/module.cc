@@ -1,4 +1,4 @@
-// The extension module: what the folders of kernels bind.
+// The extension module with the bindings of all folders of kernels.
 #include "common/bindings.h"
 
 NB_MODULE(_kernels, m) {

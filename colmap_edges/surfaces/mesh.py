@@ -34,7 +34,7 @@ class Mesh:
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
-    """Replace the point indices in `point3D_ids` by the model's ids, and add its colours."""
+    """Replace the point indices in `point3D_ids` by the model's ids, and add colours."""
     sources = mesh_of_indices.point3D_ids
     is_sfm = (sources >= 0) & (sources < len(model.point3D_ids))
     ids = np.full(len(sources), -1, np.int64)
@@ -46,18 +46,18 @@ def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
 
 
 def spread_colors(colors: ByteArray, is_known: BoolArray, faces: Int32Array) -> ByteArray:
-    """Colour unknown vertices by the mean of their known neighbours, ring by ring.
+    """Assign to vertices of unknown colour the mean of their known neighbours, ring by ring.
 
     Args:
         colors: (V, 3) uint8.
-        is_known: (V,) which of them are right.
+        is_known: (V,) whether a vertex's colour is known.
         faces: (F, 3) triangles.
 
     Returns:
-        (V, 3) uint8; vertices that no known vertex is connected to stay as they are.
+        (V, 3) uint8; vertices not connected to a known vertex keep their colours.
     """
     values, known = colors.astype(np.float64), is_known.copy()
-    # Sides as single numbers, which sort much faster than pairs; of unknown vertices only.
+    # Edges of unknown vertices only, as single numbers, which sort much faster than pairs.
     corners = faces.T.astype(np.int64)
     keys = [
         starts[~known[starts]] * len(known) + ends[~known[starts]]

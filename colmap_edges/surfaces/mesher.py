@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from colmap_edges.surfaces.faces.finding import Faces
 
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
-# Minimum length of split segments, in median lengths: crossing ones would be split forever.
+# Minimum length of split segments, in median lengths; intersecting ones would be split forever.
 FINEST = 0.01
 
 
@@ -33,7 +33,7 @@ class Polylines(NamedTuple):
     """Polylines through points, in CSR arrays.
 
     Attributes:
-        point_indices: (P,) int32 indices into the points that are meshed.
+        point_indices: (P,) int32 indices into the meshed points.
         offsets: (E + 1,) int64; polyline e is point_indices[offsets[e]:offsets[e + 1]].
         closed: (E,) bool; the last point of a closed polyline connects to its first.
     """
@@ -87,7 +87,7 @@ def mesh_with_faces(
     background: Background | None,
     faces: SeenPoints,
 ) -> Mesh:
-    """Mesh points of a model, of curves and of silhouettes, and of faces where these lack them."""
+    """Mesh points of a model, curves and silhouettes; of faces where the mesh lacks these."""
     found = mesh_with_curves(model, curves, options, num_threads, background)
     added = lacking_points(faces, model.views, found)
     if not len(added.points):
@@ -103,9 +103,9 @@ def mesh_with_curves(
     background: Background | None = None,
     faces: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, of curves, of faces and of silhouettes.
+    """Mesh points of a model, curves, faces and silhouettes.
 
-    Vertices hold indices in that order.
+    `point3D_ids` of the result are indices of the points in this order.
     """
     seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
     seen += [
@@ -134,7 +134,7 @@ def mesh_with_curves(
 
 
 def as_model(source: Any) -> Model:
-    """Take a `Model` as it is, a pycolmap.Reconstruction apart, and read anything else."""
+    """Return a `Model` unchanged, convert a pycolmap.Reconstruction, read a path."""
     from colmap_edges.colmap import model as model_module
 
     if isinstance(source, model_module.Model):
@@ -145,7 +145,7 @@ def as_model(source: Any) -> Model:
 
 
 def finished(mesh_of_indices: Mesh, model: Model, options: MeshingOptions) -> Mesh:
-    """Add what the model knows of the points, then simplify if asked to."""
+    """Add ids and colours of the model's points, and simplify the mesh if requested."""
     mesh = with_model_attributes(mesh_of_indices, model)
     return simplify(mesh, options.max_faces) if options.max_faces else mesh
 
@@ -160,28 +160,28 @@ def mesh_points(
     num_threads: int = 0,
     background: BackgroundRays | None = None,
 ) -> Mesh:
-    """Mesh points that cameras see.
+    """Mesh points with their viewing rays.
 
-    Points that are not finite are left out; coinciding points, and nearly coinciding ones of
-    edges, become one that all their cameras see. The order of points and rays does not matter.
+    Non-finite points are left out. Coinciding points, and nearly coinciding points of edges, are
+    merged with all their rays. The result does not depend on the order of points and rays.
 
     Args:
         points: (N, 3) float64.
-        visibility_offsets: (N + 1,) int64; the cameras that see point i are
+        visibility_offsets: (N + 1,) int64; the cameras that observe point i are
             visibility_cameras[visibility_offsets[i]:visibility_offsets[i + 1]].
         visibility_cameras: (R,) int32 indices into `camera_centers`.
         camera_centers: (C, 3) float64.
-        options: how to mesh.
+        options: meshing options.
         edges: polylines through the points that the mesh should follow.
         num_threads: threads to use, 0 for all cores; the result does not depend on it.
-        background: lines of sight of the cameras that meet nothing.
+        background: background rays, which pass through free space only.
 
     Returns:
-        The mesh; `point3D_ids` holds indices into `points`, -1 for vertices the mesher added.
+        The mesh; `point3D_ids` are indices into `points`, -1 for vertices added by the mesher.
 
     Raises:
-        ColmapEdgesError: when the points span no volume or the mesher is not built.
-        ValueError: when the arrays do not fit together.
+        ColmapEdgesError: if the points span no volume or the mesher is not built.
+        ValueError: if the arrays are inconsistent.
     """
     extension = load_extension()
     polyline_offsets, polyline_points = closed_rows(edges)
@@ -213,7 +213,7 @@ def mesh_points(
 
 
 def check_volume(stats: Mapping[str, float], num_points: int) -> None:
-    """Raise when the points have no tetrahedron between them."""
+    """Raise `ColmapEdgesError` if the points form no tetrahedron."""
     if not stats["cells"]:
         raise ColmapEdgesError(
             f"nothing to mesh: the {num_points} points span no volume; "
@@ -222,10 +222,10 @@ def check_volume(stats: Mapping[str, float], num_points: int) -> None:
 
 
 def closed_rows(edges: Polylines | None) -> tuple[IntArray, Int32Array]:
-    """Offsets and point indices of polylines, the first point repeated at the end of closed ones.
+    """Offsets and point indices of polylines; closed ones end with their first point.
 
     Raises:
-        ValueError: when the arrays do not fit together.
+        ValueError: if the arrays are inconsistent.
     """
     if edges is None:
         return np.zeros(1, np.int64), np.zeros(0, np.int32)
@@ -246,7 +246,7 @@ def load_extension() -> Any:
     """Import the compiled mesher.
 
     Raises:
-        ColmapEdgesError: when it was not built.
+        ColmapEdgesError: if it is not built.
     """
     try:
         from colmap_edges import _mesher

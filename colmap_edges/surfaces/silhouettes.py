@@ -59,7 +59,8 @@ class SeenPoints(NamedTuple):
 
     Attributes:
         points: (P, 3) float64, world units.
-        track_offsets: (P + 1,) int64; the views of point i are track_views[offsets[i]:[i + 1]].
+        track_offsets: (P + 1,) int64; the views of point i are
+            track_views[track_offsets[i]:track_offsets[i + 1]].
         track_views: (T,) int32 indices into the model's views.
     """
 
@@ -73,11 +74,11 @@ NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.i
 
 @dataclass(frozen=True)
 class Background:
-    """Free space and silhouette points that follow from the visible background.
+    """Free space and silhouette points, derived from the visible background.
 
     Attributes:
-        rays: lines of sight that meet nothing.
-        silhouettes: points of smooth bodies, where lines of sight touch them.
+        rays: background rays, which pass through free space only.
+        silhouettes: silhouette points of smooth bodies.
     """
 
     rays: BackgroundRays
@@ -85,13 +86,13 @@ class Background:
 
 
 class Body(NamedTuple):
-    """What a view sees that is not background, (h, w) as the mask is kept, maybe made smaller."""
+    """Foreground of a view as a mask (h, w), possibly at reduced resolution."""
 
     view: View
     mask: BoolArray
 
     def at(self, points: FloatArray) -> tuple[IntArray, BoolArray]:
-        """Which of (N, 3) points are in the image, (K,), and whether a body is seen there, (K,)."""
+        """(K,) indices of the (N, 3) points in the image, (K,) whether in the foreground."""
         pixels, depths = self.view.project(points)
         scale = np.array(self.mask.shape[::-1]) / (self.view.width, self.view.height)
         seen = np.flatnonzero(self.view.holds(pixels, depths))
@@ -99,9 +100,9 @@ class Body(NamedTuple):
         return seen, self.mask[rows, columns]
 
     def holds(self, points: FloatArray) -> BoolArray:
-        """(N,) false for (N, 3) points where the view sees background.
+        """(N,) false for (N, 3) points that project to the background.
 
-        True where it sees a body, and for points that are not in its image.
+        True for points that project to the foreground or outside the image.
         """
         held = np.ones(len(points), bool)
         seen, is_body = self.at(points)
@@ -109,24 +110,24 @@ class Body(NamedTuple):
         return held
 
     def dilated(self, radius: int) -> Body:
-        """The mask grown by a number of pixels."""
+        """The mask dilated by a number of pixels."""
         return Body(self.view, cv2.dilate(self.mask.astype(np.uint8), square(radius)) > 0)
 
     def eroded(self, radius: int) -> Body:
-        """The mask made smaller by a number of pixels."""
+        """The mask eroded by a number of pixels."""
         return Body(self.view, cv2.erode(self.mask.astype(np.uint8), square(radius)) > 0)
 
 
 def find_background(
     model: Model, background_masks: Sequence[BackgroundMask], are_masks: bool, edges: Edges3D
 ) -> Background | None:
-    """What the sight of the background says; none where none is believed to be seen.
+    """Find background rays and silhouette points; None if no reliable background is visible.
 
     Args:
-        model: gives the V views, and SfM points where there are no edges.
-        background_masks: (V,) what their images show of it.
-        are_masks: whether masks say so, who are believed each.
-        edges: the 3D edges, whose silhouettes need no other points.
+        model: the V views, and the SfM points, used if there are no edges.
+        background_masks: (V,) background of their images.
+        are_masks: whether these are masks of the user, all of which are trusted.
+        edges: the 3D edges; their silhouettes need no further points.
     """
     rays = background_rays(model.views, background_masks, are_masks)
     if rays is None:
@@ -142,16 +143,16 @@ def find_background(
     contradicted = contradicted_share(list(bodies.values()), known)
     if contradicted > MAX_CONTRADICTED:
         if not are_masks:
-            return None  # a frame around the images
+            return None  # probably a frame around the images
         logger.warning(
             "masks_are_background is 1, but masks hide %.1f %% of the 3D points that are in an "
             "image; it is meant for masks that hide nothing but the background",
             100 * contradicted,
         )
-    # Bodies as bright as the backdrop may seem cut off.
+    # Bodies of the backdrop's brightness may seem truncated.
     if not shows_holes(background_masks):
         return Background(rays, NO_POINTS)
-    if not edges.num_points:  # SfM points are of the background, too
+    if not edges.num_points:  # some SfM points lie on the background
         known = known[within(list(bodies.values()), known)]
     return Background(rays, silhouette_points(bodies, known) if len(known) else NO_POINTS)
 
@@ -159,7 +160,7 @@ def find_background(
 def spread_bodies(
     views: Sequence[View], background_masks: Sequence[BackgroundMask], known: FloatArray
 ) -> dict[int, Body]:
-    """What is seen of bodies by the indices of `NUM_VIEWS` views, spread around (N, 3) points."""
+    """Foregrounds of `NUM_VIEWS` views, spread around (N, 3) points, by index of the view."""
     seen = [i for i, background_mask in enumerate(background_masks) if background_mask.is_seen]
     center = known.mean(axis=0) if len(known) else np.zeros(3)
     away = np.array([views[i].center for i in seen]) - center
@@ -168,7 +169,7 @@ def spread_bodies(
 
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
-    """Share of the projections of (N, 3) points of bodies that are seen before the background."""
+    """Share of the projections of (N, 3) points of bodies that lie on the background."""
     points = known[:: max(1, len(known) // NUM_CHECKED)]
     hidden = total = 0
     for body in bodies:
@@ -179,11 +180,11 @@ def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
 
 
 def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoints:
-    """Points on the silhouettes that are not those of edges.
+    """Silhouette points away from edges.
 
     Args:
-        bodies: what is seen of them, by the indices of the views.
-        known: (N, 3) points of edges, or SfM points of bodies; some at least.
+        bodies: foregrounds by index of the view.
+        known: (N, 3) points of edges, or SfM points of bodies; not empty.
     """
     if len(bodies) < 2:
         return NO_POINTS
@@ -206,7 +207,7 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
 
 
 def spread(positions: FloatArray, count: int) -> IntArray:
-    """Indices of `count` of (N, 3) positions, or all: each as far as can be from those before."""
+    """Indices of `count` of (N, 3) positions, or all, by farthest-point sampling."""
     if len(positions) <= count:
         return np.arange(len(positions))
     directions = positions / (np.linalg.norm(positions, axis=1, keepdims=True) + 1e-300)
@@ -221,17 +222,17 @@ def spread(positions: FloatArray, count: int) -> IntArray:
 def touched(
     body: Body, around: list[Body], known: FloatArray, sphere: tuple[FloatArray, float], count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Where lines of sight through a silhouette touch the visual hull.
+    """Points where viewing rays through a silhouette touch the visual hull.
 
     Args:
-        body: what the view sees.
-        around: bodies that bound the hull.
+        body: foreground of the view.
+        around: foregrounds that bound the hull.
         known: (N, 3) points of edges, whose silhouettes are left out.
-        sphere: center and radius of the sphere in which the hull lies.
-        count: number of lines that are tried.
+        sphere: centre and radius of a sphere that contains the hull.
+        count: number of rays.
 
     Returns:
-        (K, 3) points, (K, 3) unit normals that point out of the body.
+        (K, 3) points, (K, 3) unit normals, outwards.
     """
     (center, radius), view = sphere, body.view
     pixels, outward = contour(body, known, count)
@@ -256,10 +257,10 @@ def touched(
 
 
 def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """At most `count` pixels of a silhouette that is not that of an edge.
+    """At most `count` silhouette pixels that are not near projected edges.
 
     Returns:
-        (K, 2) image pixels, COLMAP's origin, and (K, 2) unit directions out of the body.
+        (K, 2) image pixels, COLMAP's origin, and (K, 2) unit directions, outwards.
     """
     mask = body.mask.astype(np.uint8)
     edge = mask - cv2.erode(mask, square(1))
@@ -280,7 +281,7 @@ def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, Floa
 
 
 def within(bodies: Sequence[Body], points: FloatArray) -> BoolArray:
-    """(N,) whether no view sees (N, 3) points before the background."""
+    """(N,) whether (N, 3) points project to the background of no view."""
     left = np.arange(len(points))
     for body in bodies:
         left = left[body.holds(points[left])]
@@ -296,17 +297,17 @@ def seeing(
     bodies: Sequence[Body],
     radius: float,
 ) -> tuple[IntArray, IntArray]:
-    """Which views see points of the visual hull: from the front, with nothing in between.
+    """Views that see points of the visual hull from the front and unoccluded.
 
     Args:
         points: (P, 3).
-        normals: (P, 3) unit normals out of the body.
-        centers: (V, 3) of the views.
-        bodies: bodies that bound the hull.
-        radius: of the sphere that holds it.
+        normals: (P, 3) unit normals, outwards.
+        centers: (V, 3) camera centres.
+        bodies: foregrounds that bound the hull.
+        radius: radius of the sphere that contains it.
 
     Returns:
-        (T,) points and (T,) views, pair by pair.
+        Pairs of (T,) indices of points and (T,) indices of views.
     """
     away = centers - points[:, None]
     away /= np.linalg.norm(away, axis=2, keepdims=True)

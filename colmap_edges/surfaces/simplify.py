@@ -11,20 +11,20 @@ from colmap_edges.surfaces.mesh import Mesh
 
 
 def simplify(mesh: Mesh, max_faces: int) -> Mesh:
-    """Collapse edges by quadric errors until `max_faces` triangles are left.
+    """Collapse edges by quadric errors until at most `max_faces` triangles are left.
 
-    Borders and topology are kept; a manifold stays one. Vertices move, so those of the result
-    know no 3D points; each takes the colour of the nearest vertex of `mesh`.
+    Borders and topology are preserved, so a manifold stays manifold. Vertices move and so have no
+    point3D ids; each gets the colour of the nearest vertex of `mesh`.
 
     Raises:
-        ColmapEdgesError: when MeshLab fails.
+        ColmapEdgesError: if MeshLab fails.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
     import pymeshlab
     from scipy.spatial import cKDTree
 
-    # Around the origin and of size 1, where MeshLab's single precision does no harm.
+    # Centred and scaled to size 1, so that MeshLab's single precision suffices.
     center = mesh.vertices.mean(axis=0)
     size = float(np.abs(mesh.vertices - center).max())
     meshes = pymeshlab.MeshSet()

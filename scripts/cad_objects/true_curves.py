@@ -1,4 +1,4 @@
-"""The sharp curves of a solid's mesh by kind: lines, arcs, circles, ellipses and what is neither.
+"""The sharp curves of a solid's mesh by kind: lines, arcs, circles, ellipses and others.
 
 The vertices of the meshes lie on the true curves, but for those that Boolean operations put on
 facets, which are within the height of a facet's arc (1.4e-4 of the radius for 192 segments).

@@ -76,7 +76,7 @@ class LitSurface:
     materials: list[str]
 
     def radiance(self, faces: NDArray, places: NDArray) -> NDArray[np.float64]:
-        """(N, 3) light that leaves (N, 3) places on (N,) faces, without what they send out."""
+        """(N, 3) light reflected at (N, 3) points on (N,) faces, without emission."""
         names = sorted(set(self.materials))
         index = np.array([names.index(name) for name in self.materials])[self.face_body[faces]]
         weights = barycentric(self.caster.corners[faces], places)
@@ -84,13 +84,13 @@ class LitSurface:
         return falls * albedo(names, index, places)
 
     def emission(self, faces: NDArray) -> NDArray[np.float64]:
-        """(N,) light that faces send out."""
+        """(N,) light emitted by faces."""
         of_body = np.array([MATERIALS[name].emission for name in self.materials])
         return of_body[self.face_body[faces]]
 
 
 def barycentric(corners: NDArray, places: NDArray) -> NDArray[np.float64]:
-    """(N, 3) weights of the corners (N, 3, 3) of triangles that make up places in them."""
+    """(N, 3) barycentric coordinates of points in triangles with corners (N, 3, 3)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = places - corners[:, 0]
     aa, ab, bb = (np.einsum("ij,ij->i", *pair) for pair in ((a, a), (a, b), (b, b)))

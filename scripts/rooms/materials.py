@@ -19,7 +19,7 @@ class Material:
         albedo: Share of red, green and blue light that it reflects.
         contrast: Standard deviation of its blotches over their mean; 0: plain.
         size: Length of the longest blotches in metres; the shortest are 1/16 of it.
-        emission: Light that it sends out, in units of what a white wall reflects.
+        emission: Emitted light, in units of the light reflected by a white wall.
     """
 
     albedo: tuple[float, float, float]

@@ -48,7 +48,7 @@ class Pinhole:
 def write_images(
     surface: LitSurface, cameras: list[TrueCamera], pinhole: Pinhole, folder: Path, seed: int = 0
 ) -> None:
-    """Write what the cameras see."""
+    """Render and write the images of the cameras."""
     folder.mkdir(parents=True, exist_ok=True)
     white = exposure(surface, cameras, pinhole)
     for number, camera in enumerate(cameras):
@@ -86,7 +86,7 @@ def see(
     offsets = (np.indices((RAYS, RAYS)).reshape(2, -1).T + 0.5) / RAYS - 0.5
     inner = (pixels[chosen][:, None] + offsets).reshape(-1, 2)
     finer, _ = trace(surface, camera, pinhole, inner, white)
-    # Each ray is clipped as a saturated sensor is, so that lamps do not eat what is before them.
+    # Each ray is clipped, as by a saturated sensor, so that lamps do not bleed over their borders.
     light[chosen] = np.minimum(finer, SKY).reshape(len(chosen), RAYS**2, 3).mean(axis=1)
     return light.reshape(*shape, 3)
 

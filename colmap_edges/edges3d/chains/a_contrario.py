@@ -70,7 +70,7 @@ def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
     cameras: dict[int, list[View]] = {}
     for view in views:
         cameras.setdefault(view.camera.camera_id, []).append(view)
-    for alike in cameras.values():  # all at once: one by one the calls take longer than the work
+    for alike in cameras.values():  # one call per camera, since the overhead per call dominates
         turned = np.concatenate([view.rotation for view in alike]) @ points.T
         local = turned.reshape(len(alike), 3, -1).transpose(0, 2, 1)
         local = local + np.array([view.translation for view in alike])[:, None]

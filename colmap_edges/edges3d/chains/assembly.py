@@ -28,7 +28,7 @@ def link(
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[TracedEdges, dict[str, Any]]:
-    """Link what is kept to edges and contours.
+    """Link the kept pieces to edges and contours.
 
     Args:
         given: the views with their whole edge graphs.
@@ -46,7 +46,7 @@ def link(
 
     once, merged = merge_traced(given, kept, options, num_threads)
     pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
-    whole = linked(linked(pieces))  # longer ones tell better how they go on
+    whole = linked(linked(pieces))  # twice, since longer pieces have more accurate directions
     edges = meet_at_corners(cut_at_bends(whole), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {
@@ -58,7 +58,7 @@ def link(
 
 
 def make_edges(given: TracingInput, parts: list[Traced]) -> Edges3D:
-    """Put the curves of all reference views together as 3D edges with tracks."""
+    """Combine the curves of all reference views to 3D edges with tracks."""
     lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.offsets) for part in parts)])
     places = ChainObservations.concatenated([part.observations for part in parts])
     observations, colors = look_up(given, places)

@@ -1,6 +1,6 @@
 """Bookkeeping of the stretches of chains that have a 3D edge; later rounds use the rest.
 
-Since few chains remain then, less agreement of views suffices for a depth.
+Since few chains remain, later rounds require less agreement between views for a depth.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from colmap_edges.options import TracingOptions
 
 
 def nothing_covered(offsets: ByView[IntArray]) -> list[BoolArray]:
-    """Per view, by the offsets of its polylines, its points, none of them marked."""
+    """Per view (P,) bool, all false, for the points of its polylines with these offsets."""
     return [np.zeros(offsets[view][-1], bool) for view in range(len(offsets))]
 
 
 def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> TracingInput:
     """The input of a later round: the stretches of chains without a 3D edge.
 
-    Contours take nothing: moving over a body they cross chains of edges beside it.
+    Contours cover nothing: they move over the surface and so cross chains of nearby edges.
     """
     covered = nothing_covered(whole.polyline_offsets)
     for traced in kept.edges:
@@ -47,14 +47,14 @@ def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> 
 def without_repeats(
     whole: TracingInput, kept: Sorted, options: TracingOptions
 ) -> tuple[Sorted, dict[str, int]]:
-    """The same with each stretch of a chain in one contour, its first, and counts.
+    """Keep each stretch of a chain in its first contour only; also returns counts.
 
-    Contours take nothing of what remains, so that other views find them again.
+    Contours do not cover chains, so that further reference views trace them again.
     """
     covered = nothing_covered(whole.polyline_offsets)
     firsts = []
     for contours in kept.contours:
-        # On the reference view's chains, unless something hides them there.
+        # Contours lie on the reference view's chains, unless they are occluded there.
         own = contours.observations.keep(contours.observations.views == contours.reference)
         free = np.ones(len(contours.points), bool)
         free[own.points] = ~covered[contours.reference][own.positions.astype(np.int64)]
@@ -68,7 +68,7 @@ def without_repeats(
 
 
 def in_whole_graphs(given: TracingInput, traced: list[Traced]) -> list[Traced]:
-    """Curves at positions on what remains of the graphs -> the same on the whole graphs."""
+    """Convert positions of curves from the remaining parts of graphs to the whole graphs."""
     if given.free is None:
         return traced
     points = [np.flatnonzero(free) for free in given.free]
@@ -86,10 +86,10 @@ def mark_covered(
     """Mark the stretches of chains that points of curves are observed on, in every view.
 
     Args:
-        covered: per view its points, to be marked.
-        offsets: per view those of its polylines.
-        observed: where they are observed.
-        reach: points to both sides of an observation.
+        covered: per view (P,) bool of its points; changed in place.
+        offsets: per view the offsets of its polylines.
+        observed: the observations of the curves.
+        reach: number of points marked on both sides of an observation.
     """
     for view, rows in observed.by_view():
         at = observed.positions[rows].astype(np.int64)
@@ -100,7 +100,7 @@ def mark_covered(
 
 
 def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:
-    """(N,) the points of `free` in runs of at least so many along one polyline."""
+    """(N,) bool, the points of `free` in runs of at least `least` along one polyline."""
     begins = np.zeros(len(free), np.int64)
     begins[1:] = (np.diff(owners_of(offsets)) != 0) | (free[1:] != free[:-1])
     runs = np.cumsum(begins)
@@ -109,11 +109,11 @@ def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:
 
 
 def among_all_points(observed: ChainObservations, points: Sequence[IntArray]) -> ChainObservations:
-    """Positions counted among some points of each view -> the same counted among all of them.
+    """Convert positions from indices into selected points of each view to indices into all points.
 
     Args:
         observed: the observations.
-        points: per view the places of those some, ascending.
+        points: per view the indices of the selected points, ascending.
     """
     positions = observed.positions.copy()
     for view, rows in observed.by_view():

@@ -31,21 +31,21 @@ def find_curves(
 
     Args:
         graph: the view's edge graph of P points.
-        edge_index: the kernels' form of it.
-        covered: (P,) the points through which edges run already.
+        edge_index: search index of the graph.
+        covered: (P,) whether a point already observes an edge.
         depths: depths of S samples on its chains.
-        agreeing: (S,) number of other views that found the same.
-        options: what makes a run, and the distance of edge points.
+        agreeing: (S,) number of other views that confirm each depth.
+        options: conditions for a run, and spacing of edge points.
 
     Returns:
-        The curves, and how many samples are in sure runs.
+        The curves, and the number of samples in kept runs.
     """
     rows = np.flatnonzero(depths.found & (agreeing >= 1))
     sizes, sure = sure_runs(link_samples(graph, depths, rows, options), agreeing[rows], options)
     indices, inverse, runs = densify(graph, depths, rows, sizes, sure, options)
     free = ~covered[indices]
     indices, inverse, runs = indices[free], inverse[free], runs[free]
-    # A covered stretch ends a curve as the end of its run does.
+    # Curves end at covered stretches as at the ends of their runs.
     broken = np.ones(len(indices), bool)
     broken[1:] = (np.diff(runs) != 0) | (np.diff(indices) > options.curve_step_points)
     ids = np.cumsum(broken) - 1
@@ -96,15 +96,15 @@ def densify(
     sure: BoolArray,
     options: TracingOptions,
 ) -> tuple[IntArray, FloatArray, IntArray]:
-    """Points along the sure runs of samples, inverse depths linear between samples.
+    """Points along the kept runs of samples, with inverse depths linear between samples.
 
     Args:
-        graph: of the view.
-        depths: of its samples.
-        rows: (n,) the samples of all runs, one run after the other.
-        sizes: (R,) samples of each run.
-        sure: (R,) whether the run is.
-        options: spacing of the points, and how far they go beyond a run's ends.
+        graph: edge graph of the view.
+        depths: depths of its samples.
+        rows: (n,) indices of the samples of all runs, run by run.
+        sizes: (R,) number of samples of each run.
+        sure: (R,) whether a run is kept.
+        options: spacing of the points, and length of the extension beyond a run's ends.
 
     Returns:
         (N,) points of the graph, (N,) inverse depths, (N,) run of each.
@@ -119,7 +119,7 @@ def densify(
     counts = (high - low) // options.curve_step_points + 1
     runs = np.repeat(np.arange(len(first)), counts)
     points = low[runs] + options.curve_step_points * ranks_of(counts)
-    # Beyond a run's ends the first and the last two samples tell how depth goes on.
+    # Beyond a run's ends, depth is extrapolated from its first and last two samples.
     before = np.clip(np.searchsorted(at, points, "right") - 1, first[runs], last[runs])
     left = np.minimum(before, last[runs] - 1)
     slopes = (values[left + 1] - values[left]) / (at[left + 1] - at[left])
@@ -130,15 +130,15 @@ def densify(
 def sure_runs(
     linked: BoolArray, agreeing: Int32Array, options: TracingOptions
 ) -> tuple[IntArray, BoolArray]:
-    """Runs of linked samples that are long enough and confirmed by enough views.
+    """Find runs of linked samples that are long enough and confirmed by enough views.
 
     Args:
-        linked: (n - 1,) whether a sample belongs with the one before.
-        agreeing: (n,) views that confirm each sample.
-        options: gives how many samples and views are enough.
+        linked: (n - 1,) whether samples i and i + 1 are linked.
+        agreeing: (n,) number of views that confirm each sample.
+        options: minimum numbers of samples and views.
 
     Returns:
-        (R,) samples of each run, (R,) whether the run is kept.
+        (R,) number of samples of each run, (R,) whether the run is kept.
     """
     if len(agreeing) == 0:
         return np.zeros(0, np.int64), np.zeros(0, bool)

@@ -17,8 +17,8 @@ class Curves:
 
     Attributes:
         undistorted: (N, 2) float64 points on the reference view's chains, undistorted pixels.
-        inverse_depths: (N,) float64 in the reference.
-        indices: (N,) int64 the same in the reference view's graph.
+        inverse_depths: (N,) float64 in the reference view.
+        indices: (N,) int64 indices of these points in the reference view's graph.
         offsets: (E + 1,) int64 CSR of the points by curve.
         sides: (N,) int8 +1 or -1, the side of the tangent on which the edge is bright.
     """
@@ -42,7 +42,7 @@ class Curves:
         return owners_of(self.offsets)
 
     def select(self, curves: IntArray) -> tuple[IntArray, Curves]:
-        """The points of some curves, ascending, and those curves alone."""
+        """The indices of the points of some curves, ascending, and only these curves."""
         rows = entries_of(self.offsets, curves)
         return rows, Curves(
             undistorted=self.undistorted[rows],
@@ -54,6 +54,6 @@ class Curves:
 
 
 def replace_depths(curves: Curves, inverse_depths: FloatArray) -> Curves:
-    """The curves at new depths; a depth that left the front of the reference stays as it was."""
+    """The curves with new depths; depths behind the reference camera are not replaced."""
     depths = np.where(inverse_depths > 0, inverse_depths, curves.inverse_depths)
     return replace(curves, inverse_depths=depths)

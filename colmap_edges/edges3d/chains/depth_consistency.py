@@ -19,10 +19,10 @@ def count_agreeing_views(
     source: int,
     max_disagreement_px: float,
 ) -> Int32Array:
-    """(S,) number of supporting views whose own depth there agrees, for samples of one view.
+    """(S,) number of supporting views whose own depth agrees, for the samples of one view.
 
-    A sample's support in another view lies on a chain that has depths of its own; both describe
-    the same 3D point when these agree within what `max_disagreement_px` pixels would change.
+    A sample's support in another view lies on a chain that has its own depths. Both describe the
+    same 3D point if these depths differ by at most `max_disagreement_px` pixels of disparity.
     """
     own = depths[source]
     owners = owners_of(own.support_offsets)
@@ -53,8 +53,8 @@ def depths_at(
 ) -> tuple[FloatArray, FloatArray]:
     """Inverse depth and sigma at (T,) fractional positions on a view's chains.
 
-    Linear between two samples that both have a depth, that of the nearest sample otherwise; NaN
-    where that has none.
+    Linear between two samples with depths, otherwise the value of the nearest sample; NaN if it
+    has no depth.
     """
     if len(positions) == 0:
         return np.zeros(0), np.zeros(0)

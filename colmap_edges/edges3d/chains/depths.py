@@ -41,7 +41,7 @@ MIN_INNER_PX = 8
 
 @dataclass(frozen=True, kw_only=True)
 class ChainDepths:
-    """Samples along the chains of one view with their depths and the views that agree.
+    """Samples along the chains of one view with their depths and supporting views.
 
     Attributes:
         samples: (S,) int64 indices into the graph's points.
@@ -49,8 +49,8 @@ class ChainDepths:
         inverse_depths: (S,) float64 1 / depth; 0 where no depth was found.
         sigmas: (S,) float64 change of inverse depth for 1 px.
         scores: (S,) float64 log likelihood ratio against chance.
-        support_offsets: (S + 1,) int64 CSR of the agreeing crossings by sample.
-        support_views: (T,) int32 views of the crossings, indices into the model's views.
+        support_offsets: (S + 1,) int64 CSR of the agreeing intersections by sample.
+        support_views: (T,) int32 views of the intersections, indices into the model's views.
         support_positions: (T,) float64 fractional indices into those views' graph points.
     """
 
@@ -70,10 +70,10 @@ class ChainDepths:
 
 
 def sample_chains(graph: EdgeGraph, step: int) -> tuple[IntArray, IntArray]:
-    """Samples evenly along each polyline, at most `step` points apart.
+    """Place samples evenly along each polyline, at most `step` points apart.
 
-    The first and the last are `END_PX` from its ends, but less where they would be nearer than
-    `MIN_INNER_PX` to each other: a run needs two. Where there is no room for that there is one.
+    The first and last sample are `END_PX` from its ends, but nearer to them if they were otherwise
+    within `MIN_INNER_PX` of each other, since a run needs two. Shorter polylines have one sample.
 
     Returns:
         (S,) indices of points, (P + 1,) offsets of the polylines' samples.
@@ -96,17 +96,17 @@ def compute_chain_depths(
     options: ChainDepthOptions,
     num_threads: int,
 ) -> ChainDepths:
-    """Find the depths along the chains of a view by its neighbours.
+    """Estimate the depths along the chains of a view from its neighbours.
 
     Args:
-        given: the views with their graphs and neighbours, and what the gray beside edges says.
+        given: the views with their graphs and neighbours, and the side likelihoods.
         view: index of the view.
-        depth_range: the inverse depths that it sees.
+        depth_range: the inverse depths visible in it.
         options: sampling, agreement and continuity.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The S samples on the view's chains with the depths found and the crossings that agree.
+        The S samples on the view's chains, with depths and agreeing intersections.
     """
     graph, neighbors = given.graph(view), given.neighbors[view]
     samples, offsets = sample_chains(graph, options.sample_step_points)
@@ -147,19 +147,19 @@ def learn_side_likelihoods(
     random_seed: int,
     num_threads: int,
 ) -> SideLikelihoods:
-    """Learn how the side intensities of one edge, and of different edges, differ between views.
+    """Learn how side intensities differ between views, for one edge and for different edges.
 
-    Depths that geometry alone makes sure tell it, for a few samples of a few views.
+    Learned from depths that are reliable by geometry alone, for some samples of some views.
 
     Args:
         given: the V views with their graphs and neighbours.
-        ranges: (V,) the inverse depths that each sees.
+        ranges: (V,) the inverse depths visible in each.
         options: as for `compute_chain_depths`.
-        random_seed: of the pairs by chance.
+        random_seed: seed of the random pairs.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        What sides say of a match: nothing where too few depths are sure.
+        The side likelihoods; uninformative ones if too few depths are reliable.
     """
     few = derived(options, sample_step_points=4 * options.sample_step_points)
     random = np.random.default_rng(random_seed)
@@ -182,7 +182,7 @@ def learn_side_likelihoods(
 
 
 def sure_score(depths: ChainDepths) -> float:
-    """The score from which depths are sure enough to learn from."""
+    """The minimum score of depths that are used for learning."""
     scores = depths.scores[depths.found]
     if len(scores) == 0:
         return SURE_SCORE

@@ -22,17 +22,17 @@ INDEPENDENT_PX = 16  # distance along a chain beyond which observations are inde
 
 @dataclass(frozen=True, kw_only=True)
 class Traced:
-    """Curves of one reference with their observations.
+    """Curves of one reference view with their observations.
 
     Attributes:
         points: (N, 3) world points.
         sigmas: (N,) standard deviation along the reference view's ray, world units.
         offsets: (E + 1,) CSR of the points by curve.
-        reference: the view on whose chains they are.
-        observations: where they are observed on the views' chains, the reference view's first.
-        uncertainties: (N,) the same standard deviation in pixels of the reference.
-        residuals: (N,) mean distance to the other views' chains that observe it, in pixels.
-        log_chances: (N,) log10 of the chance of as many observations.
+        reference: the view on whose chains they lie.
+        observations: observations on the views' chains, those of the reference view first.
+        uncertainties: (N,) `sigmas` in pixels of the reference view.
+        residuals: (N,) mean distance to the observing chains of other views, in pixels.
+        log_chances: (N,) log10 of the probability of as many accidental observations.
     """
 
     points: FloatArray
@@ -47,12 +47,12 @@ class Traced:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """The largest uncertainty, residual and chance that a curve may have.
+    """Maximum uncertainty, residual and probability of accidental observations of a curve.
 
     Attributes:
         uncertainty_px: a point's standard deviation along the reference view's ray, in pixels.
-        residual_px: the scatter of a piece's observations.
-        log_chance: log10 of the chance of a piece.
+        residual_px: mean residual of the observations of a piece.
+        log_chance: log10 of the probability of a piece with accidental observations only.
     """
 
     uncertainty_px: float
@@ -62,12 +62,12 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Sorted:
-    """The traced curves that are kept, edges and contours apart.
+    """The kept curves, separated into edges and contours.
 
     Attributes:
-        edges: pieces of every reference view's curves that lie still.
-        contours: view-dependent contours: those that scatter around any fixed curve.
-        limits: what they were judged by.
+        edges: by reference view, pieces whose observations fit one fixed 3D curve.
+        contours: by reference view, pieces whose observations fit no fixed 3D curve.
+        limits: the limits of this decision.
     """
 
     edges: list[Traced]
@@ -85,14 +85,14 @@ def sort_out(
     """Filter observations, points and pieces, and separate edges from contours.
 
     Args:
-        model: the views, and SfM points, which hide edge points as these hide each other.
-        traced: the curves of every reference.
-        options: ratios to the scene's own medians, which make the limits.
+        model: the views and the SfM points; SfM and edge points occlude edge points.
+        traced: the curves of every reference view.
+        options: ratios of the limits to the scene's medians.
         num_threads: threads to use; the result does not depend on it.
-        limits: those to take instead.
+        limits: limits to use instead of those of the scene.
 
     Returns:
-        The pieces that are kept, and counts of what was dropped by reason.
+        The kept pieces, and counts of dropped ones by reason.
     """
     traced, hidden = without_hidden(model, traced, options, num_threads)
     limits = limits or find_limits(traced, options)
@@ -118,7 +118,7 @@ def sort_out(
 def without_hidden(
     model: Model, traced: list[Traced], options: TracingOptions, num_threads: int
 ) -> tuple[list[Traced], int]:
-    """The curves without observations of occluded points, and the number of these."""
+    """The curves without observations of occluded points, and how many were removed."""
     if not traced or options.occlusion_radius_px == 0:
         return traced, 0
     observed = ChainObservations.concatenated([t.observations for t in traced])
@@ -144,8 +144,8 @@ def without_hidden(
 def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
     """Compute the limits from the medians over all points with enough observations.
 
-    The median of scatter is that of observations: many views observe edges, few the many places
-    of contours, of which scenes of smooth bodies may have as many points.
+    The median residual is taken over observations, not points: scenes of smooth bodies may have as
+    many points on contours as on edges, but more views observe edges.
     """
     enough, uncertain = measures_of(traced, options)
     uncertainty_px = options.max_sigma_ratio * median_of(uncertain[enough])
@@ -160,15 +160,15 @@ def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
 
 
 def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
-    """log10 of the chance that a piece may have, so that few of these curves are chance's."""
+    """log10 of the threshold of the a-contrario test, for `max_false_edges` false pieces."""
     tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
     return float(np.log10(options.max_false_edges / max(tests, 1)))
 
 
 def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | None) -> BoolArray:
-    """(N,) which points of one reference are observed enough, on pieces that chance did not make.
+    """(N,) whether points of one reference view have enough observations and pass the test.
 
-    Where `limits` are known these are pieces of edges, not of contours.
+    If `limits` are given, also whether their pieces are edges and not contours.
     """
     enough = traced.observations.counts >= options.min_observations
     log_chance = chance_limit([traced], options)
@@ -181,10 +181,10 @@ def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | Non
 def sure_points(
     traced: list[Traced], limits: Limits, options: TracingOptions
 ) -> tuple[BoolArray, dict[str, Any]]:
-    """Which points, in the order of `traced`, are observed enough and certain enough.
+    """Select points with enough observations and a small enough standard deviation.
 
     Returns:
-        (N,) whether a point is, and counts of points in and dropped by reason.
+        (N,) whether each point of `traced` is kept, and counts of points in and dropped by reason.
     """
     enough, uncertain = measures_of(traced, options)
     sure = enough & (uncertain <= limits.uncertainty_px)
@@ -197,29 +197,29 @@ def sure_points(
 
 
 def measures_of(traced: list[Traced], options: TracingOptions) -> tuple[BoolArray, FloatArray]:
-    """(N,) of all points: whether observed enough, uncertainties."""
+    """(N,) whether points have enough observations, (N,) their uncertainties."""
     counts = np.concatenate([np.zeros(0, int), *(t.observations.counts for t in traced)])
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
     return counts >= options.min_observations, uncertain
 
 
 def median_of(values: FloatArray) -> float:
-    """The median; 0 of nothing."""
+    """The median; 0 for empty arrays."""
     return float(np.median(values)) if len(values) else 0.0
 
 
 def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
-    """(N,) scatter of all points in pixels, and (N,) of how many observations that is."""
+    """(N,) mean residual of all points in pixels, and (N,) its number of observations."""
     scatter = [scatter_of(t, np.arange(len(t.points))) for t in traced]
     spare = [np.maximum(t.observations.counts - 2, 0) for t in traced]
     return np.concatenate([np.zeros(0), *scatter]), np.concatenate([np.zeros(0, np.int64), *spare])
 
 
 def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
-    """(G,) mean distance of the observations to the edge, in pixels, for groups of points.
+    """(G,) mean distance of the observations to the edge, in pixels, per group of points.
 
-    One of the other views' observations fixes the depth and tells nothing of the scatter.
-    (N,) groups from 0 on.
+    One observation besides the reference view's determines the depth and is not counted, as it
+    always fits. `groups` (N,) are numbered from 0.
     """
     others = traced.observations.counts - 1
     sums = np.bincount(groups, weights=others * traced.residuals)
@@ -231,11 +231,11 @@ def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
 def sort_pieces(
     traced: Traced, keep: BoolArray, limits: Limits, options: TracingOptions
 ) -> tuple[Traced, Traced]:
-    """Split curves where points are dropped; short pieces and those that chance makes go with them.
+    """Split curves at dropped points; drop short pieces and those that fail the a-contrario test.
 
     Returns:
-        The pieces that are edges, and those that scatter around any fixed curve: what moves over a
-        body from view to view, as its silhouette and reflections do.
+        The edges, and the view-dependent contours: pieces whose observations fit no fixed curve,
+        such as silhouettes of smooth bodies and reflections.
     """
     pieces, good = find_pieces(traced, keep, limits.log_chance, options)
     fixed = scatter_of(traced, pieces) <= limits.residual_px
@@ -246,12 +246,12 @@ def sort_pieces(
 
 
 def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tuple[Traced, Traced]:
-    """Split what is left of pieces where points are observed too little.
+    """Split the remainders of pieces at points with too few observations.
 
-    The scatter of few points is known to one over the square root of their number of itself.
+    The relative standard deviation of the mean residual of n points is taken as 1 / sqrt(n).
 
     Returns:
-        The pieces that are edges, and those that scatter around any fixed curve.
+        The edges, and the view-dependent contours.
     """
     keep = traced.observations.counts >= options.min_observations
     keep &= traced.uncertainties <= limits.uncertainty_px
@@ -267,11 +267,11 @@ def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tup
 def find_pieces(
     traced: Traced, keep: BoolArray, log_chance: float, options: TracingOptions
 ) -> tuple[IntArray, BoolArray]:
-    """Split curves where points are dropped.
+    """Split curves at dropped points.
 
     Returns:
-        (N,) piece of each point, and of each piece whether it is long enough and no likelier by
-        chance than 10 to the power of `log_chance`.
+        (N,) piece of each point, and for each piece whether it is long enough and passes the
+        a-contrario test, i.e. its log10 probability is at most `log_chance`.
     """
     ids = owners_of(traced.offsets)
     broken = np.ones(len(ids), bool)

@@ -34,17 +34,17 @@ from colmap_edges.options import PipelineOptions
 def merge_traced(
     given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
 ) -> tuple[Sorted, dict[str, int]]:
-    """Each edge once: copies leave their observations to the piece that stays.
+    """Merge duplicates: the kept piece takes over the observations of the removed ones.
 
     Args:
         given: the views with their whole edge graphs.
         kept: the pieces of every reference view, at positions on these graphs.
-        options: noise, how near an observation is, and how often an edge is seen.
+        options: noise, search radius of observations, and probability of observing an edge.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        What stays, refined where it took observations, and counts. What is left of a piece scatters
-        as contours do where only its better part was an edge; that goes to the contours.
+        The kept pieces, refined where observations were added, and counts. Remainders of removed
+        pieces are tested for view-dependence again.
     """
     traced = [each for each in kept.edges if len(each.points)]
     if not traced:
@@ -77,7 +77,7 @@ def merge_traced(
 
 @dataclass(frozen=True, kw_only=True)
 class Taken:
-    """Observations that (R,) points take, in views and at positions on their chains."""
+    """Observations taken over by (R,) points: views and positions on their chains."""
 
     points: IntArray
     views: IntArray
@@ -87,7 +87,7 @@ class Taken:
 def taken_observations(
     observations: ChainObservations, givers: IntArray, takers: IntArray
 ) -> Taken:
-    """What points take of others, one from each."""
+    """Collect the observations that points take over, one row per observation."""
     rows = entries_of(observations.offsets, givers)
     return Taken(
         points=np.repeat(takers, observations.counts[givers]),
@@ -99,7 +99,7 @@ def taken_observations(
 def refined_with(
     given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
 ) -> Traced:
-    """Curves of one reference view refined on their observations and others."""
+    """Refine curves of one reference view on their own observations and those taken over."""
     reference = given.views[traced.reference]
     others, table = observation_table(traced, taken)
     at_reference, table = table[:, 0], np.ascontiguousarray(table[:, 1:])
@@ -137,9 +137,9 @@ def refined_with(
 
 
 def observation_table(traced: Traced, taken: Taken) -> tuple[IntArray, FloatArray]:
-    """The views that observe curves besides their reference, and (N, 1 + K) positions there.
+    """The K other views that observe curves, and (N, 1 + K) positions on their chains.
 
-    Those on the chains of the reference view come first. Own observations go before those taken.
+    The first column is the reference view. Own observations have priority over those taken over.
     """
     own = traced.observations
     views = np.unique(np.concatenate([own.views, taken.views, [traced.reference]]))
@@ -154,7 +154,7 @@ def observation_table(traced: Traced, taken: Taken) -> tuple[IntArray, FloatArra
 def refit(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[Curves, FloatArray, FloatArray, FloatArray]:
-    """Refine curves on given observations, and drop those that do not fit.
+    """Refine curves on given observations, and drop observations that do not fit.
 
     Returns:
         The curves, (N, K) positions, (N, K) residuals in pixels and (N,) information on inverse
@@ -172,7 +172,7 @@ def refit(
 
 
 def weak_points(curves: Curves, sums: Sums) -> BoolArray:
-    """(N,) points of curves along the epipolar lines, whose depths the gray beside them told."""
+    """(N,) points parallel to the epipolar lines, whose depths come from the photometric term."""
     count = len(curves.offsets) - 1
     across, every = (
         np.bincount(curves.curve_ids, of, count) for of in (sums.slope_slope, sums.speed2)
@@ -183,10 +183,10 @@ def weak_points(curves: Curves, sums: Sums) -> BoolArray:
 def slid(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The nearest places on the same chains, where these are near enough.
+    """Move observations to the nearest positions on the same chains, if these are near enough.
 
     Returns:
-        (N, K) positions, (N, K) residuals in pixels, both NaN where there is none, and (N,)
+        (N, K) positions, (N, K) residuals in pixels, both NaN without observation, and (N,)
         information on inverse depth in units of the noise.
     """
     at, others = placed(observers.reference, curves), observers.others

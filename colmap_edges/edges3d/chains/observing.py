@@ -16,20 +16,20 @@ from colmap_edges.options import RefinementOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Sums:
-    """Sums over the observations of N points, weighted by how well they fit, (N,) each.
+    """Robustly weighted sums over the observations of N points, (N,) each.
 
-    An observation has a residual, its signed distance across the chain in pixels, a slope, by
-    which that changes with inverse depth, and one across, by which it changes with a shift of the
-    reference view's pixel along a given direction.
+    An observation has a residual, its signed distance across the chain in pixels; a slope, the
+    derivative of the residual with respect to inverse depth; and a slope across, the derivative
+    with respect to a shift of the reference view's pixel along a given direction.
 
     Attributes:
         slope_slope: squared slopes.
         slope_residual: slopes times residuals.
-        slope_across: slopes times those across.
+        slope_across: slopes times slopes across.
         across_across: squared slopes across.
         across_residual: slopes across times residuals.
-        speed2: squared change of the projection with inverse depth, px^2, without weights.
-        count: observations.
+        speed2: squared derivatives of the projection by inverse depth, px^2, unweighted.
+        count: numbers of observations.
     """
 
     slope_slope: FloatArray
@@ -69,7 +69,7 @@ def sum_observations(
     robust_scale_px: float,
     num_threads: int,
 ) -> Sums:
-    """Sums over the observations of every point at the present depths.
+    """Sums over the observations of every point at the current depths.
 
     Args:
         reference: the view on whose chains the curves are.
@@ -77,8 +77,8 @@ def sum_observations(
         edge_indexes: the chains of K views.
         positions: (N, K) positions on the chains that observe the points; NaN where none.
         directions: (N, 2) unit directions in the reference view's image in which points may move;
-            none when they stay on its chains.
-        robust_scale_px: residual at which an observation counts a quarter (Geman-McClure).
+            None if they stay on its chains.
+        robust_scale_px: residual at which the weight of an observation is 1/4 (Geman-McClure).
         num_threads: threads to use; the result does not depend on it.
     """
     sums = _kernels.sum_observations(
@@ -95,21 +95,21 @@ def sum_observations(
 def placed(
     reference: View, curves: Curves
 ) -> tuple[FloatArray, FloatArray, float, FloatArray, FloatArray]:
-    """The reference view's pose and focal length, and the curves' pixels and inverse depths."""
+    """Arguments of kernels: the view's pose and focal length, the curves' pixels and depths."""
     rotation, translation = reference.rotation, reference.translation
     return rotation, translation, reference.focal_px, curves.undistorted, curves.inverse_depths
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observers:
-    """The views that curves are refined on.
+    """The views on whose chains curves are refined.
 
     Attributes:
         reference: the view on whose chains the curves are.
-        own: its chains, in the kernels' form.
+        own: search index of its chains.
         others: the chains of the K views that may observe the curves.
-        options: how near and how parallel an observation is, noise and smoothness.
-        num_threads: threads to use; no result depends on it.
+        options: search radius and maximum angle of observations, noise and smoothness.
+        num_threads: threads to use; results do not depend on it.
     """
 
     reference: View
@@ -119,7 +119,7 @@ class Observers:
     num_threads: int
 
     def find(self, curves: Curves, radius_px: float) -> FloatArray:
-        """(N, K) positions at which the curves are observed within a radius; NaN where not."""
+        """(N, K) positions on chains within a radius that observe the curves; NaN where none."""
         angle = self.options.max_tangent_angle_deg
         found = associate(self.reference, curves, self.others, radius_px, angle, self.num_threads)
         return drop_lone(found, curves.offsets)
@@ -127,7 +127,7 @@ class Observers:
     def sums(
         self, curves: Curves, positions: FloatArray, directions: FloatArray | None = None
     ) -> Sums:
-        """Sums over these observations; of shifts in (N, 2) directions, too, where given."""
+        """Sums over these observations, including shifts along (N, 2) `directions` if given."""
         scale = self.options.robust_scale_px
         return sum_observations(
             self.reference, curves, self.others, positions, directions, scale, self.num_threads
@@ -135,10 +135,10 @@ class Observers:
 
 
 def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
-    """Keep observations only where a neighbour along the curve is seen on the same chain.
+    """Keep observations only if a neighbouring point of the curve is observed on the same chain.
 
-    Both directions of a chain must go with the curve: neighbouring points are observed at
-    neighbouring positions, in one order.
+    Chain and curve must run in parallel: neighbouring points are observed at neighbouring
+    positions in one order.
     """
     same = owners_of(offsets)
     step = np.full(positions.shape, np.nan)

@@ -36,13 +36,13 @@ def find_hidden(
     """(T,) whether each observation is of an occluded point.
 
     Args:
-        model: the views, and SfM points, which hide edge points as these hide each other.
+        model: the views and the SfM points; SfM and edge points occlude edge points.
         points: (N, 3) world points on edges.
         sigmas: (N,) standard deviations of their depths, world units.
-        curves: (N,) curve of each point; one curve does not hide itself.
+        curves: (N,) curve of each point; a curve does not occlude itself.
         track_points: (T,) point of each observation.
-        track_views: (T,) view of each.
-        radius_px: how far around a point others count, in pixels.
+        track_views: (T,) view of each observation.
+        radius_px: image radius around a point within which other points are counted.
         num_threads: threads to use; the result does not depend on it.
     """
     hidden = np.zeros(len(track_points), bool)
@@ -73,10 +73,10 @@ def count_around(
     radius_px: float,
     num_threads: int,
 ) -> tuple[IntArray, IntArray]:
-    """How many neighbours of each of (N, 3) points in an image are nearer, and as far as it is.
+    """Count, for each of (N, 3) points, its neighbours in an image that are nearer or equally far.
 
-    Points behind the camera or beside it have no neighbours and are none. Points of no curve (-1)
-    are neighbours, but their own are not counted: there may be millions.
+    Points behind the camera or in its plane are ignored. Points of no curve (-1) count as
+    neighbours, but have no counts of their own, since there may be millions of them.
     """
     undistorted, depths = view.project_undistorted(points)
     with np.errstate(invalid="ignore"):

@@ -32,13 +32,13 @@ GRAY_WINDOW = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Refined:
-    """Refined curves and what observes them.
+    """Refined curves and their observations.
 
     Attributes:
         curves: the curves at their new depths.
         positions: (N, K) positions on the chains of K views; NaN where not observed.
         residuals: (N, K) signed distances across those chains in pixels.
-        sigmas: (N,) standard deviations of inverse depth; infinite where nothing observes.
+        sigmas: (N,) standard deviations of inverse depth; infinite without observations.
     """
 
     curves: Curves
@@ -56,10 +56,10 @@ def depth_step(curves: Curves, sums: Sums, options: RefinementOptions) -> FloatA
 def joint_step(
     curves: Curves, sums: Sums, options: RefinementOptions
 ) -> tuple[FloatArray, FloatArray]:
-    """One Gauss-Newton step in which the reference view's chain is one observation of many.
+    """One Gauss-Newton step in which the reference view's chain is one observation among others.
 
-    A point may leave it, across. How far is a point's own affair, so that it is eliminated (Schur
-    complement) before the depths are solved for.
+    A point may move across this chain. Its shift does not interact with other points' shifts, so
+    it is eliminated (Schur complement) before the depths are solved for.
 
     Returns:
         (N,) changes of inverse depth and (N,) shifts across the reference view's chain in pixels.
@@ -80,9 +80,9 @@ def solve_smooth(
     speed: FloatArray,
     options: RefinementOptions,
 ) -> FloatArray:
-    """(N,) changes of inverse depth by (N,) information and gradient, smooth along the curves.
+    """(N,) changes of inverse depth from (N,) information and gradient, smooth along the curves.
 
-    `speed` (N,) is by how many pixels a change of inverse depth moves a point's projections.
+    `speed` (N,) is the displacement of a point's projections in pixels per unit of inverse depth.
     """
     smooth, inner = second_differences(curves.offsets)
     unit = speed[inner] / options.max_bend_px
@@ -102,7 +102,7 @@ def solve_smooth(
 
 
 def typical_speed(sums: Sums) -> FloatArray:
-    """(N,) root mean square of a point's speeds; the mean of all where it has none."""
+    """(N,) root mean square of each point's speeds; the mean of all points if it has none."""
     count = sums.count
     overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
     return np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
@@ -128,8 +128,8 @@ def refine_curves(
 
     Args:
         reference: the view on whose chains the curves are.
-        own: its chains, in the kernels' form.
-        curves: the curves, N points, at depths near enough to find their observations.
+        own: search index of its chains.
+        curves: the curves, N points, at depths accurate enough to find their observations.
         edge_indexes: the chains of the K views that may observe them.
         options: search radius, noise and smoothness.
         num_threads: threads to use; the result does not depend on it.
@@ -145,7 +145,7 @@ def refine_curves(
         for _ in range(2):
             changes = depth_step(curves, observers.sums(curves, positions), options)
             curves = replace_depths(curves, curves.inverse_depths + changes)
-    # Once more, now that observations are sure: earlier, wrong ones would pull points away.
+    # Last, once observations are reliable: before, wrong ones would move points off the chain.
     normals = curves.normals
     changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
     curves = replace(curves, undistorted=curves.undistorted + shifts[:, None] * normals)
@@ -163,14 +163,14 @@ def refine_curves(
 def align_side_gray(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[Curves, FloatArray, FloatArray]:
-    """Refine depths also by the gray beside the edges, which runs alike along them in all views.
+    """Refine depths by the photometric term along edges parallel to the epipolar lines.
 
-    It tells how far a curve is moved along itself, of which its places across the chains say
-    nothing: the only thing to be known where an edge runs along the epipolar lines.
+    Intensity profiles along the sides of an edge determine its displacement along itself, which
+    distances across chains do not. Edges parallel to the epipolar lines have no other constraint.
 
     Returns:
-        The curves at their new depths, (N, K) positions at which they are observed there, and (N,)
-        what gray added to the information on inverse depth, in units of that of places across.
+        The curves at their new depths, their (N, K) observed positions, and (N,) the information on
+        inverse depth from intensities, in the units of that from distances across chains.
     """
     information = np.zeros(len(curves.indices))
     if observers.options.side_gray_weight == 0:
@@ -193,7 +193,7 @@ def align_side_gray(
 def aligned(
     curves: Curves, positions: FloatArray, observers: Observers
 ) -> tuple[Curves, FloatArray, FloatArray]:
-    """The curves at depths at which the gray beside them is alike, too: as `align_side_gray`."""
+    """One pass of `align_side_gray` from coarse to fine; returns the same."""
     options, num_threads = observers.options, observers.num_threads
     weight = options.side_gray_weight * options.noise_px**2
     for reach in GRAY_REACHES:

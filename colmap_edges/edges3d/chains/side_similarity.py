@@ -1,6 +1,6 @@
 """Likelihood that two views see the same edge, from the intensities on its two sides.
 
-At least one side of an edge belongs to the surface that it lies on, and looks alike in all views.
+At least one side of an edge belongs to the surface that it lies on, and looks similar in all views.
 The distributions of the remaining differences of true matches (exposure, gloss, moving lights) and
 of random pairs depend on the scene and are learned from it.
 """
@@ -22,12 +22,12 @@ PRIOR_COUNT = 20  # pseudo-count of matches with random differences
 
 @dataclass(frozen=True, kw_only=True)
 class SideLikelihoods:
-    """Likelihood ratio of the differences of side intensities: one edge against two edges.
+    """Likelihood ratio of differences of side intensities: one edge against two edges.
 
     Attributes:
-        limit: gray levels; where both sides differ by more it is not one edge.
-        ratios: (B, B) likelihood ratios by the bins (`BINS`) of the smaller difference and of the
-            larger.
+        limit: intensity levels (0 to 255); if both sides differ by more, edges are not matched.
+        ratios: (B, B) likelihood ratios by the bins (`BINS`) of the smaller and the larger
+            difference.
     """
 
     limit: float
@@ -35,7 +35,7 @@ class SideLikelihoods:
 
     @cached_property
     def table(self) -> Float32Array:
-        """(256, 256) ratios by the differences of the dark and of the bright sides, 0 for none."""
+        """(256, 256) ratios by the differences of the dark and the bright sides; 0 for no match."""
         levels = np.arange(256)
         bins = bins_of(levels)
         small, large = np.minimum.outer(levels, levels), np.maximum.outer(levels, levels)
@@ -47,16 +47,15 @@ NOTHING_LEARNED = SideLikelihoods(limit=ANY_DIFFERENCE, ratios=np.ones((len(BINS
 
 
 def estimate(same: IntArray, chance: IntArray) -> SideLikelihoods:
-    """Learn the likelihood ratios from examples.
+    """Learn the likelihood ratios from examples of matches.
 
     Args:
-        same: (N, 2) differences of the dark and of the bright sides of one edge in two views, in
-            gray levels; some may be of two edges.
-        chance: (M, 2) the same of two edges.
+        same: (N, 2) differences of the dark and the bright sides of one edge in two views, in
+            intensity levels; may contain outliers.
+        chance: (M, 2) the same differences for random pairs of edges.
 
     Returns:
-        The ratios, and as the limit one and a half times the difference of the more alike sides
-        that nine of ten examples keep.
+        The ratios; the limit is 1.5 times the 90 % quantile of the smaller difference, plus 1.
     """
     limit = 1.5 * float(np.percentile(same.min(axis=1), 90)) + 1
     same, chance = same[same.min(axis=1) <= limit], chance[chance.min(axis=1) <= limit]

@@ -62,12 +62,12 @@ def trace_edges(
     """Reconstruct the 3D edges of a model from the edge graphs of its views.
 
     Args:
-        model: posed views and, where there are any, SfM points.
+        model: posed views and optional SfM points.
         graphs: the edge graph of each view.
-        options: every step's settings, as `resolved` for the model's scale.
+        options: settings of every step, as `resolved` for the model's scale.
         num_threads: threads to use; the result does not depend on it.
-        advance: called twice a view and round, when its depths are known and when its edges are.
-        workers: who does the work on the views; threads of this process when not given.
+        advance: called twice per view and round: after its depths and after its edges.
+        workers: executor of the work on views; by default threads of this process.
 
     Returns:
         The 3D edges with the view-dependent contours, and counts in, kept and dropped by reason.
@@ -91,7 +91,7 @@ def trace_edges(
 def with_side_likelihoods(
     given: TracingInput, near: Neighborhood, options: PipelineOptions, num_threads: int
 ) -> TracingInput:
-    """The same with what its views tell of the sides of edges."""
+    """The same input with side likelihoods learned from its views."""
     learned = learn_side_likelihoods(
         given, near.ranges, options.chain_depth, options.random_seed, num_threads
     )
@@ -107,14 +107,14 @@ def trace_rounds(
     advance: Callable[[], None],
     workers: Workers,
 ) -> tuple[Sorted, dict[str, Any]]:
-    """The filtered curves of all rounds, and counts; what rounds work with is not held longer."""
+    """The filtered curves of all rounds, and counts; intermediate data are released on return."""
     traced, stats = trace_round(whole, near, options, None, workers, advance)
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
         rest = what_remains(whole, kept, options.tracing)
-        # The surest curves, those of the first round, say what to ask of all.
+        # Limits come from the first round, whose curves are the most reliable.
         limits = kept.limits if traced else None
         found, more = trace_round(rest, near, later, limits, workers, advance)
         traced += in_whole_graphs(rest, found)
@@ -131,9 +131,9 @@ def trace_round(
     workers: Workers,
     advance: Callable[[], None],
 ) -> tuple[list[Traced], dict[str, int]]:
-    """The curves that every view drives, the best view first, and counts of their samples.
+    """Trace curves with every view as the reference view, the best first; also counts samples.
 
-    `limits` are what edges may have, where it is known.
+    `limits` are those of edges, if known from an earlier round.
     """
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
     depths = find_depths(given, near, order, options.chain_depth, workers, advance)
@@ -155,7 +155,7 @@ def find_depths(
     workers: Workers,
     advance: Callable[[], None],
 ) -> list[ChainDepths]:
-    """Depths along the chains of every view, worked on in the given order."""
+    """Depths along the chains of every view, computed in the given order."""
 
     def calls() -> Iterator[Call]:
         for view in order.tolist():
@@ -176,12 +176,12 @@ def trace_views(
     workers: Workers,
     advance: Callable[[], None],
 ) -> tuple[list[Traced], int]:
-    """Curves of every view on what those before it left, the best view first.
+    """Trace curves on the chains of every view that earlier ones do not cover, the best view first.
 
-    Views that have no observing view in common do not wait for each other.
+    Views without a common observing view are processed in parallel.
 
     Returns:
-        The curves of each view that has any, and how many samples are in sure runs.
+        The curves of each view that has any, and the number of samples in kept runs.
     """
     views = [given.views[view] for view in range(len(depths))]
     scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
@@ -199,7 +199,7 @@ def trace_views(
         found, in_runs[view] = result
         if found is not None:
             traced[view] = found
-            # What will not last covers nothing, so that what is there can still be found.
+            # Curves that filters would drop cover nothing: other views can trace these chains.
             lasting = lasting_points(found, options.tracing, limits)
             mark_covered(
                 covered,
@@ -225,10 +225,10 @@ def curves_traced(
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Traced | None, int]:
-    """Curves of one view where none of its (N,) points is covered, refined and observed.
+    """Curves on the uncovered ones of a view's (N,) points, refined, with observations.
 
     Returns:
-        The curves, None without any, and how many samples are in sure runs.
+        The curves, None without any, and the number of samples in kept runs.
     """
     curves, in_runs = find_curves(
         given.graph(view),
@@ -244,12 +244,12 @@ def curves_traced(
 
 
 def score_of(view: View, depths: ChainDepths, agreeing: Int32Array) -> float:
-    """How much a view sees, how near and how surely: its agreeing samples by their resolution."""
+    """Quality of a view: sum over its samples of agreeing views times pixels per world unit."""
     return float(view.focal_px * (depths.inverse_depths @ agreeing))
 
 
 def without_supports(depths: ChainDepths) -> ChainDepths:
-    """The depths without the places that agree, most of their memory; how many remains known."""
+    """The depths without their supports, to save memory; only the numbers of supports remain."""
     return replace(
         depths, support_views=np.zeros(0, np.int32), support_positions=np.zeros(0, np.float64)
     )
@@ -274,7 +274,7 @@ def trace_view(
     options: PipelineOptions,
     num_threads: int,
 ) -> Traced:
-    """Refine the curves of one reference and find their observations."""
+    """Refine the curves of one reference view and find their observations."""
     observing_views = given.observing_views[view]
     reference = given.views[view]
     views = [given.views[other] for other in observing_views.tolist()]

@@ -23,25 +23,25 @@ T = TypeVar("T")
 ByView = Sequence[T] | Mapping[int, T]  # of all views, or of those that a task needs
 
 NUM_KEPT = 64  # search indices that a worker keeps, more than a view has neighbours
-# On a cluster's worker, by graph and pose: tasks on views near each other need the same ones.
+# On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
 KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TracingInput:
-    """The views with their edge graphs, or what remains of them, and who sees what.
+    """The views with their edge graphs, whole or what remains of them, and the selected views.
 
     Attributes:
         views: the posed views.
         graphs: their whole edge graphs.
-        neighbors: per view those that its depths come from.
-        observing_views: per view those in which its edges are looked for.
-        polyline_offsets: those of the graphs that are traced, which are always in memory.
-        sides: what the gray beside an edge says of a match.
-        free: per view the points of the whole graph that are traced; None when all are.
+        neighbors: per view the views that it is matched with.
+        observing_views: per view the views in which its edges are searched.
+        polyline_offsets: per view those of the traced graph, always in memory.
+        sides: side likelihoods of matches.
+        free: per view the traced points of the whole graph; None for all.
         parts: graphs of those points.
-        indexes: what the kernels search.
-        is_sent: whether this went to a cluster's worker.
+        indexes: search indices of the graphs.
+        is_sent: whether this was sent to a worker of a cluster.
     """
 
     views: ByView[View]
@@ -57,18 +57,18 @@ class TracingInput:
 
     @property
     def num_views(self) -> int:
-        """Number of views, or of those that a task was sent."""
+        """Number of views, or of those sent to a task."""
         return len(self.views)
 
     def graph(self, view: int) -> EdgeGraph:
-        """The edge graph of a view, or what remains of it."""
+        """The traced edge graph of a view: whole, or its remaining part."""
         if self.free is None:
             return self.graphs.load(view)
         free = self.free[view]
         return self.parts.get(view, lambda: keep_points(self.graphs.load(view), free))
 
     def index(self, view: int) -> _kernels.EdgeIndex:
-        """The same as the kernels search it."""
+        """The search index of the traced edge graph of a view."""
         if not (self.is_sent and self.free is None):
             return self.indexes.get(view, lambda: self.make_index(view))
         pose = np.column_stack([self.views[view].rotation, self.views[view].translation])
@@ -78,11 +78,11 @@ class TracingInput:
         return KEPT_BY_WORKER.get(identity, lambda: self.make_index(view))
 
     def make_index(self, view: int) -> _kernels.EdgeIndex:
-        """Make the kernels' form of a view's edge graph."""
+        """Make the search index of a view's edge graph."""
         return make_edge_index(self.graph(view), self.views[view])
 
     def part(self, view: int, others: IntArray, workers: Workers) -> TracingInput:
-        """What a task on a view and others needs: all, or what a worker elsewhere is sent."""
+        """The part that a task on a view and others needs: all unless it is sent elsewhere."""
         backend = self.graphs.backend
         if not (workers.remote and isinstance(backend, CacheBackend)):
             return self
@@ -107,7 +107,7 @@ def chosen(items: ByView[T], views: Sequence[int]) -> dict[int, T]:
 
 
 def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput:
-    """What tracing looks at first; as many indexes are kept as graphs."""
+    """The input of the first round; as many search indices are kept in memory as graphs."""
     offsets = [graphs.load(view).polyline_offsets for view in range(len(model.views))]
     num_kept = max(graphs.num_kept, 1)
     return TracingInput(
@@ -122,11 +122,11 @@ def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput
 
 
 def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
-    """The same views with only some points of their whole graphs.
+    """The input restricted to some points of the whole graphs.
 
     Args:
-        whole: all of the graphs.
-        free: per view the points that remain.
+        whole: the input with whole graphs.
+        free: per view (P,) bool, the points that remain.
     """
     num_kept = max(whole.graphs.num_kept, 1)
     rest = replace(whole, free=free, parts=Kept(num_kept), indexes=Kept(num_kept))

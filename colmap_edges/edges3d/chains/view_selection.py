@@ -25,11 +25,11 @@ MOST_BY_POSE = 256  # maximum number of views that a view without points is comp
 
 @dataclass(frozen=True, kw_only=True)
 class DepthRange:
-    """Which inverse depths, 1 / world units, a view sees: overall, and around its SfM points.
+    """Range of inverse depths (1 / world units) of a view, overall and near its SfM points.
 
     Attributes:
         overall: smallest and largest inverse depth.
-        pixels: (n, 2) float64 undistorted pixels of its SfM points; none when they are too few.
+        pixels: (n, 2) float64 undistorted pixels of its SfM points; empty if these are too few.
         inverse_depths: (n,) float64 of these points.
     """
 
@@ -40,8 +40,8 @@ class DepthRange:
     def at(self, undistorted: FloatArray) -> FloatArray:
         """(N, 2) smallest and largest inverse depth at (N, 2) undistorted pixels.
 
-        Those of the SfM points nearest to the middle of its cell, with a margin for what stands
-        before or behind them.
+        That of the SfM points nearest to the centre of the pixel's cell, with a margin for surfaces
+        in front of or behind them.
         """
         if len(self.pixels) <= NEAR_POINTS:
             return np.tile(self.overall, (len(undistorted), 1))
@@ -54,7 +54,7 @@ class DepthRange:
 
     @cached_property
     def cells(self) -> tuple[FloatArray, float, FloatArray]:
-        """Ranges around the middles of square cells, of about four SfM points each.
+        """Ranges at the centres of square cells of about four SfM points each.
 
         Returns:
             Corner and size of the first cell in undistorted pixels, (rows, columns, 2) ranges.
@@ -62,7 +62,7 @@ class DepthRange:
         low, high = self.overall
         corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
         size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
-        # A point next to the camera's plane may be anywhere: no more cells in a row than points.
+        # Points near the camera's plane may project anywhere: no more cells in a row than points.
         size = max(size, float(extent.max()) / len(self.pixels))
         x, y = (np.arange(0, length, size) + size / 2 for length in extent)
         middles = np.stack(np.meshgrid(x, y), axis=-1) + corner
@@ -75,13 +75,13 @@ class DepthRange:
 
 @dataclass(frozen=True, kw_only=True)
 class Neighborhood:
-    """The neighbours of every view and the range of inverse depths it sees.
+    """The neighbours of every view and its range of inverse depths.
 
     Attributes:
         neighbors: per view its neighbours, indices into the model's views, best first.
-        later_neighbors: the same and further ones, for later rounds.
+        later_neighbors: these and further ones, for later rounds.
         observing_views: per view all views that may observe its edges, ascending.
-        ranges: per view the inverse depths it sees and where.
+        ranges: per view its inverse depths.
     """
 
     neighbors: tuple[IntArray, ...]
@@ -109,7 +109,7 @@ def select_views(model: Model, options: ViewSelectionOptions) -> Neighborhood:
             near, wide = neighbor_scores(model, observed, observers, view, options)
         chosen = pick_diverse(model, view, near, count)
         lacking = count - len(chosen)
-        if lacking:  # those from further aside are better than none
+        if lacking:  # views at larger angles are better than none
             aside = wide.copy()
             aside[chosen] = 0
             chosen = np.concatenate([chosen, pick_diverse(model, view, aside, lacking)])
@@ -136,7 +136,7 @@ def observation_matrix(model: Model) -> csr_array:
 
 
 def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange, ...]:
-    """Inverse depths of each view: of the points seen, with a margin, else of where it looks."""
+    """Ranges of inverse depths of each view: of its SfM points with a margin, else by its pose."""
     ranges = []
     focus, distances = None, np.zeros(0)
     for index, view in enumerate(model.views):
@@ -159,7 +159,7 @@ def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange,
 
 
 def find_focus(model: Model) -> FloatArray:
-    """(3,) the point nearest to all optical axes; NaN where they hardly tell it."""
+    """(3,) the point nearest to all optical axes; NaN if these are nearly parallel."""
     axes = np.array([view.rotation[2] for view in model.views])
     projectors = np.eye(3)[None] - axes[:, :, None] * axes[:, None, :]
     normal = projectors.sum(axis=0)
@@ -170,7 +170,7 @@ def find_focus(model: Model) -> FloatArray:
 
 
 def nearest_distances(centers: FloatArray) -> FloatArray:
-    """(V,) distance of each centre to the nearest that is elsewhere; infinite where none is."""
+    """(V,) distance of each centre to the nearest different one; infinite if there is none."""
     places, owners = np.unique(centers, axis=0, return_inverse=True)
     distances, _ = cKDTree(places).query(places, 2)
     nearest: FloatArray = distances[:, 1][owners.ravel()]
@@ -178,10 +178,10 @@ def nearest_distances(centers: FloatArray) -> FloatArray:
 
 
 def pose_range(model: Model, index: int, focus: FloatArray, distance: float) -> tuple[float, float]:
-    """Inverse depths a view may see, judged by the poses of all.
+    """Range of inverse depths of a view, from the poses of all views.
 
-    Around the point nearest to all optical axes when the view looks at it, from a third to three
-    times its depth; else from the `distance` to the nearest other camera to infinity.
+    If the view sees the point nearest to all optical axes, from a third to three times its depth;
+    else from the `distance` to the nearest other camera to infinity.
     """
     if not np.isfinite(distance):
         return 0.0, 1.0
@@ -194,9 +194,9 @@ def pose_range(model: Model, index: int, focus: FloatArray, distance: float) -> 
 def candidates_by_pose(
     model: Model, observed: csr_array, ranges: Sequence[DepthRange]
 ) -> dict[int, IntArray]:
-    """Of each view with few points the others that may see the same, by poses alone, ascending.
+    """For each view with few points, candidate neighbours by poses alone, ascending.
 
-    They are nearest in where they stand and in what they look at, together.
+    They are nearest in position and viewing direction together.
     """
     lacking = np.flatnonzero(np.diff(observed.indptr) < MIN_POINTS)
     if len(lacking) == 0:
@@ -219,10 +219,10 @@ def neighbor_scores(
 ) -> FloatArray:
     """(2, V) scores of every other view as a neighbour and as an observing view.
 
-    They are numbers of shared points, weighted by their angles.
+    A score is the number of shared points, weighted by their triangulation angles.
 
-    `observers` is `observed` transposed: it leads from the view's points to those that share them,
-    so that nothing is done for the other views.
+    `observers` is `observed` transposed: it gives the views that share a point, so that views
+    without shared points cost nothing.
     """
     seen = observed.indices[observed.indptr[view] : observed.indptr[view + 1]]
     seen = seen[:: -(-len(seen) // MOST_SHARED)]
@@ -241,9 +241,9 @@ def neighbor_scores(
 def angle_weights(
     rays: FloatArray, other_rays: FloatArray, options: ViewSelectionOptions
 ) -> FloatArray:
-    """(2, N) weight of the triangulation angle between two rays: 1 where it is wide enough.
+    """(2, N) weight of the triangulation angle between two rays, 1 for wide enough angles.
 
-    That of neighbours and that of observing_views, which may look from further aside.
+    For neighbours and for observing views, which may have larger angles.
     """
     cosines = np.einsum("ij,ij->i", rays, other_rays) / (
         np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
@@ -258,7 +258,7 @@ def angle_weights(
 def pose_scores(
     model: Model, view: int, depth: float, candidates: IntArray, options: ViewSelectionOptions
 ) -> FloatArray:
-    """(2, V) the same scores by the poses: how much of this view's frustum a candidate sees."""
+    """(2, V) the same scores by poses: the share of this view's frustum that a candidate sees."""
     own = model.views[view]
     x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * own.width, np.linspace(0.1, 0.9, 5) * own.height)
     undistorted = own.undistorted_from_image(np.column_stack([x.ravel(), y.ravel()])) / own.focal_px
@@ -278,8 +278,8 @@ def pose_scores(
 def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> IntArray:
     """Indices of up to `count` views with positive score, best first, baselines spread.
 
-    A view whose baseline points where one already chosen does counts less: edges along one
-    baseline need another.
+    A view whose baseline is parallel to one already chosen counts less, since edges parallel to
+    one baseline need another.
     """
     candidates = np.flatnonzero(scores > 0)
     scores = scores[candidates]
@@ -288,7 +288,7 @@ def pick_diverse(model: Model, view: int, scores: FloatArray, count: int) -> Int
     directions = baselines / np.where(norms > 0, norms, 1)
     chosen: list[int] = []
     while len(chosen) < count and scores.max(initial=0) > 0:
-        best = int(np.argmax(scores >= scores.max() * (1 - 1e-9)))  # of equals, but for rounding
+        best = int(np.argmax(scores >= scores.max() * (1 - 1e-9)))  # first of equals up to rounding
         chosen.append(int(candidates[best]))
         scores[best] = 0
         parallel = np.abs(directions @ directions[best])

@@ -43,9 +43,9 @@ class Rows:
     Attributes:
         edges: (R,) their edges.
         pieces: (R, 2) first and last piece.
-        bounds: (R, 2) first point and the one after the last.
-        whole: (R,) whether it is taken as all of a closed edge.
-        all_of_edge: (R,) whether it is all of an edge.
+        bounds: (R, 2) range of points, end exclusive.
+        whole: (R,) whether the row is a whole closed edge, fitted as a closed curve.
+        all_of_edge: (R,) whether the row is a whole edge.
     """
 
     edges: IntArray
@@ -62,15 +62,15 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The curves chosen: of each its kind, edge and stretch of points, and its fit.
+    """The selected curves with their kinds, edges, ranges of points, and fits.
 
     Attributes:
         kinds, edges, bounds: (C,), (C,), (C, 2).
-        frames: (C, 3, 3) rows: of lines a point, the direction and 0, of rounds the centre and the
-            half axes.
-        sigmas: (C, 5) deviations: of the point or the centre, of the centre off its plane, of the
-            direction or normal as an angle, of the two radii.
-        splines: by curve, those that are splines.
+        frames: (C, 3, 3) rows: for lines a point, the direction and 0; for circles and ellipses the
+            centre and the half axes.
+        sigmas: (C, 5) standard deviations of the point or centre, of the centre across its plane,
+            of the direction or normal (radians), and of the two radii.
+        splines: fits of the splines, by index of the curve.
     """
 
     kinds: IntArray
@@ -83,13 +83,13 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Fits:
-    """The best fit to each row so far.
+    """The fit of least cost to each row so far.
 
     Attributes:
-        kinds: (R,) its kind.
-        costs: (R,) its cost.
-        frames, sigmas: (R, 3, 3) and (R, 5) as of `Choice`.
-        splines: by row.
+        kinds: (R,) kind.
+        costs: (R,) cost.
+        frames, sigmas: (R, 3, 3) and (R, 5) as in `Choice`.
+        splines: fits of the splines, by row.
     """
 
     kinds: IntArray
@@ -99,7 +99,7 @@ class Fits:
     splines: dict[int, SplineFit]
 
     def take(self, rows: IntArray, kind: int, costs: FloatArray, frames: Any, sigmas: Any) -> None:
-        """Keep fits of one kind to (n,) rows where they cost less than those so far."""
+        """Store fits of one kind to (n,) rows if their costs are lower than the stored ones."""
         better = costs < self.costs[rows]
         rows = rows[better]
         self.kinds[rows], self.costs[rows] = kind, costs[better]
@@ -107,13 +107,13 @@ class Fits:
 
 
 def choose(points: FloatArray, noise: Noise, pieces: Pieces, closed: BoolArray) -> Choice:
-    """Choose the curves of edges that were cut into pieces.
+    """Select the curves of edges from their pieces.
 
     Args:
         points: (N, 3) edge points.
-        noise: how far they are off.
-        pieces: stretches of each edge.
-        closed: (E,) which edges are closed.
+        noise: the noise of the points.
+        pieces: the pieces of each edge.
+        closed: (E,) whether an edge is closed.
     """
     rows = candidate_rows(points, pieces, closed)
     judge = Judge(
@@ -143,7 +143,7 @@ def choose(points: FloatArray, noise: Noise, pieces: Pieces, closed: BoolArray) 
 
 
 def price_of_a_parameter(pieces: Pieces, noise: Noise) -> FloatArray:
-    """(E,) what a parameter of a curve of each edge costs."""
+    """(E,) cost of one parameter of a curve of each edge (BIC)."""
     lengths = np.zeros(len(pieces.offsets) - 1, np.int64)
     some = np.diff(pieces.offsets) > 0
     first, last = pieces.offsets[:-1][some], pieces.offsets[1:][some] - 1
@@ -152,7 +152,7 @@ def price_of_a_parameter(pieces: Pieces, noise: Noise) -> FloatArray:
 
 
 def fits_of_nothing(rows: Rows, noise: Noise) -> Fits:
-    """What it costs that points are of no curve, which those of all of an edge must be."""
+    """The initial fits: all points of a row are outliers; not allowed for whole edges."""
     count = len(rows.edges)
     costs = MISFIT**2 / noise.correlation * rows.lengths
     return Fits(
@@ -166,14 +166,14 @@ def fits_of_nothing(rows: Rows, noise: Noise) -> Fits:
 
 @dataclass(frozen=True, kw_only=True)
 class Judge:
-    """What fits to rows are judged by.
+    """Data for the costs of fits to rows.
 
     Attributes:
         stack: the points of each row.
         rows: the rows.
-        logs: (R,) what a parameter costs.
-        shares: (R,) what squares of residuals are divided by.
-        correlation: number of successive points that say as much as one.
+        logs: (R,) cost of one parameter.
+        shares: (R,) divisors of squared residuals.
+        correlation: number of consecutive points that count as one independent point.
     """
 
     stack: Stack
@@ -189,12 +189,12 @@ class Judge:
         return np.asarray(sums + FREEDOM[kind] * self.logs[which])
 
     def asked(self, mask: BoolArray, kind: int) -> IntArray:
-        """The rows of a mask that have points enough for a kind."""
+        """The rows of a mask with enough points for a kind."""
         return np.flatnonzero(mask & (self.rows.lengths >= MIN_POINTS[kind]))
 
 
 def fit_simple(judge: Judge, pieces: Pieces, fits: Fits) -> None:
-    """Fit lines, arcs and circles to rows, of single pieces only what they were cut as."""
+    """Fit lines, arcs and circles to rows; to single pieces only the kind of the segmentation."""
     first, last = judge.rows.pieces.T
     several = (first != last) | judge.rows.all_of_edge & (pieces.kinds[first] != cutting.LINE)
     which = judge.asked(several | (pieces.kinds[first] != cutting.ARC), LINE)
@@ -216,17 +216,17 @@ def fit_simple(judge: Judge, pieces: Pieces, fits: Fits) -> None:
 
 
 def stacked(points: FloatArray, weights: FloatArray, bounds: IntArray) -> Stack:
-    """The stretches of points between (R, 2) bounds."""
+    """Stack of the ranges of points with these (R, 2) bounds."""
     rows = ranges_of(bounds[:, 0], bounds[:, 1])
     offsets = offsets_of(bounds[:, 1] - bounds[:, 0])
     return Stack(points=points[rows], weights=weights[rows], offsets=offsets)
 
 
 def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Rows:
-    """Single pieces, rows of them without a corner, few or all, and all of each closed edge."""
+    """Single pieces, rows of up to `MAX_ROW` or all pieces between corners, whole closed edges."""
     count = len(pieces.kinds)
     owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
-    smooth = np.zeros(count, bool)  # whether the piece goes on from the one before
+    smooth = np.zeros(count, bool)  # whether the piece continues the previous one without a corner
     if count:
         smooth[1:] = (owners[1:] == owners[:-1]) & ~is_corner(points, pieces)[1:]
     firsts, lasts = [np.arange(count)], [np.arange(count)]
@@ -237,7 +237,7 @@ def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Row
         lasts.append(firsts[-1] + length)
     starts = np.flatnonzero(~smooth)
     ends = np.append(starts[1:], count) - 1
-    long = ends - starts >= MAX_ROW  # all that goes on without a corner
+    long = ends - starts >= MAX_ROW  # rows of all pieces between two corners
     firsts.append(starts[long])
     lasts.append(ends[long])
     loops = np.flatnonzero(closed & (np.diff(pieces.offsets) > 0))
@@ -256,12 +256,12 @@ def candidate_rows(points: FloatArray, pieces: Pieces, closed: BoolArray) -> Row
 
 
 def is_corner(points: FloatArray, pieces: Pieces) -> BoolArray:
-    """(K,) whether the edge turns sharply where a piece begins."""
+    """(K,) whether the edge has a corner at the first point of each piece."""
     owners = np.repeat(np.arange(len(pieces.offsets) - 1), np.diff(pieces.offsets))
     start = pieces.bounds[pieces.offsets[:-1], 0][owners]
     end = pieces.bounds[pieces.offsets[1:] - 1, 1][owners] - 1
     at = pieces.bounds[:, 0]
-    # A point that one neighbour's rounding takes belongs to neither chord.
+    # The chords leave out the points next to the cut, which rounding of a corner may displace.
     before = points[np.maximum(at - 2, start)] - points[np.maximum(at - 1 - CHORD, start)]
     after = points[np.minimum(at + CHORD, end)] - points[np.minimum(at + 1, end)]
     norms = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
@@ -269,7 +269,7 @@ def is_corner(points: FloatArray, pieces: Pieces) -> BoolArray:
 
 
 def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
-    """Fit ellipses and splines to rows with a bent piece, where they may cost less."""
+    """Fit ellipses and splines to rows with a curved piece, if they can have lower costs."""
     first, last = judge.rows.pieces.T
     totals = np.concatenate([[0.0], np.cumsum(fits.costs[: len(pieces.kinds)])])
     limit = np.minimum(totals[last + 1] - totals[first], fits.costs)
@@ -304,7 +304,7 @@ def fit_free(judge: Judge, pieces: Pieces, fits: Fits) -> None:
 
 
 def cheapest(rows: Rows, pieces: Pieces, cost: FloatArray) -> IntArray:
-    """The rows that cover every piece once at the least cost, in their order."""
+    """The rows, in order, that cover every piece once at the least total cost."""
     order = np.argsort(rows.pieces[:, 1], kind="stable")
     best = np.full(len(pieces.kinds) + 1, np.inf)
     best[0] = 0

@@ -37,32 +37,32 @@ SMALLEST = 1e-7  # minimum standard deviation relative to the scene's size, for 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """How far points are off.
+    """The noise of edge points.
 
     Attributes:
         sigmas: (N,) effective standard deviation of each point, world units.
-        correlation: number of successive points that say as much as one.
+        correlation: number of consecutive points that count as one independent point.
     """
 
     sigmas: FloatArray
     correlation: float
 
     def shares(self, lengths: IntArray) -> FloatArray:
-        """By what squares of residuals of curves of (R,) points are divided."""
+        """(R,) divisors of the squared residuals of curves with (R,) numbers of points."""
         return np.asarray(self.correlation + lengths / SHARED)
 
     @property
     def weights(self) -> FloatArray:
-        """(N,) one over the squares of the deviations."""
+        """(N,) inverse variances."""
         return 1 / self.sigmas**2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
-    """Stretches of edges.
+    """Pieces of edges: ranges of points that are one line, one arc or outliers.
 
     Attributes:
-        bounds: (K, 2) first point and the one after the last.
+        bounds: (K, 2) range of points, end exclusive.
         kinds: (K,) LINE, ARC or NOTHING.
         offsets: (E + 1,) pieces of edge e are offsets[e]:offsets[e + 1].
     """
@@ -73,7 +73,7 @@ class Pieces:
 
 
 def stated_sigmas(edges: Edges3D) -> FloatArray:
-    """(N,) deviations of points as tracing gives them; where it gives none, the roughness."""
+    """(N,) standard deviations from tracing; where missing, estimated from the edges' roughness."""
     points = edges.points
     known = np.isfinite(edges.sigmas) & (edges.sigmas > 0)
     bends = points[2:] - 2 * points[1:-1] + points[:-2]
@@ -85,12 +85,12 @@ def stated_sigmas(edges: Edges3D) -> FloatArray:
 
 
 def log_counts(lengths: IntArray, correlation: float) -> FloatArray:
-    """Logarithms of how many independent points edges of (E,) points have."""
+    """(E,) logarithms of the numbers of independent points of edges with (E,) points."""
     return np.log(np.maximum(lengths / correlation, np.exp(MIN_LOG)))
 
 
 def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
-    """The factor of the deviations, and the correlation, at which the edges are told best."""
+    """Estimate the factor of the standard deviations and the correlation from the edges."""
     sigmas = stated_sigmas(edges)
     lengths = np.diff(edges.edge_offsets)
     long = np.flatnonzero(lengths >= MIN_SAMPLE_POINTS)
@@ -114,14 +114,14 @@ def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
 def cut_costs(
     lengths: IntArray, factors: FloatArray, correlation: float, stray: float
 ) -> FloatArray:
-    """(F, E, 5) costs as the kernel has them, for edges of (E,) points and (F,) factors.
+    """(F, E, 5) costs in the kernel's order, for edges of (E,) points and (F,) factors.
 
-    `stray` is the cost of a point of no curve, at the factor 1.
+    `stray` is the cost of an outlier at factor 1.
     """
     costs = np.zeros((len(factors), len(lengths), 5))
     logs = log_counts(lengths, correlation)
     costs[:, :, 0], costs[:, :, 1] = LINE_FREEDOM * logs, ARC_FREEDOM * logs
-    # How likely a point of no curve is does not depend on the factor; that of others does.
+    # The likelihood of an outlier does not depend on the factor; that of inliers does.
     costs[:, :, 2] = np.maximum(stray - 4 * np.log(factors), 1)[:, None] / correlation
     costs[:, :, 3] = (factors**2 * correlation)[:, None]
     costs[:, :, 4] = SHARED * correlation
@@ -129,7 +129,7 @@ def cut_costs(
 
 
 def cut(points: FloatArray, offsets: IntArray, noise: Noise, num_threads: int) -> Pieces:
-    """Cut polylines, in CSR arrays, at the noise of their points."""
+    """Segment polylines (CSR arrays) given the noise of their points."""
     costs = cut_costs(np.diff(offsets), np.ones(1), noise.correlation, MISFIT**2)
     _, bounds, kinds, piece_offsets = _kernels.cut_pieces(
         points, noise.weights, offsets, costs, MAX_PLACES, num_threads
@@ -138,7 +138,7 @@ def cut(points: FloatArray, offsets: IntArray, noise: Noise, num_threads: int) -
 
 
 def correlation_of(points: FloatArray, noise: Noise, pieces: Pieces) -> float:
-    """How many successive points say as much as one, by their distances from lines."""
+    """Number of consecutive points that count as one, from the residuals of lines."""
     bounds = pieces.bounds[pieces.kinds == LINE]
     if not len(bounds):
         return noise.correlation

@@ -18,14 +18,14 @@ MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lin
 
 @dataclass(frozen=True, kw_only=True)
 class Ellipses:
-    """Ellipses of S stretches.
+    """Ellipses fitted to S sequences of points.
 
     Attributes:
         frames: (S, 3, 3) rows: centre and the two half axes, the longer first.
         squares: (N,) squared distances of the stack's points.
-        sigmas: (S, 5) deviations: of the centre in the plane and off it, of the normal's angle,
-            and of the two radii.
-        found: (S,) which stretches are of an ellipse at all.
+        sigmas: (S, 5) standard deviations of the centre in the plane and across it, of the normal
+            (radians), and of the two radii.
+        found: (S,) whether the fit is an ellipse.
     """
 
     frames: FloatArray
@@ -35,7 +35,7 @@ class Ellipses:
 
 
 def fit_ellipses(stack: Stack, steps: int = STEPS) -> Ellipses:
-    """Fit an ellipse to every stretch: distances in the plane nearest to it, and off that."""
+    """Fit an ellipse to every sequence, by distances in its plane and across it."""
     owners, given = stack.owners, stack.weights
     origins, vectors = principal_axes(stack, given)
     axes = np.stack([vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])], axis=1)
@@ -70,14 +70,14 @@ def frames_of(
     axes: FloatArray,
     sigmas: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """(S, 3, 3) centres and half axes in space, the longer first, and the (S, 5) sigmas so.
+    """(S, 3, 3) centres and half axes in space, the longer first, and (S, 5) sigmas in that order.
 
     Args:
-        shapes: (S, 5) centre, radii and turn in the planes.
-        slopes: (S, 3) rise of the planes over the axes, and their height at the origins.
-        origins: (S, 3) of the frames in which these are.
-        axes: (S, 3, 3) of the same.
-        sigmas: (S, 5) as of `Ellipses`, for the radii as in `shapes`.
+        shapes: (S, 5) centre, radii and rotation angle in the planes.
+        slopes: (S, 3) slopes of the planes along the first two axes, and height at the origins.
+        origins: (S, 3) origins of these coordinates.
+        axes: (S, 3, 3) their axes.
+        sigmas: (S, 5) as in `Ellipses`, with the radii in the order of `shapes`.
     """
     turn = shapes[:, 4]
     ways = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1)
@@ -102,7 +102,7 @@ def frames_of(
 def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Signed distances (n,) of (n, 2) points from their (n, 5) ellipses; Jacobian (n, 5).
 
-    The foot points are found by Newton's method on their angles.
+    Foot points are found by Newton's method on their angles.
     """
     a, b, turn = shapes[:, 2:].T
     c, s = np.cos(turn), np.sin(turn)
@@ -124,10 +124,10 @@ def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def algebraic_ellipses(stack: Stack, plane: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Halir and Flusser's direct fits (1998) to the stretches of (N, 2) points.
+    """Halir and Flusser's direct fits (1998) to sequences of (N, 2) points.
 
     Returns:
-        (S, 5) centre, radii and turn, and (S,) which are ellipses.
+        (S, 5) centre, radii and rotation angle, and (S,) whether the conic is an ellipse.
     """
     owners = stack.owners
     ones = np.ones(len(plane))

@@ -68,7 +68,7 @@ def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1
 
 
 def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
-    """(N,) the points, those of closed edges from a place on where two curves meet."""
+    """(N,) order of points in which closed edges start where two curves meet."""
     order = np.arange(edges.num_points)
     loops = np.flatnonzero(edges.closed)
     if not len(loops):
@@ -86,7 +86,7 @@ def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
 
 
 def ranges_in(edges: Edges3D, order: IntArray, choice: Choice) -> IntArray:
-    """(C, 2) stretches of the curves as indices of the edges' own points."""
+    """(C, 2) ranges of the curves as indices into the edges' original points."""
     if not len(choice.bounds):
         return np.zeros((0, 2), np.int64)
     first = order[choice.bounds[:, 0]]
@@ -95,7 +95,7 @@ def ranges_in(edges: Edges3D, order: IntArray, choice: Choice) -> IntArray:
 
 
 def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
-    """The chosen fits as curves, each from its first point to its last."""
+    """Convert the selected fits to curves, each from its first point to its last."""
     kinds = choice.kinds.astype(np.uint8)
     spread = np.sqrt(noise.correlation)
     splines = [choice.splines[curve] for curve in sorted(choice.splines)]
@@ -123,12 +123,12 @@ def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
 
 
 def has_radii(kinds: ByteArray) -> BoolArray:
-    """(C,) which curves have radii."""
+    """(C,) whether a curve has radii (arcs, circles, ellipses)."""
     return np.asarray((kinds != LINE) & (kinds != SPLINE))
 
 
 def bounded_lines(curves: Curves3D, points: FloatArray) -> Curves3D:
-    """Lines from the foot of their first point to that of their last."""
+    """Bound lines by the foot points of their first and last points."""
     which = np.flatnonzero(curves.kinds == LINE)
     frames, positions = curves.frames.copy(), curves.position_sigmas.copy()
     ends = points[np.column_stack([curves.ranges[which, 0], curves.ranges[which, 1] - 1])]
@@ -146,7 +146,7 @@ def bounded_lines(curves: Curves3D, points: FloatArray) -> Curves3D:
 
 
 def bounded_rounds(curves: Curves3D, points: FloatArray) -> Curves3D:
-    """Arcs from their first point to their last; those that all but close are closed."""
+    """Bound arcs by their first and last points; nearly closed ones become closed."""
     kinds, frames, spans = curves.kinds.copy(), curves.frames.copy(), curves.spans.copy()
     for curve in np.flatnonzero(has_radii(kinds)).tolist():
         first, end = curves.ranges[curve].tolist()
@@ -165,7 +165,7 @@ def bounded_rounds(curves: Curves3D, points: FloatArray) -> Curves3D:
 
 
 def angles_of(frame: FloatArray, points: FloatArray) -> FloatArray:
-    """(n,) angles t at which (n, 3) points are, on o + cos(t) a + sin(t) b."""
+    """(n,) angles t of (n, 3) points on o + cos(t) a + sin(t) b."""
     origin, a, b = frame
     q = points - origin
     angles: Any = np.arctan2(q @ b / (b @ b), q @ a / (a @ a))

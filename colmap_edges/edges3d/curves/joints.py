@@ -18,15 +18,15 @@ REACH = 3.0  # maximum extension of a curve beyond the gap, in distances between
 
 
 def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
-    """Lead the ends of successive curves to where they meet, if they do within deviations.
+    """Extend or shorten consecutive curves to their common point, if they meet within the noise.
 
-    The common point is found by projecting onto the one and the other in turn. Splines end where
-    they are; what follows is led to them. Ends of lines are moved to the point itself.
+    The common point is found by alternating projections onto both curves. Splines are not changed:
+    the other curve is extended to them. Ends of lines are moved to the point itself.
 
     Args:
-        curves: with ranges into `points`, those of an edge in order.
+        curves: curves with ranges into `points`, in order along each edge.
         points: (N, 3) edge points in that order.
-        noise: how far they are off.
+        noise: the noise of the points.
     """
     left, right = joints_of(curves)
     if not len(left):
@@ -54,7 +54,7 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
 
 
 def joints_of(curves: Curves3D) -> tuple[IntArray, IntArray]:
-    """(J,) curves and (J,) those that follow them on their edge, nearly without a gap."""
+    """(J,) curves and (J,) their successors on the same edge, with a gap of few points at most."""
     follows = curves.edges[1:] == curves.edges[:-1]
     between = curves.ranges[1:, 0] - curves.ranges[:-1, 1]
     closed = (curves.kinds == CIRCLE) | (curves.kinds == ELLIPSE)
@@ -64,17 +64,16 @@ def joints_of(curves: Curves3D) -> tuple[IntArray, IntArray]:
 
 
 def is_line(curves: Curves3D, which: IntArray) -> BoolArray:
-    """(J,) which of these curves are lines."""
+    """(J,) whether these curves are lines."""
     return np.asarray(curves.kinds[which] == LINE)
 
 
 def nearest_on(
     curves: Curves3D, which: IntArray, targets: FloatArray, ends: FloatArray
 ) -> FloatArray:
-    """(J, 3) points of (J,) curves, led on as far as needed, near (J, 3) targets.
+    """(J, 3) nearest points to (J, 3) targets on (J,) curves, which are extended as needed.
 
-    Of ellipses it is the point at the same angle, which is near by. Splines are not led on: it
-    is their end.
+    For ellipses, approximately: the point at the same angle. Splines are not extended: their end.
     """
     origin, a, b = np.moveaxis(curves.frames[which], 1, 0)
     q = targets - origin
@@ -89,7 +88,7 @@ def nearest_on(
 
 
 def with_ends(curves: Curves3D, which: IntArray, places: FloatArray, side: int) -> Curves3D:
-    """The curves, the start (side 0) or end (1) of (J,) of them at (J, 3) places."""
+    """Set the start (side 0) or end (side 1) of (J,) curves to (J, 3) points."""
     frames, spans = curves.frames.copy(), curves.spans.copy()
     lines = is_line(curves, which)
     straight, round_ = which[lines], which[~lines & (curves.kinds[which] != SPLINE)]

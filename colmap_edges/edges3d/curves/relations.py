@@ -23,12 +23,12 @@ MAX_ANGLE = np.radians(5)  # maximum angle between directions made equal, whatev
 
 
 def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
-    """Make curves parallel, perpendicular, coplanar and concentric where they nearly are.
+    """Make curves parallel, perpendicular, coplanar and concentric if they are so within the noise.
 
     Args:
-        curves: with ranges into `points`.
+        curves: curves with ranges into `points`.
         points: (N, 3) edge points.
-        noise: how far they are off.
+        noise: the noise of the points.
     """
     sizes = np.linalg.norm(curves.frames[:, 1:], axis=2)
     sized = (sizes[:, 0] > 0) & ((curves.kinds == LINE) | (sizes[:, 1] > 0))
@@ -47,14 +47,14 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
 
 
 def directions_of(curves: Curves3D, which: IntArray) -> FloatArray:
-    """(n, 3) unit directions of lines and normals of the others."""
+    """(n, 3) unit directions of lines, unit normals of other curves."""
     ways = curves.frames[which, 1]
     ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-300)
     return np.where((curves.kinds[which] == LINE)[:, None], ways, curves.normals[which])
 
 
 def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, IntArray]:
-    """(n, 3) directions after those that agree were made equal or perpendicular; (n,) groups."""
+    """(n, 3) directions, equal or perpendicular where they agree; (n,) groups of equal ones."""
     directions = directions_of(curves, which)
     sigmas = np.maximum(curves.direction_sigmas[which], 1e-12)
     groups = np.full(len(which), -1)
@@ -81,10 +81,10 @@ def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, In
 
 
 def perpendicular(means: FloatArray, spreads: FloatArray, counts: IntArray) -> FloatArray:
-    """(G, 3) directions of groups, those that are nearly at right angles exactly so.
+    """(G, 3) directions of groups, made exactly perpendicular where they nearly are.
 
-    In the order of how many curves share them, each is turned to be perpendicular to at most two
-    that came before.
+    In descending order of the numbers of curves, each direction is rotated to be perpendicular to
+    at most two earlier ones.
     """
     turned = means.copy()
     done: list[int] = []
@@ -105,7 +105,7 @@ def perpendicular(means: FloatArray, spreads: FloatArray, counts: IntArray) -> F
 
 
 def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -> Curves3D:
-    """The curves turned to directions: lines about their middles, planes about their centres."""
+    """Rotate curves to directions: lines about their midpoints, planes about their centres."""
     frames = curves.frames.copy()
     lines = curves.kinds[which] == LINE
     chosen, ways = which[lines], directions[lines]
@@ -124,7 +124,7 @@ def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -
 def with_shared_axes(
     curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
 ) -> Curves3D:
-    """Circles and arcs whose axes are the same within deviations, on one axis."""
+    """Move circles and arcs whose axes agree within the noise to a common axis."""
     frames = curves.frames.copy()
     for group in np.unique(groups).tolist():
         members = np.flatnonzero((groups == group) & (curves.kinds[which] != LINE))
@@ -143,7 +143,7 @@ def with_shared_axes(
 def with_shared_planes(
     curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
 ) -> Curves3D:
-    """Planes of arcs, and lines in them, at one height along a shared normal where they agree."""
+    """Move arcs, and lines in their planes, to a common plane where they agree within the noise."""
     frames = curves.frames.copy()
     lines = curves.kinds[which] == LINE
     for group in np.unique(groups[~lines]).tolist():
@@ -162,7 +162,7 @@ def with_shared_planes(
 
 
 def agreeing(places: FloatArray, sigmas: FloatArray) -> list[IntArray]:
-    """Groups of (n, k) places that are the same within (n,) deviations, the surest first."""
+    """Groups of (n, k) positions equal within (n,) standard deviations, the most certain first."""
     tree = cKDTree(places)
     left = np.ones(len(places), bool)
     found = []
@@ -181,9 +181,9 @@ def agreeing(places: FloatArray, sigmas: FloatArray) -> list[IntArray]:
 
 
 def residual_squares(curves: Curves3D, points: FloatArray, noise: Noise) -> FloatArray:
-    """(C,) mean squares of the distances of points from their curves, in deviations.
+    """(C,) mean squared distances of points from their curves, in standard deviations.
 
-    Of ellipses it is the distance from the point at the same angle; of splines 0.
+    For ellipses, the distance from the point at the same angle; 0 for splines.
     """
     lengths = np.diff(curves.ranges)[:, 0]
     rows = ranges_of(curves.ranges[:, 0], curves.ranges[:, 1])

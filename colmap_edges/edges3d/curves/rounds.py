@@ -15,12 +15,13 @@ CIRCLE_STEPS = 6  # iterations of the fit of a circle
 
 @dataclass(frozen=True, kw_only=True)
 class Lines:
-    """Lines of S stretches.
+    """Lines fitted to S sequences of points.
 
     Attributes:
         origins, directions: (S, 3) weighted mean of the points, and unit direction.
         squares: (N,) squared distances of the stack's points.
-        middle_sigmas, direction_sigmas: (S,) deviations of the origin across, and of the angle.
+        middle_sigmas, direction_sigmas: (S,) standard deviations of the origin across the line, and
+            of the direction (radians).
     """
 
     origins: FloatArray
@@ -32,15 +33,15 @@ class Lines:
 
 @dataclass(frozen=True, kw_only=True)
 class Circles:
-    """Circles of S stretches.
+    """Circles fitted to S sequences of points.
 
     Attributes:
         centers: (S, 3).
         axes: (S, 3, 3) unit rows: two in the plane, and its normal.
         radii: (S,).
         squares: (N,) squared distances of the stack's points.
-        sigmas: (S, 4) deviations: of the centre in the plane and off it, of the normal's angle,
-            and of the radius.
+        sigmas: (S, 4) standard deviations of the centre in the plane and across it, of the normal
+            (radians), and of the radius.
     """
 
     centers: FloatArray
@@ -51,7 +52,7 @@ class Circles:
 
 
 def fit_lines(stack: Stack) -> Lines:
-    """Fit a line to every stretch: total least squares, points far off with less weight."""
+    """Fit a line to every sequence by total least squares with robust weights (Huber)."""
     weights, owners = stack.weights, stack.owners
     for _ in range(LINE_STEPS):
         origins, vectors = principal_axes(stack, weights)
@@ -79,10 +80,10 @@ def principal_axes(stack: Stack, weights: FloatArray) -> tuple[FloatArray, Float
 
 
 def fit_circles(stack: Stack) -> Circles:
-    """Fit a circle to every stretch: distances in its plane and off it, by Gauss and Newton.
+    """Fit a circle to every sequence by Gauss-Newton, on distances in its plane and across it.
 
-    To first order the plane moves points off it alone, the centre and the radius those in it
-    alone, so that each step solves two systems of three unknowns.
+    To first order, the plane affects only the distances across it, and centre and radius only
+    those in it, so each step solves two systems of three unknowns.
     """
     weights, owners = stack.weights, stack.owners
     centers, vectors = principal_axes(stack, weights)
@@ -114,7 +115,7 @@ def fit_circles(stack: Stack) -> Circles:
 
 
 def circle_sigmas(inside: FloatArray, off: FloatArray) -> FloatArray:
-    """(S, 4) deviations from the (S, 3, 3) covariances of a fit in the plane and off it."""
+    """(S, 4) standard deviations from (S, 3, 3) covariances in the plane and across it."""
     inside, off = (np.einsum("sii->si", each) for each in (inside, off))
     columns = (inside[:, :2].sum(axis=1) / 2, off[:, 2], off[:, :2].sum(axis=1) / 2, inside[:, 2])
     return np.asarray(np.sqrt(np.maximum(np.column_stack(columns), 0)))
@@ -123,7 +124,7 @@ def circle_sigmas(inside: FloatArray, off: FloatArray) -> FloatArray:
 def least_squares(
     stack: Stack, weights: FloatArray, rows: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solutions (S, 3) of (N, 3) rows against (N,) values in each stretch, and covariances."""
+    """(S, 3) weighted least-squares solutions for (N, 3) rows and (N,) values; covariances."""
     normal = stack.products(weights, rows, rows)
     return solved(normal, stack.sums((weights * values)[:, None] * rows))
 
@@ -131,7 +132,7 @@ def least_squares(
 def algebraic_circles(
     stack: Stack, origins: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Centres (S, 3) and radii (S,) from Kasa's linear fit in the planes at the origins."""
+    """Centres (S, 3) and radii (S,) by Kasa's linear fit in the planes through the origins."""
     owners = stack.owners
     local = np.einsum("ijk,ik->ij", axes[owners], stack.points - origins[owners])[:, :2]
     size = np.sqrt(stack.sums(stack.weights * (local**2).sum(axis=1)) / stack.sums(stack.weights))
@@ -145,7 +146,7 @@ def algebraic_circles(
 
 
 def tilted(axes: FloatArray, slopes: FloatArray) -> FloatArray:
-    """(S, 3, 3) axes of planes that rise by (S, 2) slopes along the first two axes."""
+    """(S, 3, 3) axes of planes with (S, 2) slopes along the first two axes."""
     slopes = np.clip(slopes, -1, 1)
     first = axes[:, 0] + slopes[:, :1] * axes[:, 2]
     second = axes[:, 1] + slopes[:, 1:] * axes[:, 2]

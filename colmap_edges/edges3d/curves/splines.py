@@ -19,13 +19,13 @@ MIN_SPAN = 2.5  # minimum number of points per control point
 
 @dataclass(frozen=True, kw_only=True)
 class SplineFit:
-    """One spline.
+    """A fitted cubic B-spline.
 
     Attributes:
         knots: (m + 4,) from 0 to about the length of the curve.
         control: (m, 3) control points.
-        sigmas: (m,) deviations of the control points in each direction.
-        cost: sum of bounded squares plus the price of its parameters.
+        sigmas: (m,) standard deviations of the control points in each coordinate.
+        cost: sum of truncated squared residuals plus the cost of its parameters.
     """
 
     knots: FloatArray
@@ -37,17 +37,17 @@ class SplineFit:
 def fit_splines(
     stack: Stack, log_counts: FloatArray, shares: FloatArray, correlation: float, most: FloatArray
 ) -> dict[int, SplineFit]:
-    """Fit to each of S stretches of points, in their order, the spline of least cost (BIC).
+    """Fit the spline of least cost (BIC) to each of S sequences of points.
 
     Args:
-        stack: the stretches.
-        log_counts: (S,) what a parameter costs.
-        shares: (S,) what the squares of residuals are divided by.
-        correlation: number of successive points that say as much as one.
-        most: (S,) costs that splines must be below.
+        stack: the sequences.
+        log_counts: (S,) cost of one parameter.
+        shares: (S,) divisors of squared residuals.
+        correlation: number of consecutive points that count as one independent point.
+        most: (S,) upper limits of the costs.
 
     Returns:
-        By stretch its spline; there is none where none costs less.
+        Splines by index of the sequence; only those below the limits.
     """
     lengths, most = np.diff(stack.offsets), most.copy()
     before = np.full(stack.size, np.inf)
@@ -73,9 +73,9 @@ def fit_splines(
 
 
 def smooth_squares(stack: Stack, degree: int) -> FloatArray:
-    """(N,) squared distances of a stack's points from the polynomials of a degree through each.
+    """(N,) squared distances of a stack's points from polynomials fitted to each sequence.
 
-    No spline of few control points is much nearer to them, so where these are too far, all are.
+    A lower bound for splines with few control points: if it is too large, none need be fitted.
     """
     along = lengths_along(stack)
     half = np.maximum(along[stack.offsets[1:] - 1] / 2, 1e-300)
@@ -92,16 +92,16 @@ def smooth_squares(stack: Stack, degree: int) -> FloatArray:
 
 
 def spline_price(size: int, log_count: float) -> float:
-    """What the parameters of a spline of `size` control points cost."""
+    """Cost of the parameters of a spline with `size` control points."""
     return (FREEDOM * size + 1) * log_count
 
 
 def splines_of(stack: Stack, size: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The splines of `size` control points through the stretches of points.
+    """Fit splines with `size` control points to all sequences of points.
 
     Returns:
-        (S, size + 4) knots, (S, size, 3) control points, (N,) squared distances of the points and
-        (S, size) deviations of the control points.
+        (S, size + 4) knots, (S, size, 3) control points, (N,) squared distances of the points, and
+        (S, size) standard deviations of the control points.
     """
     offsets, owners = stack.offsets, stack.owners
     places = lengths_along(stack)
@@ -116,21 +116,21 @@ def splines_of(stack: Stack, size: int) -> tuple[FloatArray, FloatArray, FloatAr
         control = inverses @ stack.products(weights, rows, stack.points)
         squares, along = distances_of(np.einsum("ij,ijk->ik", rows, control[owners]), stack)
         weights = softened(stack.weights, squares)
-        # Nearer to where the points are nearest.
+        # Move parameters towards the foot points.
         at = np.clip(at + along, 0, knots[owners, -1])
     sigmas = np.sqrt(np.einsum("sii->si", inverses))
     return knots, control, squares, sigmas
 
 
 def lengths_along(stack: Stack) -> FloatArray:
-    """(N,) how far points are along the polyline of their stretch."""
+    """(N,) arc length of each point along the polyline of its sequence."""
     along = np.zeros(len(stack.points))
     along[1:] = np.cumsum(np.linalg.norm(np.diff(stack.points, axis=0), axis=1))
     return along - along[stack.offsets[:-1]][stack.owners]
 
 
 def knots_of(places: FloatArray, offsets: IntArray, size: int) -> FloatArray:
-    """(S, size + 4) knots with as many of (N,) places between each and the next."""
+    """(S, size + 4) knots with equal numbers of the (N,) parameters between them."""
     last = (offsets[1:] - 1 - offsets[:-1])[:, None]
     inner = last * np.linspace(0, 1, size - DEGREE + 1)[1:-1]
     left = np.minimum(inner.astype(np.int64), last - 1)
@@ -143,7 +143,7 @@ def knots_of(places: FloatArray, offsets: IntArray, size: int) -> FloatArray:
 
 
 def basis_of(knots: FloatArray, owners: IntArray, at: FloatArray) -> FloatArray:
-    """(N, m) values of the B-splines of (S, m + 4) knots at (N,) places (de Boor's recursion)."""
+    """(N, m) B-splines with (S, m + 4) knots at (N,) parameters (de Boor's recursion)."""
     size = knots.shape[1] - DEGREE - 1
     inner = knots[:, DEGREE + 1 : size]
     spans = DEGREE + (at[:, None] >= inner[owners]).sum(axis=1)
@@ -162,9 +162,9 @@ def basis_of(knots: FloatArray, owners: IntArray, at: FloatArray) -> FloatArray:
 
 
 def distances_of(found: FloatArray, stack: Stack) -> tuple[FloatArray, FloatArray]:
-    """(N,) squared distances of a stack's points across curves through (N, 3) points on them.
+    """(N,) squared distances of a stack's points across curves, from (N, 3) points on these curves.
 
-    Also (N,) how far along them they are from those.
+    Also (N,) their signed distances along the curves.
     """
     each = np.arange(len(found))
     first, last = stack.offsets[:-1][stack.owners], stack.offsets[1:][stack.owners] - 1

@@ -14,12 +14,12 @@ SOFT = 2.0  # threshold of Huber's weights, in standard deviations
 
 @dataclass(frozen=True, kw_only=True)
 class Stack:
-    """Stretches of points, in CSR arrays.
+    """Weighted sequences of points, in CSR arrays.
 
     Attributes:
         points: (N, 3) float64, world units.
-        weights: (N,) float64 over the squares of effective deviations, 1 / world units squared.
-        offsets: (S + 1,) int64; stretch s is points[offsets[s]:offsets[s + 1]].
+        weights: (N,) float64 inverse variances, 1 / world units squared.
+        offsets: (S + 1,) int64; sequence s is points[offsets[s]:offsets[s + 1]].
     """
 
     points: FloatArray
@@ -28,16 +28,16 @@ class Stack:
 
     @property
     def size(self) -> int:
-        """Number of stretches."""
+        """Number of sequences."""
         return len(self.offsets) - 1
 
     @property
     def owners(self) -> IntArray:
-        """(N,) stretch of each point."""
+        """(N,) sequence of each point."""
         return owners_of(self.offsets)
 
     def select(self, rows: IntArray) -> Stack:
-        """Some of the stretches."""
+        """The selected sequences."""
         first, end = self.offsets[:-1][rows], self.offsets[1:][rows]
         points = ranges_of(first, end)
         return Stack(
@@ -47,35 +47,35 @@ class Stack:
         )
 
     def sums(self, values: FloatArray) -> FloatArray:
-        """(S, ...) sums of (N, ...) values over each stretch, none of which is empty."""
+        """(S, ...) sums of (N, ...) values per sequence; no sequence may be empty."""
         if not self.size:
             return np.zeros((0, *values.shape[1:]))
         return np.asarray(np.add.reduceat(values, self.offsets[:-1], axis=0))
 
     def products(self, weights: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(S, j, k) sums of the outer products of (N, j) and (N, k) rows of (N,) weights."""
+        """(S, j, k) weighted sums of the outer products of (N, j) and (N, k) rows."""
         return self.sums((weights[:, None] * a)[:, :, None] * b[:, None])
 
 
 def softened(weights: FloatArray, squares: FloatArray) -> FloatArray:
-    """(N,) weights of points whose (N,) squared distances from a curve are this (Huber's)."""
+    """(N,) weights times Huber's weights for (N,) squared distances from a curve."""
     with np.errstate(divide="ignore"):
         return weights * np.minimum(1, SOFT / np.sqrt(weights * squares))
 
 
 def costs_of(squares: FloatArray, shares: FloatArray | float, correlation: float) -> FloatArray:
-    """(N,) costs of residuals, none larger than that of a point of no curve.
+    """(N,) costs of residuals, at most the cost of an outlier.
 
     Args:
-        squares: (N,) squares of residuals, in deviations.
-        shares: (N,), or of all: by what they are divided (`Noise.shares`).
-        correlation: number of successive points that say as much as one.
+        squares: (N,) squared residuals, in standard deviations.
+        shares: (N,) or one divisor of the squares (`Noise.shares`).
+        correlation: number of consecutive points that count as one independent point.
     """
     return np.minimum(squares / shares, MISFIT**2 / correlation)
 
 
 def solved(matrices: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solutions (S, k) of (S, k, k) normal equations, and the inverses, a little damped."""
+    """Solutions (S, k) of (S, k, k) normal equations with slight damping, and the inverses."""
     damped = matrices.copy()
     diagonals = np.einsum("sii->si", damped)  # a view
     diagonals += 1e-12 * diagonals + 1e-300

@@ -1,12 +1,12 @@
-"""Whether curves go on smoothly or at an angle; cuts edges where they turn sharply in space.
+"""Test of whether curves continue smoothly or at an angle; cuts edges at sharp bends in space.
 
-Chains are cut at corners that a view sees as such. An edge runs on around a corner where the views
-that traced it see it as hardly bent, or where its pieces were joined across it. The other way
-round, a gap in a small circle has ends at an angle, whose tangents meet outside of it.
+Chains are cut at corners that are visible in the image. An edge can continue around a corner if
+the reference views see it nearly unbent, or if its pieces were joined across it. Conversely, the
+ends of a gap in a small circle are at an angle, and their tangents meet outside the circle.
 
-Both are told by curves of equal freedom: two polynomials that meet, or one of the degree that has
-as many parameters. That of smaller residuals explains the points better, surely so where their
-ratio exceeds what chance makes (F test).
+Two models with the same number of parameters are compared: one polynomial, or two of lower degree.
+The one with smaller residuals is significantly better if the ratio of the squared residuals
+exceeds the quantile of the F distribution (F test).
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points
 
-SIDE_POINTS = (6, 5, 4)  # on each side that tell how an edge runs there, as many as there are
-FEWEST = 3  # points of a piece whose ends may be of a smooth curve
-ROUNDED = 1  # points on each side of a corner that refinement may have led aside
-MIN_TURN_DEG = 20.0  # as of edges that meet at a corner
-SURE = 0.95  # probability at which the curves of the one kind are taken to be better
-MAX_MISS_SPACINGS = 0.5  # of the tangents of both sides to where they meet
-MAX_ASIDE_SPACINGS = 0.85  # of where they meet from the point; outside of a fillet it is farther
-MIN_APART = 3  # points from one bend to the next
+SIDE_POINTS = (6, 5, 4)  # points fitted on each side; the largest number that the edge has
+FEWEST = 3  # minimum number of points of a piece that is joined as a smooth curve
+ROUNDED = 1  # points on each side of a corner that refinement may have displaced
+MIN_TURN_DEG = 20.0  # minimum angle of a bend, as of edges that meet at a corner
+SURE = 0.95  # probability of the F test
+MAX_MISS_SPACINGS = 0.5  # maximum distance of both sides' tangents to their meeting point
+MAX_ASIDE_SPACINGS = 0.85  # maximum distance of that point to the edge; larger at fillets
+MIN_APART = 3  # minimum number of points between two bends
 
 
 def cut_at_bends(edges: Edges3D) -> Edges3D:
-    """The edges cut where two parabolas that meet at an angle are surely better than one curve.
+    """Cut edges where two parabolas that meet at an angle are significantly better than one curve.
 
-    Closed edges are cut at two bends or more.
+    Closed edges are cut only if they have at least two bends.
     """
     bends = find_bends(edges)
     if not len(bends):
@@ -55,7 +55,7 @@ def cut_at_bends(edges: Edges3D) -> Edges3D:
 
 
 def find_bends(edges: Edges3D) -> IntArray:
-    """(B,) points before which edges are to be cut, ascending."""
+    """(B,) indices of the points before which edges are to be cut, ascending."""
     owners, offsets = edges.edge_ids, edges.edge_offsets
     sizes, loops = np.diff(offsets)[owners], edges.closed[owners]
     ranks = np.arange(edges.num_points) - offsets[owners]
@@ -86,7 +86,7 @@ def find_bends(edges: Edges3D) -> IntArray:
 
 
 def turn_somewhat(windows: FloatArray) -> BoolArray:
-    """Whether the halves of (n, k, 3) points point so far apart that a bend may be between."""
+    """Whether the chords of both halves of (n, k, 3) points differ enough for a bend in between."""
     middle = windows.shape[1] // 2
     before = unit(windows[:, middle - ROUNDED - 1] - windows[:, 0])
     behind = unit(windows[:, -1] - windows[:, middle + ROUNDED + 1])
@@ -94,11 +94,12 @@ def turn_somewhat(windows: FloatArray) -> BoolArray:
 
 
 def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
-    """How surely edges bend sharply in the middle of (n, k, 3) of their points.
+    """F test of a sharp bend in the middle of each of (n, k, 3) sequences of points.
 
     Returns:
-        (n,) how much worse a smooth curve is than a bent one, in what chance makes, 0 where the
-        sides do not meet there at an angle; and (n,) whether they meet behind the middle point.
+        (n,) ratio of squared residuals of a smooth curve to those of a bent one, relative to the
+        quantile of the F test; 0 if the sides do not meet there at an angle. (n,) whether they
+        meet after the middle point.
     """
     along, spacings = lengths_along(windows)
     outer = np.abs(np.arange(windows.shape[1]) - side - ROUNDED) > ROUNDED
@@ -111,7 +112,7 @@ def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
     starts = [(powers @ of)[:, 0] for of in (before, behind)]
     ways = [unit((slopes @ of)[:, 0]) for of in (before, behind)]
     cosine = np.einsum("ni,ni->n", *ways)
-    # Where the tangents of both sides come nearest to each other.
+    # Meeting point: where the tangents of both sides are nearest to each other.
     offset = starts[1] - starts[0]
     on = [np.einsum("ni,ni->n", offset, way) for way in ways]
     sine2 = np.maximum(1 - cosine**2, 1e-12)
@@ -126,10 +127,10 @@ def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
 
 
 def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
-    """Whether (n,) ends and (n,) others are surely of one smooth curve with a gap in it.
+    """Whether (n,) ends `a` and (n,) ends `b` belong to one smooth curve with a gap.
 
-    That is a cubic one, in place of two lines, but not one of degree five where two parabolas are
-    surely better.
+    A cubic must be significantly better than two lines, and two parabolas must not be
+    significantly better than a polynomial of degree five.
     """
     most, fewest = SIDE_POINTS[0], SIDE_POINTS[-1]
     tips, inner = end_points(edges.edge_offsets, most - 1)
@@ -151,13 +152,13 @@ def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
 
 
 def by_chance(num_points: IntArray, num_parameters: int) -> FloatArray:
-    """(n,) what ratios of squared residuals of equally good curves hardly exceed."""
+    """(n,) quantile of the ratio of squared residuals of two equally good models (F test)."""
     freedom = 3 * np.maximum(num_points - num_parameters, 1)
     return np.asarray(fdtri(freedom, freedom, SURE), np.float64)
 
 
 def lengths_along(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, k) from -1 to 1 how far (n, k, 3) points are along polylines; (n,) mean distances."""
+    """(n, k) arc length of (n, k, 3) points, scaled to [-1, 1]; (n,) mean distances of points."""
     lengths = np.linalg.norm(np.diff(points, axis=1), axis=2)
     along = np.concatenate([np.zeros((len(points), 1)), np.cumsum(lengths, axis=1)], axis=1)
     return 2 * along / (along[:, -1:] + 1e-300) - 1, lengths.mean(axis=1)
@@ -166,9 +167,10 @@ def lengths_along(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 def polynomials(
     along: FloatArray, points: FloatArray, degree: int, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, degree + 1, 3) polynomials by (n, k) lengths through (n, k, 3) points; (n,) squares.
+    """Fit polynomials of (n, k) arc lengths to (n, k, 3) points.
 
-    Points may have (n, k) weights.
+    `weights` (n, k) of the points are optional. Returns (n, degree + 1, 3) coefficients and (n,)
+    sums of squared residuals.
     """
     powers = along[:, :, None] ** np.arange(degree + 1)
     rows = (powers if weights is None else powers * weights[:, :, None]).swapaxes(1, 2)
@@ -182,5 +184,5 @@ def polynomials(
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """(n, 3) vectors at length 1."""
+    """(n, 3) vectors scaled to length 1."""
     return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))

@@ -37,14 +37,14 @@ OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise expl
 
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
-    """Pieces of curves with where views observe them.
+    """Pieces of curves with their observations.
 
     Attributes:
-        points: (N, 3) world points, those of one piece one after the other.
+        points: (N, 3) world points, piece by piece.
         offsets: (E + 1,) CSR of the points by piece.
         sigmas: (N,) standard deviation of a point, world units.
-        observations: places on chains where the N points are observed.
-        views: of the model.
+        observations: positions on chains that observe the N points.
+        views: the views of the model.
     """
 
     points: FloatArray
@@ -67,19 +67,19 @@ class Pieces:
 
     @cached_property
     def spacings(self) -> FloatArray:
-        """(N,) distance to the next point of the piece, or the one before."""
+        """(N,) distance to the next point of the piece; of its last point, to the previous one."""
         apart = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         apart[np.diff(self.ids) != 0] = 0
         return np.asarray(np.maximum(np.append(apart, 0), np.append(0, apart)), np.float64)
 
     @property
     def steps(self) -> FloatArray:
-        """(N, 3) the same along the pieces."""
+        """(N, 3) tangents scaled to the spacings."""
         return self.spacings[:, None] * self.tangents
 
     @cached_property
     def pixel_sizes(self) -> FloatArray:
-        """(N,) length of a pixel in the nearest view that observes a point."""
+        """(N,) size of a pixel at the point in the nearest view that observes it, world units."""
         sizes = np.full(len(self.points), np.inf)
         for index, rows in self.observations.by_view():
             view, points = self.views[index], self.observations.points[rows]
@@ -90,12 +90,12 @@ class Pieces:
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """Points of pieces beside others.
+    """Pairs of points of parallel pieces.
 
     Attributes:
-        points: (M,) the points.
-        others: (M,) of each another piece's point that is the nearest of that piece.
-        offsets: (M, 3) from the point straight across to the other piece.
+        points: (M,) indices of the points.
+        others: (M,) index of the nearest point of another piece.
+        offsets: (M, 3) vector from the point to the other piece, perpendicular to it.
     """
 
     points: IntArray
@@ -103,7 +103,7 @@ class Matches:
     offsets: FloatArray
 
     def select(self, rows: IntArray | BoolArray) -> Matches:
-        """Some of them."""
+        """The matches at a numpy index."""
         return Matches(
             points=self.points[rows], others=self.others[rows], offsets=self.offsets[rows]
         )
@@ -111,12 +111,12 @@ class Matches:
 
 @dataclass(frozen=True, kw_only=True)
 class Merging:
-    """What becomes of pieces.
+    """Points that are kept, and the observations that they take over.
 
     Attributes:
-        kept: (N,) the points that stay; the others are copies of these.
-        takers: (K,) points that stay and
-        givers: (K,) the copies of them, whose observations they take.
+        kept: (N,) whether a point is kept; the others are duplicates.
+        takers: (K,) indices of kept points that take over observations.
+        givers: (K,) indices of the duplicates whose observations they take over.
     """
 
     kept: BoolArray
@@ -127,12 +127,12 @@ class Merging:
 def merge_pieces(
     pieces: Pieces, given: IndexedGraphs, options: PipelineOptions, num_threads: int
 ) -> Merging:
-    """Tell copies from neighbours and choose, of copies, the points that stay.
+    """Separate duplicates from neighbouring edges, and choose the points to keep of duplicates.
 
     Args:
         pieces: pieces of curves with their observations.
         given: the edge graphs of all views.
-        options: noise, how near a chain observes a point, how often an edge is seen.
+        options: noise, search radius of observations, probability of observing an edge.
         num_threads: threads to use; the result does not depend on it.
     """
     matches = find_matches(pieces, num_threads)
@@ -146,7 +146,7 @@ def merge_pieces(
 
 
 def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
-    """(M,) number of the pair of pieces of each match."""
+    """(M,) index of the pair of pieces of each match."""
     ids = np.sort(pieces.ids[np.column_stack([matches.points, matches.others])], axis=1)
     keys = ids[:, 0] * len(pieces.offsets) + ids[:, 1]
     return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64)
@@ -159,7 +159,7 @@ def mean_of(groups: IntArray, values: FloatArray) -> FloatArray:
 
 
 def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
-    """(M,) how far the pieces are apart, in standard deviations of that."""
+    """(M,) distances between the pieces, in standard deviations."""
     size = pieces.pixel_sizes[matches.points]
     offset = np.linalg.norm(matches.offsets, axis=1) / size
     known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
@@ -168,10 +168,10 @@ def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions)
 
 
 def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArray:
-    """(N,) the points of copies that lie off the edge: fewer views observe them."""
+    """(N,) whether a point is of a displaced duplicate: fewer views observe it than the other."""
     counts = pieces.observations.counts
     first = pieces.ids[matches.points] < pieces.ids[matches.others]
-    # Of each pair the sums of the counts of the one piece and of the other, along both.
+    # Per pair, the numbers of observations of both pieces along their common stretch.
     lower = np.where(first, counts[matches.points], counts[matches.others])
     upper = np.where(first, counts[matches.others], counts[matches.points])
     gain = mean_of(pairs, lower) / np.maximum(mean_of(pairs, upper), 1e-9)
@@ -184,7 +184,7 @@ def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArra
 def nearest_of_pieces(
     pieces: Pieces, reach: FloatArray, num_threads: int
 ) -> tuple[IntArray, IntArray]:
-    """Points and, of each other piece within (N,) `reach` of them, its point that is nearest."""
+    """Pairs of points and the nearest point of each other piece within (N,) `reach` of them."""
     tree, found = cKDTree(pieces.points), [np.zeros((2, 0), np.int64)]
     for start in range(0, len(pieces.points), BLOCK):
         rows = slice(start, start + BLOCK)
@@ -205,7 +205,7 @@ def nearest_of_pieces(
 
 
 def find_matches(pieces: Pieces, num_threads: int) -> Matches:
-    """Points beside other pieces that run parallel."""
+    """Match points of pieces that are near and parallel."""
     radius = MAX_OFFSET_PX * pieces.pixel_sizes
     a, b = nearest_of_pieces(pieces, np.hypot(radius, pieces.spacings), num_threads)
     away = pieces.points[b] - pieces.points[a]
@@ -226,13 +226,13 @@ def log_ratios(
     options: PipelineOptions,
     num_threads: int,
 ) -> FloatArray:
-    """(P,) log of how much likelier the pieces of each pair are two edges than one."""
+    """(P,) log likelihood ratio of two edges against one edge for each pair of pieces."""
     ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
     rows = spread(pairs, SAMPLES)
     chosen = matches.select(rows)
     seen = seen_by(pieces, chosen)
     llr = view_ratios(pieces, chosen, seen, given, options, num_threads)
-    # A view's word on two pieces is the mean of what it says along them.
+    # The ratios along two pieces are not independent: their mean counts once per view.
     keys = pairs[rows][seen.matches] * len(pieces.views) + seen.views
     each, place = np.unique(keys, return_inverse=True)
     told = np.bincount(each // len(pieces.views), mean_of(place, llr), len(ratios))
@@ -240,7 +240,7 @@ def log_ratios(
 
 
 def spread(groups: IntArray, count: int) -> IntArray:
-    """Rows of (M,) groups, of each group so many at most, evenly spread."""
+    """Indices of at most `count` evenly spread rows of each of (M,) groups."""
     order = np.argsort(groups, kind="stable")
     sizes = np.bincount(groups)
     ranks = np.arange(len(groups)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -251,9 +251,9 @@ def spread(groups: IntArray, count: int) -> IntArray:
 
 
 def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
-    """(M,) log of how much likelier offsets are between two edges than between two copies.
+    """(M,) log likelihood ratio of the offsets: neighbouring edges against duplicates.
 
-    Neighbours lie at any distance, copies within noise, but for outliers.
+    Neighbouring edges have any distance; duplicates, except outliers, are within the noise.
     """
     size = pieces.pixel_sizes[matches.points]
     offset = np.linalg.norm(matches.offsets, axis=1) / size
@@ -268,12 +268,12 @@ def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) 
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """Views that observe one of the two points of matches at least, R rows.
+    """R pairs of a match and a view that observes at least one of its two points.
 
     Attributes:
         matches: (R,) the match.
         views: (R,) the view.
-        positions: (R, 2) where it observes the point and the other; -1 where it does not.
+        positions: (R, 2) positions that observe the point and the other; -1 where none.
     """
 
     matches: IntArray
@@ -282,7 +282,7 @@ class Seen:
 
 
 def seen_by(pieces: Pieces, matches: Matches) -> Seen:
-    """The views that observe either point of matches."""
+    """The views that observe either point of each match."""
     parts = [
         Seen(matches=np.zeros(0, np.int64), views=np.zeros(0, int), positions=np.zeros((0, 2)))
     ]
@@ -296,7 +296,7 @@ def seen_by(pieces: Pieces, matches: Matches) -> Seen:
 
 
 def seen_at(pieces: Pieces, first: IntArray, second: IntArray) -> Seen:
-    """The views that observe either of (M,) points and (M,) others."""
+    """The views that observe either of two points, given as (M,) and (M,) indices."""
     observed, num_views = pieces.observations, len(pieces.views)
     parts = []
     for side, points in enumerate((first, second)):
@@ -319,10 +319,10 @@ def view_ratios(
     options: PipelineOptions,
     num_threads: int,
 ) -> FloatArray:
-    """(R,) log of how much likelier what a view sees at a match is of two edges than of one.
+    """(R,) log likelihood ratio of a view's observations at a match: two edges against one.
 
-    A view that sees two edges sees them as far apart as the pieces project; of copies it sees one
-    edge, or the same one at both. Where the pieces project to the same place it tells nothing.
+    Two edges are observed as far apart as the pieces project; of one edge, both are observed at
+    the same position. If the pieces project to the same position, the ratio is 1.
     """
     radius = options.refinement.max_residual_px
     cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
@@ -345,19 +345,19 @@ def view_ratios(
 
 
 def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
-    """Log likelihood ratios of a view that sees both: for two edges; and of one: against."""
+    """Bounds of a view's log likelihood ratios: both edges observed, only one observed."""
     rate = options.chain_depth.visibility_rate * options.chain_depth.detection_rate
     return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
 
 
 def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) -> Merging:
-    """Of copies keep the points of the piece that is observed most.
+    """Of duplicates, keep the points of the piece with the most observations.
 
     Args:
         pieces: the pieces.
-        ghosts: (N,) points that do not stay.
-        same: the matches between copies, in both directions.
-        min_points: shorter runs of points that remain of a piece are left out.
+        ghosts: (N,) points of displaced duplicates, which are dropped.
+        same: the matches between duplicates, in both directions.
+        min_points: minimum length of the remaining runs of a piece.
     """
     count = len(pieces.offsets) - 1
     worth = np.bincount(pieces.ids, pieces.observations.counts, count)
@@ -380,7 +380,7 @@ def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) ->
 
 
 def grown(mask: BoolArray) -> BoolArray:
-    """`mask` and the entry before and after each that is true."""
+    """`mask` dilated by one entry to both sides."""
     result = mask.copy()
     result[1:] |= mask[:-1]
     result[:-1] |= mask[1:]
@@ -388,7 +388,7 @@ def grown(mask: BoolArray) -> BoolArray:
 
 
 def long_runs(mask: BoolArray, least: int) -> BoolArray:
-    """`mask` where it is true in runs of so many at least."""
+    """`mask` without runs of fewer than `least` true entries."""
     begins = np.ones(len(mask), bool)
     begins[1:] = mask[1:] != mask[:-1]
     runs = np.cumsum(begins) - 1

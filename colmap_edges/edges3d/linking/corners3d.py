@@ -55,8 +55,8 @@ class Corners:
     """Ends of edges that meet.
 
     Attributes:
-        positions: (C, 3) where they do.
-        members: (M,) the ends.
+        positions: (C, 3) world points of the corners.
+        members: (M,) indices of the ends.
         owners: (M,) corner of each.
     """
 
@@ -70,7 +70,7 @@ class Corners:
         return self.positions[self.owners]
 
     def select(self, rows: BoolArray) -> Corners:
-        """Some of the ends, and the corners that two of them at least are left of."""
+        """The selected ends, and the corners that keep at least two ends."""
         counts = np.bincount(self.owners[rows], minlength=len(self.positions))
         left = rows & (counts[self.owners] >= 2)
         return replace(self, members=self.members[left], owners=self.owners[left])
@@ -83,7 +83,7 @@ class Lines:
     Attributes:
         ends: the ends.
         centers: (2E, 3) a point of each line.
-        outward: (2E, 3) their unit directions, out of the edges.
+        outward: (2E, 3) their unit directions, outwards from the edges.
     """
 
     ends: Ends
@@ -91,9 +91,9 @@ class Lines:
     outward: FloatArray
 
     def reaches(self, of: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far (n, k) ends are from (n, k or 1, 3) points along their lines, how far those miss.
+        """Distances of (n, k or 1, 3) points from (n, k) ends, along their lines and across them.
 
-        Both (n, k) in spacings.
+        Both are (n, k), in spacings.
         """
         outward, spacings = self.outward[of], self.ends.spacings[of] + 1e-300
         along = np.einsum("nki,nki->nk", points - self.ends.positions[of], outward)
@@ -108,17 +108,16 @@ def meet_at_corners(
     options: PipelineOptions,
     num_threads: int,
 ) -> Edges3D:
-    """Lead the ends of edges on, or back, to the corners where they meet others.
+    """Extend or shorten edges to the corners where they meet others.
 
     Args:
         edges: linked edges.
         given: the edge graphs of all views.
-        options: how far a corner may be, and how near to a chain and by how many views it is
-            observed.
+        options: maximum distance of a corner, search radius and minimum number of observations.
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The edges, each with a point of its own at every corner, which are their nodes.
+        The edges, each with its own point at every corner; these points are their nodes.
     """
     if edges.num_edges == 0:
         return edges
@@ -137,13 +136,13 @@ def meet_at_corners(
 def with_points(
     edges: Edges3D, met: Corners, observations: Observations, colors: FloatArray
 ) -> Edges3D:
-    """The edges with a point after all others for each end that meets others.
+    """Append a point for each end that meets others after all points of the edges.
 
     Args:
         edges: the edges.
-        met: the M ends, and where.
-        observations: those of their M corners.
-        colors: (T, 3) RGB where those are observed.
+        met: the M ends and their corners.
+        observations: observations of the corners of these ends.
+        colors: (T, 3) RGB at the observations.
     """
     tips, _ = end_points(edges.edge_offsets, 0)
     return replace(
@@ -156,7 +155,7 @@ def with_points(
 
 
 def fit_lines(edges: Edges3D) -> Lines:
-    """The lines that fit the ends of all edges."""
+    """Fit lines to the ends of all edges."""
     ends = find_ends(edges)
     tips, inner = end_points(edges.edge_offsets, FIT_POINTS)
     inward = np.sign(inner - tips)[:, None]
@@ -169,14 +168,14 @@ def fit_lines(edges: Edges3D) -> Lines:
     off = apart - np.einsum("nki,ni->nk", apart, outward)[:, :, None] * outward[:, None]
     steps = np.broadcast_to(np.arange(1.0, FIT_POINTS + 1), points.shape[:2])
     parabolas, rest = polynomials(steps, points, 2)
-    # A line that leaves out twice what a parabola does is the chord of a bend.
+    # With more than BEND_RATIO times the residuals of a parabola, the line is a chord of a bend.
     bent = (np.abs(inner - tips) >= FIT_POINTS) & ((off**2).sum(axis=(1, 2)) > BEND_RATIO * rest)
     centers[bent], outward[bent] = parabolas[bent, 0], unit(-parabolas[bent, 1])
     return Lines(ends=ends, centers=centers, outward=outward)
 
 
 def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corners:
-    """Where lines through the ends of edges meet, the nearest meeting of each end."""
+    """Find the points where lines through ends of edges meet, the nearest one for each end."""
     reach = options.max_corner_spacings
     pairs = pairs_to_meet(edges, lines, reach)
     middle = meetings(lines, pairs)
@@ -185,14 +184,14 @@ def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corne
     cost = (np.abs(along) + 2 * miss).max(axis=1)
     rows = np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")]
     members, first = np.unique(pairs[rows], return_index=True)
-    links = pairs[rows[first // 2]]  # of each end with the one that costs the least
+    links = pairs[rows[first // 2]]  # the pair of least cost of each end
     size = (len(lines.centers),) * 2
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=size)
     labels = connected_components(graph, directed=False)[1]
     cheapest = rows[np.unique(labels[pairs[rows, 0]], return_index=True)[1]]
     owners = np.unique(labels[members], return_inverse=True)[1]
     corners = Corners(positions=middle[cheapest], members=members, owners=owners)
-    for _ in range(2):  # first who runs to where the best two meet, then to where all meet
+    for _ in range(2):  # first the ends near the best pair's meeting point, then near that of all
         along, miss = lines.reaches(corners.members[:, None], corners.points[:, None])
         corners = corners.select(fit(along, miss, reach)[:, 0])
         corners = replace(corners, positions=intersect(corners, lines))
@@ -200,20 +199,20 @@ def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corne
 
 
 def pairs_to_meet(edges: Edges3D, lines: Lines, reach: float) -> IntArray:
-    """(n, 2) ends of different open edges, near enough to meet, whose lines are not parallel."""
+    """(n, 2) ends of different open edges, near each other, whose lines are not parallel."""
     a, b, _ = near_pairs(lines.ends, APART_RATIO * reach)
     open_ends = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
     keep = open_ends[a] & open_ends[b] & (a // 2 != b // 2)
     pairs = np.column_stack([a, b])[keep]
     least = np.cos(np.radians(MIN_ANGLE_DEG))
     apart = np.abs(np.einsum("ij,ij->i", *lines.outward[pairs.T])) <= least
-    # Both ends of a gap in a bend lead to where their tangents meet, which is no corner.
+    # Tangents at both ends of a gap in a smooth curve also meet, but not at a corner.
     apart[apart] = ~go_on_smoothly(edges, *pairs[apart].T)
     return np.asarray(pairs[apart])
 
 
 def meetings(lines: Lines, pairs: IntArray) -> FloatArray:
-    """(n, 3) the points midway between the lines of (n, 2) ends where they are nearest."""
+    """(n, 3) midpoints of the shortest connections between the lines of (n, 2) ends."""
     (center_a, center_b), (a, b) = lines.centers[pairs.T], lines.outward[pairs.T]
     cosine = np.einsum("ij,ij->i", a, b)
     on_a = np.einsum("ij,ij->i", a, center_b - center_a)
@@ -226,12 +225,12 @@ def meetings(lines: Lines, pairs: IntArray) -> FloatArray:
 
 
 def fit(along: FloatArray, miss: FloatArray, reach: float) -> BoolArray:
-    """Whether ends so far from a corner, in spacings, run to it."""
+    """Whether ends at these distances from a corner, in spacings, are extended to it."""
     return (along >= -MAX_PAST_SPACINGS) & (along <= reach) & (miss <= MAX_MISS_SPACINGS)
 
 
 def intersect(corners: Corners, lines: Lines) -> FloatArray:
-    """(C, 3) the points nearest to the lines of their ends; they stay along parallel ones."""
+    """(C, 3) least-squares points of the lines of their ends; unchanged along parallel lines."""
     outward, centers = lines.outward[corners.members], lines.centers[corners.members]
     across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
     sums = np.tile(STAY_WEIGHT * np.eye(3), (len(corners.positions), 1, 1))
@@ -249,9 +248,9 @@ def observe(
     options: PipelineOptions,
     num_threads: int,
 ) -> ChainObservations:
-    """Observations of the corners of M ends by the views `asked` (M, V), on any chains.
+    """Observations of the corners of M ends in the views `asked` (M, V), on any chain.
 
-    A view that observes a corner farther than `SHORT_GAP` must observe the way to it, too.
+    For a corner farther than `SHORT_GAP` from an end, a view must also observe the extension.
     """
     points = corners.points
     away = points - ends.positions[corners.members]
@@ -279,16 +278,16 @@ def observe(
 
 
 def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D:
-    """The edges with the points that follow theirs in `longer`, one for each end, as their ends.
+    """Extend each end to its appended point in `longer`.
 
-    Points past the corner or next to it are left out.
+    Points beyond the corner or next to it are left out.
     """
     order, lengths = order_to(edges, ends, met)
     return longer.reordered(order, offsets_of(lengths), edges.closed, edges.end_nodes)
 
 
 def order_to(edges: Edges3D, ends: Ends, met: Corners) -> tuple[IntArray, IntArray]:
-    """The points of edges with M that follow them as some of their ends; (E,) points of each."""
+    """Order of points with the M appended ones inserted as ends; (E,) number of points per edge."""
     limits = MIN_GAP_SPACINGS * ends.spacings[met.members]
     skip = num_behind(edges, met.members, met.points, -ends.outward[met.members], limits)
     begins = edges.edge_offsets[:-1] + skip[::2]

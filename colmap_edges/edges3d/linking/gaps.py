@@ -29,20 +29,19 @@ def are_observed(
     a: IntArray,
     b: IntArray,
 ) -> BoolArray:
-    """Whether enough of the views that observe one of two ends observe an edge between them.
+    """Whether enough views that observe one of two ends also observe an edge between them.
 
     Args:
         edges: the pieces.
         given: the edge graphs of all views.
-        options: how near to a chain and how parallel to it an edge is observed, and how many
-            views are enough.
+        options: search radius and maximum angle of observations, minimum number of views.
         num_threads: threads to use; the result does not depend on it.
-        ends: those of the pieces.
-        a: (n,) the one ends.
-        b: (n,) the others.
+        ends: the ends of the pieces.
+        a: (n,) ends on one side of the gaps.
+        b: (n,) ends on the other side.
 
     Returns:
-        (n,) whether they do.
+        (n,) whether an edge is observed in the gap.
     """
     points, tangents = curves_between(ends, a, b)
     asked = views_near(edges, np.column_stack([a, b]), given.num_views)
@@ -60,7 +59,7 @@ def are_observed(
 
 
 def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(n, P, 3) points at `PLACES` of smooth curves from ends to ends, and their directions."""
+    """(n, P, 3) points at `PLACES` of cubic Hermite curves between ends, and their directions."""
     first, last = ends.positions[a], ends.positions[b]
     lengths = np.linalg.norm(last - first, axis=1, keepdims=True)
     leaving, arriving = lengths * ends.outward[a], -lengths * ends.outward[b]
@@ -70,9 +69,9 @@ def curves_between(ends: Ends, a: IntArray, b: IntArray) -> tuple[FloatArray, Fl
 
 
 def hermite_weights(t: FloatArray) -> FloatArray:
-    """(2, 4, P) weights of the first place, leaving, the last place and arriving.
+    """(2, 4, P) Hermite weights of first point, first tangent, last point and last tangent.
 
-    Of the cubic between two places at (P,) shares of the way, and of its derivative.
+    For the cubic and its derivative, at (P,) parameters in [0, 1].
     """
     places = [2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2]
     slopes = [6 * t**2 - 6 * t, 3 * t**2 - 4 * t + 1, 6 * t - 6 * t**2, 3 * t**2 - 2 * t]

@@ -32,9 +32,9 @@ class Ends:
     """The 2E ends of E edges; end 2e is the first point of edge e, end 2e + 1 its last.
 
     Attributes:
-        positions: (2E, 3) where they are.
-        outward: (2E, 3) unit directions out of the edge.
-        spacings: (2E,) distance between edge points there.
+        positions: (2E, 3) world points.
+        outward: (2E, 3) unit directions, outwards from the edge.
+        spacings: (2E,) distance between edge points at the end.
     """
 
     positions: FloatArray
@@ -42,20 +42,20 @@ class Ends:
     spacings: FloatArray
 
 
-# Of (n,) ends and (n,) others: (n,) whether an edge runs from the one to the other.
+# From (n,) ends a and (n,) ends b: (n,) whether an edge connects each a to its b.
 GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
 
 
 def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edges3D:
-    """Join the edges whose ends face each other, close loops and give ends that meet one node.
+    """Join edges whose ends face each other, close loops, and add nodes where ends meet.
 
     Args:
-        edges: pieces; their ends may overlap by a few points, which are then left out.
-        options: how far apart and how parallel.
-        goes_on: tells of gaps longer than `SHORT_GAP` spacings whether an edge runs through them.
+        edges: pieces; where ends overlap by a few points, these are left out.
+        options: maximum gap and angle between ends.
+        goes_on: decides whether an edge continues through gaps longer than `SHORT_GAP` spacings.
 
     Returns:
-        The linked edges, tracks reordered with their points.
+        The linked edges; tracks are in the order of their points.
     """
     if edges.num_edges == 0:
         return edges
@@ -86,8 +86,8 @@ def find_ends(edges: Edges3D) -> Ends:
 def end_directions(edges: Edges3D, tips: IntArray, inner: IntArray) -> FloatArray:
     """(2E, 3) directions out of the edges at their ends, of any length.
 
-    They are those of the parabolas through the last points: the chord of a small circle's piece
-    looks far aside of where it goes on. What is too short for a parabola gives its chord.
+    Tangents of parabolas through the last points, since the chord of an arc of a small circle
+    deviates from its tangent. For pieces too short for a parabola, the chord.
     """
     points, middle = edges.points, (tips + inner) // 2
     curved = np.abs(tips - inner) == REACH
@@ -125,7 +125,7 @@ def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: Goe
     )
     rows = np.flatnonzero(bent & ~facing & (along > 0))
     facing[rows] = go_on_smoothly(edges, a[rows], b[rows])
-    # An overlap is left out later, of one piece; it must not be all of it.
+    # One piece later loses the overlap, so it must be longer than it.
     allowed = facing & (along >= -(REACH - 1) * spacing)
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
     rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
@@ -135,7 +135,7 @@ def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: Goe
 
 
 def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
-    """(2E,) points to leave out at each end, since the piece it is joined to goes past them."""
+    """(2E,) number of points to drop at each end because the joined piece overlaps them."""
     joined = np.flatnonzero((partner >= 0) & (np.arange(len(partner)) < partner))
     positions, outward = ends.positions[joined], ends.outward[joined]
     return num_behind(edges, partner[joined], positions, outward, 0.3 * ends.spacings[joined])
@@ -144,17 +144,17 @@ def overlaps(edges: Edges3D, ends: Ends, partner: IntArray) -> IntArray:
 def num_behind(
     edges: Edges3D, of: IntArray, origins: FloatArray, directions: FloatArray, limits: FloatArray
 ) -> IntArray:
-    """How many points at the ends of edges do not lie ahead of where the edges are to begin.
+    """Number of points at the ends of edges that lie behind the new beginnings of the edges.
 
     Args:
-        edges: the edges, of each of which something remains.
+        edges: the edges; at least two points of each remain.
         of: (n,) ends.
-        origins: (n, 3) where the edge is to begin there.
-        directions: (n, 3) unit vectors in which it goes on.
-        limits: (n,) how far ahead points must lie, in world units.
+        origins: (n, 3) new beginnings of the edges at these ends.
+        directions: (n, 3) unit directions from there into the edges.
+        limits: (n,) minimum distance of points along `directions`, in world units.
 
     Returns:
-        (2E,) how many at each end, at most `REACH`.
+        (2E,) number of points at each end, at most `REACH`.
     """
     sizes = np.diff(edges.edge_offsets)[of // 2]
     tips = end_points(edges.edge_offsets, 0)[0][of]
@@ -163,13 +163,13 @@ def num_behind(
         place = tips + np.where(of % 2 == 0, 1, -1) * np.minimum(step, sizes - 1)
         ahead = np.einsum("ij,ij->i", edges.points[place] - origins, directions)
         behind = (ahead < limits) & (skip[of] == step)
-        behind &= sizes > skip[of] + skip[of ^ 1] + 2  # something of every edge remains
+        behind &= sizes > skip[of] + skip[of ^ 1] + 2  # at least two points of every edge remain
         skip[of[behind]] += 1
     return skip
 
 
 def with_nodes(edges: Edges3D, options: LinkingOptions) -> Edges3D:
-    """The edges with a node for the ends of open ones that meet."""
+    """Add a node where ends of open edges meet."""
     ends = find_ends(edges)
     free = np.flatnonzero(np.repeat(~edges.closed, 2))
     own = Ends(**{name: of[free] for name, of in vars(ends).items()})

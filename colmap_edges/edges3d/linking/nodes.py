@@ -37,10 +37,10 @@ MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
 
 @dataclass(frozen=True, kw_only=True)
 class Meetings:
-    """Ends that meet at nodes, and the points of other edges that these are.
+    """Ends that meet at nodes, and the points of edges that pass through these nodes.
 
     Attributes:
-        corners: the ends with the nodes they meet at.
+        corners: the ends and the nodes at which they meet.
         through: (C,) the edge point that passes through each node, -1 where none does.
     """
 
@@ -48,7 +48,7 @@ class Meetings:
     through: IntArray
 
     def select(self, nodes: BoolArray) -> Meetings:
-        """Some of the nodes, numbered anew, with their ends."""
+        """The selected nodes, renumbered, with their ends."""
         left = nodes[self.corners.owners]
         corners = Corners(
             positions=self.corners.positions[nodes],
@@ -61,12 +61,12 @@ class Meetings:
 def meet_at_nodes(
     edges: Edges3D, given: IndexedGraphs, options: PipelineOptions, num_threads: int
 ) -> Edges3D:
-    """Give ends of edges that meet a node with a point of its own, to which they run.
+    """Create nodes where ends of edges meet, and extend the ends to them.
 
     Args:
-        edges: linked edges, led to corners.
+        edges: linked edges, extended to corners.
         given: the edge graphs of all views.
-        options: how near ends are that meet, and how and by how many views that is observed.
+        options: maximum distance of ends that meet, search radius, minimum number of views.
         num_threads: threads to use; the result does not depend on it.
     """
     if edges.num_edges == 0:
@@ -87,11 +87,11 @@ def meet_at_nodes(
 
 
 def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meetings:
-    """Open ends near each other whose lines run to one point, or past each other to none."""
+    """Find open ends near each other whose lines meet in one point."""
     radius = options.linking.node_radius_spacings
     a, b, gap = near_pairs(lines.ends, radius)
     is_open = np.repeat(~edges.closed, 2)
-    # Neighbours that end side by side point the same way; they meet nowhere.
+    # Ends of parallel neighbouring edges point in the same direction and do not meet.
     cosine = np.einsum("ij,ij->i", lines.ends.outward[a], lines.ends.outward[b])
     keep = is_open[a] & is_open[b] & (cosine <= np.cos(np.radians(MIN_ANGLE_DEG)))
     keep &= a // 2 != b // 2
@@ -105,7 +105,7 @@ def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meet
     owners = np.unique(labels[members], return_inverse=True)[1].astype(np.int64)
     none = np.zeros((int(owners.max(initial=-1)) + 1, 3))
     corners = Corners(positions=none, members=members, owners=owners)
-    # Those led to one corner tell where it is; of others all do, then all that run there.
+    # Ends extended to a corner determine its position; otherwise all ends, then those near it.
     told = np.bincount(owners[led[members]], minlength=len(none)) > 0
     firm = led[members] | ~told[owners]
     of_these = replace(corners, members=members[firm], owners=owners[firm])
@@ -119,13 +119,13 @@ def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meet
 
 
 def share_place(ends: Ends) -> BoolArray:
-    """(2E,) which ends are where another one is: they were led to one corner."""
+    """(2E,) whether an end coincides with another one, as ends extended to one corner do."""
     _, place, counts = np.unique(ends.positions, axis=0, return_inverse=True, return_counts=True)
     return np.asarray((counts[place.ravel()] > 1) & (ends.spacings > 0))
 
 
 def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:
-    """(L, 2) of each end the pair with the end nearest to it; corners may be near each other."""
+    """(L, 2) pairs of each end with its nearest end only, since corners may be close together."""
     order = np.argsort(np.tile(distances, 2), kind="stable")
     ends, others = np.concatenate([a, b])[order], np.concatenate([b, a])[order]
     each, first = np.unique(ends, return_index=True)
@@ -133,9 +133,9 @@ def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:
 
 
 def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatArray, FloatArray]:
-    """(C, 3) points nearest to the lines of their ends by their deviations, (C, 3, 3) covariances.
+    """(C, 3) weighted least-squares points of the lines of their ends, (C, 3, 3) covariances.
 
-    Along lines that are all parallel the ends themselves tell where, to a spacing.
+    The ends' positions, with a standard deviation of one spacing, fix points along parallel lines.
     """
     members, count = corners.members, len(corners.positions)
     outward, spacings = lines.outward[members], lines.ends.spacings[members]
@@ -155,7 +155,7 @@ def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatAr
 
 
 def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
-    """(C,) standard deviations of nodes in the directions in which they are known least."""
+    """(C,) standard deviations of nodes in their most uncertain directions."""
     if len(meetings.through) == 0:
         return np.zeros(0)
     information = np.linalg.inv(solve_nodes(edges, lines, meetings.corners)[1])
@@ -179,7 +179,7 @@ def unit_tangents(edges: Edges3D) -> FloatArray:
 def with_junctions(
     edges: Edges3D, lines: Lines, meetings: Meetings, options: PipelineOptions
 ) -> Meetings:
-    """The same with T junctions: ends that meet no other, on edges that pass by."""
+    """Add T junctions: ends that meet no other end, but the inside of another edge."""
     reach = options.linking.node_radius_spacings
     free = np.repeat(~edges.closed, 2)
     free[meetings.corners.members] = False
@@ -188,7 +188,7 @@ def with_junctions(
     outward, spacings = lines.outward[of], lines.ends.spacings[of] + 1e-300
     cosine = np.einsum("ij,ij->i", outward, tangents)
     away = lines.centers[of] - edges.points[onto]
-    # The point of the tangent that is nearest to the line of the end.
+    # The point on the tangent nearest to the line of the end.
     sine2 = np.maximum(1 - cosine**2, 1e-12)
     shift = np.einsum("ij,ij->i", away, tangents) - cosine * np.einsum("ij,ij->i", away, outward)
     places = edges.points[onto] + (shift / sine2)[:, None] * tangents
@@ -212,7 +212,7 @@ def with_junctions(
 def pairs_beside(
     edges: Edges3D, lines: Lines, of: IntArray, reach: float
 ) -> tuple[IntArray, IntArray]:
-    """Some ends, and points inside of other edges within so many of their spacings."""
+    """Pairs of ends and inner points of other edges, within a distance in spacings."""
     sizes = np.diff(edges.edge_offsets)[edges.edge_ids]
     ranks = np.arange(edges.num_points) - edges.edge_offsets[edges.edge_ids]
     inside = (np.minimum(ranks, sizes - 1 - ranks) > REACH) | edges.closed[edges.edge_ids]
@@ -236,7 +236,7 @@ def observed_meetings(
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Meetings, ChainObservations]:
-    """The nodes that enough views observe, and where they do: each view once."""
+    """The nodes that enough views observe, with one observation per view."""
     corners = meetings.corners
     asked = views_near(edges, corners.members[:, None], given.num_views)
     seen = observe(corners, lines.ends, asked, given, options, num_threads)
@@ -248,7 +248,7 @@ def observed_meetings(
         views=seen.views[first],
         positions=seen.positions[first],
     )
-    # Of ends that meet some are seen by few; these see the node, too.
+    # The threshold is relative to the end with the fewest views, which must see the node, too.
     num_asked = np.full(count, np.iinfo(np.int64).max)
     np.minimum.at(
         num_asked, corners.owners, np.bincount(asked.indices, minlength=len(corners.members))
@@ -259,7 +259,7 @@ def observed_meetings(
 
 
 def run_to_nodes(edges: Edges3D, lines: Lines, corners: Corners, nodes: Nodes) -> Edges3D:
-    """The edges with their ends at nodes, and with the points at which they pass through some."""
+    """Extend ends to nodes, and move the points of passing edges to them."""
     owners = corners.owners
     longer = replace(
         edges,
@@ -273,7 +273,7 @@ def run_to_nodes(edges: Edges3D, lines: Lines, corners: Corners, nodes: Nodes) -
     order, lengths = order_to(edges, lines.ends, corners)
     through = nodes.through_points
     passed = np.flatnonzero(through >= 0)
-    # Where an edge passes through a node that is its point there.
+    # In an edge that passes through a node, the node replaces the edge's point.
     stands = np.arange(len(longer.points))
     ends_at = np.unique(owners, return_index=True)[1]
     stands[through[passed]] = edges.num_points + ends_at[passed]

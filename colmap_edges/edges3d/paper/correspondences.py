@@ -32,12 +32,12 @@ DEPTH_PERCENTILES = (1.0, 99.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Pepcs:
-    """Potential edge-point correspondences: a start each and its candidates in other views.
+    """Potential edge-point correspondences: starting points with candidates in other views.
 
     Attributes:
-        starts: (S) places on chains.
+        starts: (S) positions on chains.
         candidate_offsets: (S + 1,) int64 CSR of candidates by start.
-        candidates: (C) places on chains of other views, those of a start grouped by view.
+        candidates: (C) positions on chains of other views, grouped by view within a start.
     """
 
     starts: Places
@@ -51,12 +51,12 @@ class Pepcs:
 
 @dataclass(frozen=True, kw_only=True)
 class PepcSource:
-    """PEPCs that are made when their starts are tried, for most are on known edges by then.
+    """PEPCs whose candidates are computed on demand, since most starts are then covered by edges.
 
     Attributes:
-        starts: (S) places on chains.
-        find_candidates: of (n,) starts, by index, the candidates: (n + 1,) offsets, (C,) views and
-            positions.
+        starts: (S) positions on chains.
+        find_candidates: maps (n,) indices of starts to their candidates: (n + 1,) offsets, (C,)
+            views and (C,) positions.
     """
 
     starts: Places
@@ -67,7 +67,7 @@ class PepcSource:
         return len(self.starts)
 
     def pepcs(self, rows: IntArray) -> Pepcs:
-        """The PEPCs of (n,) starts, by index."""
+        """The PEPCs with these (n,) indices."""
         offsets, views, positions = self.find_candidates(rows)
         candidates = Places(views=views, positions=positions)
         return Pepcs(
@@ -75,7 +75,7 @@ class PepcSource:
         )
 
     def shuffled(self, random_seed: int) -> PepcSource:
-        """The same PEPCs in random order, so that neighbours on an edge are not tried in a row."""
+        """The PEPCs in random order, so that neighbours on an edge are not tried consecutively."""
         order = np.random.default_rng(random_seed).permutation(len(self))
         return PepcSource(
             starts=self.starts.select(order),
@@ -88,11 +88,11 @@ def pepcs_from_sfm_points(
 ) -> PepcSource:
     """PEPCs near SfM points.
 
-    Around each SfM point lie two spheres. In every view that sees the point, the nearest place of
-    each polyline within the projected inner sphere is a start; its candidates are the crossings of
-    its epipolar lines within the projected outer sphere in the other views of the point. Radii
-    are given in pixels of the view that sees the point sharpest, and a sphere's circle has the
-    radius r * focal / depth.
+    Each SfM point is the centre of two spheres. In every view of the point, the nearest position on
+    each polyline within the projected inner sphere is a start. Its candidates are the intersections
+    of its epipolar lines with polylines within the projected outer sphere in the other views of
+    the point. Radii are given in pixels of the view with the highest resolution at the point; a
+    sphere of radius r projects to a circle of radius r * focal / depth.
     """
     point_ids = model.track_points
     sizes = pixel_sizes(model, point_ids)
@@ -128,7 +128,7 @@ def pepcs_from_sfm_points(
 
 
 def pixel_sizes(model: Model, point_ids: IntArray) -> FloatArray:
-    """(T,) size of a pixel at the depth of each tracked point in world units; inf behind a view."""
+    """(T,) size of a pixel at the depth of each tracked point, world units; inf behind a view."""
     sizes = np.full(len(point_ids), np.inf)
     for view, rows in views_with_rows(model.views, model.track_views):
         depths = view.cam_from_world(model.points3D_xyz[point_ids[rows]])[:, 2]
@@ -145,11 +145,11 @@ def pepcs_from_pecs(
 ) -> PepcSource:
     """PEPCs of matched polylines.
 
-    Every polyline of a PEC is sampled at fixed intervals; the candidates of a sample are the
-    crossings of its epipolar lines with the polylines of the same PEC in the other views.
+    Every polyline of a PEC is sampled at fixed intervals. The candidates of a sample are the
+    intersections of its epipolar lines with the polylines of the same PEC in other views.
 
     Args:
-        model: bounds the depths by its SfM points.
+        model: the model; its SfM points bound the depths.
         chains: edge graphs of all views.
         pecs: (P,) PEC of each polyline, -1 for none.
         options: the sampling interval.
@@ -168,9 +168,9 @@ def pepcs_from_pecs(
 
 
 def depth_bounds(model: Model) -> FloatArray:
-    """(V, 2) depths between which each view may see edges, from its SfM points and a margin.
+    """(V, 2) minimum and maximum depth of edges in each view: of its SfM points with a margin.
 
-    A view that sees no SfM points is not bounded: (0, inf).
+    (0, inf) for views without SfM points.
     """
     point_ids = model.track_points
     ranges = np.tile([0.0, np.inf], (len(model.views), 1))
@@ -185,7 +185,7 @@ def depth_bounds(model: Model) -> FloatArray:
 
 
 def sample_polylines(chains: IndexedViews, wanted: BoolArray, spacing_px: float) -> Places:
-    """Places at even intervals of about `spacing_px` on the wanted polylines ((P,) bool)."""
+    """Positions at even intervals of about `spacing_px` on the wanted polylines ((P,) bool)."""
     found = []
     for view, graph in enumerate(chains.graphs):
         first, last = chains.polyline_offsets[view : view + 2]
@@ -197,7 +197,7 @@ def sample_polylines(chains: IndexedViews, wanted: BoolArray, spacing_px: float)
 def sample_graph(graph: EdgeGraph, wanted: BoolArray, spacing_px: float) -> FloatArray:
     """Positions at even intervals on the wanted polylines ((P,) bool) of one view.
 
-    The intervals are centred on the polyline; one shorter than the spacing has one place.
+    The intervals are centred on the polyline; polylines shorter than the spacing have one position.
     """
     following = next_points(graph, np.arange(len(graph.undistorted)))
     steps = np.linalg.norm(graph.undistorted[following] - graph.undistorted, axis=1)

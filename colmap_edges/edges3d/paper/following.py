@@ -41,12 +41,12 @@ def follow_edges(
 ) -> tuple[Edges3D, dict[str, int]]:
     """Turn PEPCs into 3D edges.
 
-    PEPCs are taken in order. Of each, selections on three well-conditioned views are tried, those
-    first that candidates of most other views agree with: valid is one that triangulates and can be
-    followed. A PEPC with exactly one valid selection (those that are one 3D point count as one, and
-    those do not count that two views fewer agree with) is extended to further views and followed
-    both ways in all its views at once. Starts on stretches that an earlier 3D edge covers are
-    skipped.
+    PEPCs are processed in order. Selections of three well-conditioned views are tried, those
+    supported by most other views first. A selection is valid if it triangulates and can be
+    followed. Selections of the same 3D point count as one, and those with at least two fewer
+    supporting views are ignored. A PEPC with exactly one valid selection is extended to further
+    views and followed in both directions in all its views. Starts on chains covered by an earlier
+    3D edge are skipped.
 
     Returns:
         3D edges with points about `step_px` apart, and the number of starts by outcome.
@@ -68,7 +68,7 @@ def follow_edges(
 
 
 class FollowedEdges(NamedTuple):
-    """What the kernel gives: points, their edges and their tracks of places on chains."""
+    """Result of the kernel: points, edges, and tracks as positions on chains."""
 
     points: FloatArray  # (N, 3)
     edge_offsets: IntArray  # (E + 1,)
@@ -85,9 +85,9 @@ def follow_pepcs(
     options: FollowingOptions,
     num_threads: int,
 ) -> tuple[Any, ...]:
-    """The arrays of `FollowedEdges` of PEPCs, and (S,) the outcome of each start.
+    """Follow PEPCs; returns the arrays of `FollowedEdges` and the outcome (S,) of each start.
 
-    `covered` is the kernel's record of covered chains, which has the new edges from then on.
+    `covered` is the kernel's record of covered chains; the new edges are added to it.
     """
     found: tuple[Any, ...] = _kernels.trace_edges(
         chains.indexes,
@@ -112,7 +112,7 @@ def follow_pepcs(
 
 
 def edges_of(parts: Sequence[FollowedEdges], chains: IndexedViews) -> Edges3D:
-    """The edges of all parts, with what their views observe."""
+    """Combine all parts to 3D edges with observations."""
     if not parts:
         return Edges3D.none()
     points = np.concatenate([part.points for part in parts])

@@ -17,7 +17,7 @@ from colmap_edges.options import MatchingOptions
 
 @dataclass(frozen=True, kw_only=True)
 class SimilarityGraph:
-    """Undirected weighted graph of polylines; each link once, with first < second.
+    """Undirected weighted graph of polylines; each link is stored once, with first < second.
 
     Attributes:
         num_polylines: number of nodes.
@@ -33,10 +33,10 @@ class SimilarityGraph:
 def match_polylines(
     model: Model, chains: IndexedViews, options: MatchingOptions, random_seed: int, num_threads: int
 ) -> Int32Array:
-    """Label the polylines of all views with their PEC.
+    """Find the PEC of each polyline of all views.
 
     Returns:
-        (P,) int32 PEC of each polyline, from 0; -1 for those matched with no other view.
+        (P,) int32 PEC of each polyline, from 0; -1 for polylines not matched with another view.
     """
     incidence, weights = close_points(model, chains, options.max_point_distance_px, num_threads)
     polyline_views = owners_of(chains.polyline_offsets)
@@ -47,12 +47,12 @@ def match_polylines(
 def close_points(
     model: Model, chains: IndexedViews, max_distance_px: float, num_threads: int
 ) -> tuple[csr_array, FloatArray]:
-    """Which visible SfM points lie close to which polylines, and how much each point counts.
+    """Incidence of visible SfM points and close polylines, and weights of the points.
 
     Returns:
-        (P, N) sparse matrix, 1 where SfM point n, visible in the view of polyline p, projects to
-        within the distance of it; (N,) weights, the inverse of the mean number of polylines close
-        to the reprojections of a point (0 for points close to none).
+        (P, N) sparse matrix, 1 if SfM point n is visible in the view of polyline p and projects
+        within the distance of p; (N,) weights, the inverse of the mean number of polylines close to
+        the projections of a point (0 for points close to none).
     """
     num_points = len(model.points3D_xyz)
     point_ids = model.track_points
@@ -64,7 +64,7 @@ def close_points(
     ones = np.ones(len(columns))
     num_polylines = int(chains.polyline_offsets[-1])
     incidence = csr_array((ones, (near.polylines, columns)), (num_polylines, num_points))
-    incidence.data[:] = 1  # a view that sees a point twice counts once
+    incidence.data[:] = 1  # a view with two observations of a point counts once
     close_counts = np.bincount(columns, minlength=num_points)
     visible_counts = np.diff(model.track_offsets)
     weights = np.zeros(num_points)
@@ -73,7 +73,7 @@ def close_points(
 
 
 def project_tracks(model: Model, point_ids: IntArray) -> FloatArray:
-    """(T, 2) undistorted pixels to which each point projects in each view of its track."""
+    """(T, 2) projections of points into the views of their tracks, undistorted pixels."""
     pixels = np.full((len(point_ids), 2), np.nan)
     for view, rows in views_with_rows(model.views, model.track_views):
         pixels[rows] = view.project_undistorted(model.points3D_xyz[point_ids[rows]])[0]
@@ -86,17 +86,16 @@ def similarity_graph(
     polyline_views: IntArray,
     min_similarity: float,
 ) -> SimilarityGraph:
-    """Similarity of all pairs of polylines on different images (paper: equation 1).
+    """Similarities of all pairs of polylines of different images (paper: equation 1).
 
-    Weight of the shared close points over that of all close points of either polyline; the
-    numerators of all pairs are one sparse product A diag(w) A', the union is what both have
-    minus what they share.
+    The similarity is the weight of the shared close points divided by the weight of all close
+    points of either polyline. The numerators of all pairs are one sparse product A diag(w) A'.
 
     Args:
         incidence: (P, N) 1 where a point is close to a polyline.
-        weights: (N,) of the points.
+        weights: (N,) weights of the points.
         polyline_views: (P,) view of each polyline.
-        min_similarity: pairs below it are not linked.
+        min_similarity: minimum similarity of linked pairs.
     """
     weighted = incidence * weights[None, :]
     shared = (csr_array(weighted) @ incidence.T).tocoo()
@@ -117,7 +116,7 @@ def similarity_graph(
 
 
 def find_pecs(graph: SimilarityGraph, resolution: float, random_seed: int) -> Int32Array:
-    """(P,) int32 Louvain community (Blondel et al. 2008) of each polyline, -1 for lone ones."""
+    """(P,) int32 Louvain community (Blondel et al. 2008) of each polyline, -1 for unlinked ones."""
     communities = _kernels.louvain_communities(
         graph.num_polylines,
         np.ascontiguousarray(graph.links[:, 0], np.int32),

@@ -27,11 +27,11 @@ class ObservedPoints:
     Attributes:
         points: (T,) int64 index of the 3D point.
         views: (T,) int32.
-        positions: (T,) float64 places on the view's chains, see `core.observations`.
+        positions: (T,) float64 positions on the view's chains, see `core.observations`.
         chains: (T,) int32 polylines of the view's edge graph.
         pixels: (T, 2) float64 image pixels, COLMAP's origin.
         normals: (T, 2) float32 unit normals of the chains, undistorted pixels.
-        undistorted: (T, 2) float64 the pixels in undistorted pixels.
+        undistorted: (T, 2) float64 `pixels` as undistorted pixels.
         colors: (T, 3) float64 RGB.
     """
 
@@ -49,7 +49,7 @@ class ObservedPoints:
         return ObservedPoints(**{name: rows[index] for name, rows in vars(self).items()})
 
     def by_point(self, num_points: int) -> Observations:
-        """The same in CSR arrays."""
+        """The observations in CSR arrays by point."""
         return Observations(
             offsets=track_offsets(self.points, num_points),
             views=self.views,
@@ -61,7 +61,7 @@ class ObservedPoints:
 
 
 def observations_at(points: IntArray, places: Places, chains: IndexedViews) -> ObservedPoints:
-    """Observations of (T,) points at (T) places on chains."""
+    """Observations of (T,) points at (T) positions on chains."""
     seen, colors = chains.look_up(places)
     return ObservedPoints(
         points=points,
@@ -94,7 +94,7 @@ def observations_of(edges: Edges3D, chains: IndexedViews) -> ObservedPoints:
 
 
 def merge(*parts: ObservedPoints) -> ObservedPoints:
-    """All lists in one, sorted by point and view."""
+    """Merge lists, sorted by point and view."""
     order = np.lexsort(
         [np.concatenate([getattr(p, n) for p in parts]) for n in ("views", "points")]
     )
@@ -111,7 +111,7 @@ def track_offsets(points: IntArray, num_points: int) -> IntArray:
 def triangulate_observations(
     observed: ObservedPoints, num_points: int, chains: IndexedViews, num_threads: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 3) least-squares points and (N,) largest errors in pixels; NaN and inf where none."""
+    """(N, 3) least-squares points, (N,) largest reprojection errors in pixels; NaN, inf if none."""
     points, errors = _kernels.triangulate_tracks(
         chains.indexes,
         track_offsets(observed.points, num_points),
@@ -135,7 +135,7 @@ def edge_neighbours(edges: Edges3D) -> tuple[IntArray, IntArray]:
 
 
 def with_observations(edges: Edges3D, points: FloatArray, observed: ObservedPoints) -> Edges3D:
-    """The same edges with new points and tracks."""
+    """The edges with these points and tracks."""
     observations = observed.by_point(len(points))
     colors = mean_colors(observed.colors, observations.offsets)
     return replace(edges, points=points, observations=observations, colors=colors)
@@ -144,7 +144,7 @@ def with_observations(edges: Edges3D, points: FloatArray, observed: ObservedPoin
 def reprojection_errors(
     observed: ObservedPoints, points: FloatArray, chains: IndexedViews
 ) -> FloatArray:
-    """(T,) distance in pixels between each observation and its projected point; NaN behind."""
+    """(T,) distance in pixels of each observation to its projected point; NaN behind the camera."""
     errors = np.full(len(observed.points), np.nan)
     for index, view in enumerate(chains.views):
         rows = np.flatnonzero(observed.views == index)

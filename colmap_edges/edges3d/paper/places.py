@@ -19,28 +19,27 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 @dataclass(frozen=True, kw_only=True)
 class Places:
-    """Places on chains.
+    """Positions on chains of views.
 
     Attributes:
         views: (N,) int32.
-        positions: (N,) float64 index of the point before the place, of those of the view, plus
-            the share of the way to the next one.
+        positions: (N,) float64 fractional indices into the points of the view's graph.
     """
 
     views: Int32Array
     positions: FloatArray
 
     def __len__(self) -> int:
-        """Number of places."""
+        """Number of positions."""
         return len(self.views)
 
     def select(self, index: Any) -> Places:
-        """The places at a numpy index."""
+        """The positions at a numpy index."""
         return Places(views=self.views[index], positions=self.positions[index])
 
 
 def join_places(parts: Sequence[Places]) -> Places:
-    """The places of all parts, one after the other."""
+    """Concatenate positions."""
     return Places(
         views=np.concatenate([np.zeros(0, np.int32), *(part.views for part in parts)]),
         positions=np.concatenate([np.zeros(0), *(part.positions for part in parts)]),
@@ -49,13 +48,13 @@ def join_places(parts: Sequence[Places]) -> Places:
 
 @dataclass(frozen=True, kw_only=True)
 class NearPolylines:
-    """Polylines near queried pixels, CSR by query; by ascending polyline within a query.
+    """Polylines near queried pixels, CSR by query; ascending within a query.
 
     Attributes:
         offsets: (Q + 1,) int64.
         polylines: (M,) int64 over all views.
-        places: (M) the nearest place on each.
-        distances: (M,) float64 pixels.
+        places: (M) nearest position on each polyline.
+        distances: (M,) float64 distances to it in pixels.
     """
 
     offsets: IntArray
@@ -71,12 +70,12 @@ class NearPolylines:
 
 @dataclass(frozen=True, kw_only=True)
 class IndexedViews:
-    """Views with their edge graphs and the index of each; polylines count over all views.
+    """Views with their edge graphs and search indices; polylines are numbered over all views.
 
     Attributes:
         views: (V) the views.
         graphs: (V) their edge graphs.
-        indexes: (V) the kernels' form of them.
+        indexes: (V) search indices of the graphs.
     """
 
     views: tuple[View, ...]
@@ -85,7 +84,7 @@ class IndexedViews:
 
     @cached_property
     def polyline_offsets(self) -> IntArray:
-        """(V + 1,) the first polyline of each view, and at the end their number."""
+        """(V + 1,) index of the first polyline of each view; the last entry is their number."""
         return offsets_of(np.array([index.num_polylines for index in self.indexes], np.int64))
 
     @property
@@ -98,17 +97,17 @@ class IndexedViews:
         return self.graphs[view]
 
     def index(self, view: int) -> _kernels.EdgeIndex:
-        """The same as the kernels search it."""
+        """The search index of a view's edge graph."""
         return self.indexes[view]
 
     def look_up(self, places: Places) -> tuple[Observations, FloatArray]:
-        """What is seen at (N) places, each a point of its own, and (N, 3) colours."""
+        """Observations at (N) positions, one per point, and (N, 3) colours."""
         each = np.arange(len(places) + 1)
         observed = ChainObservations(offsets=each, views=places.views, positions=places.positions)
         return look_up(self, observed)
 
     def undistorted_points(self, places: Places) -> FloatArray:
-        """(N, 2) undistorted pixels of places."""
+        """(N, 2) undistorted pixels of positions."""
         undistorted = np.empty((len(places), 2))
         for view, rows in enumerate(rows_by_view(places.views, len(self.views))):
             if len(rows):
@@ -121,7 +120,7 @@ class IndexedViews:
     def find_near(
         self, views: Int32Array, pixels: FloatArray, radii_px: FloatArray, num_threads: int
     ) -> NearPolylines:
-        """Polylines within a radius of (Q, 2) undistorted pixels of (Q,) views; none near a NaN."""
+        """Polylines within a radius of (Q, 2) undistorted pixels in (Q,) views; none for NaN."""
         offsets, polylines, positions, distances = _kernels.near_polylines(
             self.indexes, views, np.ascontiguousarray(pixels), radii_px, num_threads
         )
@@ -135,10 +134,10 @@ class IndexedViews:
 
 
 def index_views(views: Sequence[View], graphs: Sequence[EdgeGraph]) -> IndexedViews:
-    """Index one edge graph a view.
+    """Build the search index of every view's edge graph.
 
     Raises:
-        ValueError: when the numbers of views and graphs differ, or a point is not finite.
+        ValueError: if the numbers of views and graphs differ, or a point is not finite.
     """
     if len(views) != len(graphs):
         raise ValueError(f"{len(graphs)} edge graphs for {len(views)} views; give one a view")

@@ -29,12 +29,12 @@ def sample_edges(
     max_error_px: float,
     num_threads: int = 1,
 ) -> Edges3D:
-    """Sample 3D edges finely to edge points, each with its own track.
+    """Sample 3D edges densely to edge points, each with its own track.
 
-    Between two edge points samples are spread evenly; the views that see both see the samples. A
-    sample is observed at the nearest place of the polyline that both lie on, and triangulated from
-    that, so it follows the curve and not the chord. Samples left with fewer than three views or a
-    larger error are left out; the edge points given stay.
+    Samples are placed evenly between two consecutive edge points. They are observed by the views
+    that observe both points, at the nearest position on the polyline of both, and triangulated
+    from these observations, so that they follow the curve and not the chord. Samples with fewer
+    than three views or too large an error are dropped; the given edge points are kept.
     """
     segment_starts, segment_ends, counts = subdivisions(edges, chains, options.spacing_px)
     samples = np.repeat(np.arange(len(counts)), counts)
@@ -56,11 +56,11 @@ def sample_edges(
 def subdivisions(
     edges: Edges3D, chains: IndexedViews, spacing_px: float
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Segments of the 3D edges as start and end points (S,), and samples to put inside (S,)."""
+    """Start and end points (S,) of the segments of the 3D edges, numbers of samples inside (S,)."""
     _, after = edge_neighbours(edges)
     starts = np.flatnonzero(after >= 0)
     ends = after[starts]
-    sharpness = np.zeros(edges.num_points)  # pixels per world unit in the sharpest view
+    sharpness = np.zeros(edges.num_points)  # pixels per world unit in the view where it is largest
     for index, of_view in edges.observations.by_view():
         view, rows = chains.views[index], edges.observations.points[of_view]
         depths = view.cam_from_world(edges.points[rows])[:, 2]
@@ -80,7 +80,7 @@ def observe_samples(
     max_distance_px: float,
     num_threads: int,
 ) -> ObservedPoints:
-    """Nearest places to samples ((N,) segments, (N, 3) points) on the polylines of both ends."""
+    """Nearest positions to samples ((N,) segments, (N, 3) points) on the polylines of both ends."""
     points, places = [np.zeros(0, np.int64)], []
     for index, of_view in edges.observations.by_view():
         polylines = np.full(edges.num_points, -1, np.int64)
@@ -110,9 +110,9 @@ def insert_points(
     observed: ObservedPoints,
     good: BoolArray,
 ) -> Edges3D:
-    """Edges with the good samples put in at positions (index of the point before + share).
+    """Insert the accepted samples at fractional indices of the points of the edges.
 
-    `observed` are observations of good samples alone.
+    `observed` contains the observations of accepted samples only.
     """
     given = observations_of(edges, chains)
     kept = np.flatnonzero(good)

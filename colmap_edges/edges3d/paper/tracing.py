@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 def trace_edges_paper(
     model: Model, graphs: Graphs, options: PipelineOptions, num_threads: int = 1
 ) -> tuple[TracedEdges, dict[str, Any]]:
-    """Reconstruct 3D edges as the paper does.
+    """Reconstruct 3D edges by the paper's method.
 
     Args:
         model: posed views and SfM points.
@@ -66,7 +66,7 @@ def trace_edges_paper(
 def pepc_sources(
     model: Model, chains: IndexedViews, options: PipelineOptions, num_threads: int
 ) -> tuple[list[PepcSource], dict[str, Any]]:
-    """PEPCs of the chosen strategies, those from SfM points first, each in random order."""
+    """PEPCs of the selected strategies, those from SfM points first, each in random order."""
     seed, strategy = options.random_seed, options.correspondence.strategy
     sources, stats = [], {}
     if strategy in ("sfm_points", "both"):

@@ -34,16 +34,15 @@ MIN_VIEW_SHARE = 1 / 3  # minimum share of an edge's points in a view that obser
 def expand_visibility(
     edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, int]]:
-    """Add observations of edge points in views where they were not found so far.
+    """Add observations of edge points in further views.
 
-    A point gains the nearest place of a polyline when that is the only polyline within d_v of its
-    projection, runs along the projected edge with its bright side where the point's other views
-    have it, is also the one its neighbours on the 3D edge come to lie on, and all observations
-    together still triangulate within the error. Points are triangulated anew from all their
-    observations.
+    A point is observed at the nearest position on a polyline if this is the only polyline within
+    d_v of its projection, is parallel to the projected edge with its bright side on the same side
+    as in the point's other views, and also observes the neighbouring points of the 3D edge. All
+    observations together must triangulate within the error; they give the new position.
 
     Returns:
-        The edges with longer tracks, and counts of candidates and of those added.
+        The edges with longer tracks, and counts of candidates and added observations.
     """
     observed = observations_of(edges, chains)
     candidates = further_observations(edges, chains, observed, options, num_threads)
@@ -66,7 +65,7 @@ def further_observations(
     options: VisibilityOptions,
     num_threads: int,
 ) -> ObservedPoints:
-    """Places on single near polylines that agree in direction and with the neighbours."""
+    """Observations on an only near polyline that agree in direction and with the neighbours."""
     tangents = edge_tangents(edges)
     neighbours = edge_neighbours(edges)
     sides = sides_of_points(edges, tangents, observed, chains)
@@ -88,7 +87,7 @@ def further_observations(
 
 
 def edge_tangents(edges: Edges3D) -> FloatArray:
-    """(N, 3) direction of the 3D edge at each point, between its neighbours; not normalised."""
+    """(N, 3) direction of the 3D edge at each point, by its neighbours; not normalised."""
     before, after = edge_neighbours(edges)
     index = np.arange(edges.num_points)
     start, end = np.where(before >= 0, before, index), np.where(after >= 0, after, index)
@@ -97,9 +96,9 @@ def edge_tangents(edges: Edges3D) -> FloatArray:
 
 
 def bright_sides(directions: FloatArray, positions: FloatArray, graph: EdgeGraph) -> IntArray:
-    """(N,) +1 where the graph's chain at (N,) positions is bright to the left of (N, 2) directions.
+    """(N,) +1 if the chain at (N,) positions is brighter to the left of (N, 2) directions, else -1.
 
-    Left is a quarter turn from x towards y; -1 where it is bright to the right.
+    Left is the direction rotated by 90 degrees from x towards y.
     """
     normals = graph.normals[positions.astype(np.int64)]
     turns = directions[:, 0] * normals[:, 1] - directions[:, 1] * normals[:, 0]
@@ -109,7 +108,7 @@ def bright_sides(directions: FloatArray, positions: FloatArray, graph: EdgeGraph
 def sides_of_points(
     edges: Edges3D, tangents: FloatArray, observed: ObservedPoints, chains: IndexedViews
 ) -> IntArray:
-    """(N,) the bright side of each point's 3D edge as most of its views see it, 0 for a tie."""
+    """(N,) bright side of the 3D edge at each point in most of its views, 0 for a tie."""
     votes = np.zeros(edges.num_points, np.int64)
     for index, rows in enumerate(rows_by_view(observed.views, len(chains.views))):
         points = observed.points[rows]
@@ -128,7 +127,7 @@ def near_in_view(
     options: VisibilityOptions,
     num_threads: int,
 ) -> tuple[IntArray, Places]:
-    """Of one view: points with a fitting place on a chain, ascending, and the places."""
+    """Points with a candidate observation in one view, ascending, and its positions."""
     view = chains.views[view_index]
     pixels, _ = view.project_undistorted(points)
     near = chains.find_near(
@@ -156,7 +155,7 @@ def near_in_view(
 
 
 def projected_directions(points: FloatArray, tangents: FloatArray, view: object) -> FloatArray:
-    """(N, 2) unit image directions of 3D directions at 3D points; 0 where seen end on."""
+    """(N, 2) unit image directions of 3D directions at 3D points; 0 along the viewing ray."""
     local = view.cam_from_world(points)  # type: ignore[attr-defined]
     turned = tangents @ view.rotation.T  # type: ignore[attr-defined]
     directions = turned[:, :2] * local[:, 2:] - local[:, :2] * turned[:, 2:]
@@ -172,7 +171,7 @@ def compatible(
     max_error_px: float,
     num_threads: int,
 ) -> BoolArray:
-    """(C,) whether each candidate, alone with its point's track, triangulates well enough."""
+    """(C,) whether each candidate alone triangulates with its point's track within the error."""
     num_points = int(observed.points.max(initial=-1)) + 1
     offsets = track_offsets(observed.points, num_points)
     counts = np.diff(offsets)[candidates.points]
@@ -194,10 +193,10 @@ def merge_consistent(
     max_error_px: float,
     num_threads: int,
 ) -> tuple[ObservedPoints, FloatArray]:
-    """Tracks with the added observations, the worst left out until all fit together.
+    """Add observations to tracks, dropping the worst until all triangulate within the error.
 
     Returns:
-        The tracks and the (N, 3) points triangulated from them; a point that gains nothing stays.
+        The tracks and the (N, 3) points triangulated from them; unchanged without new observations.
     """
     points = edges.points.copy()
     accepted = [observed]
@@ -216,7 +215,7 @@ def merge_consistent(
 
 
 def drop_worst(added: ObservedPoints, points: FloatArray, chains: IndexedViews) -> ObservedPoints:
-    """Without, of each point ((N, 3) world), the observation farthest from its projection."""
+    """Drop, for each of (N, 3) points, the observation farthest from its projection."""
     errors = reprojection_errors(added, points, chains)
     order = np.lexsort((np.where(np.isfinite(errors), errors, np.inf), added.points))
     last = np.append(added.points[order][1:] != added.points[order][:-1], True)[: len(order)]
@@ -233,9 +232,9 @@ def min_inlier_views(view_counts: IntArray, min_views: int) -> float:
 
 
 def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D, dict[str, float]]:
-    """Drop 3D edges that too few views see, whole: whose points have fewer than k_v in the median.
+    """Drop 3D edges whose points have fewer than k_v views in the median.
 
-    Points that fewer than three views observe are left out, and an edge is cut there.
+    Points with fewer than three views are also dropped, and edges are cut there.
     """
     views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
@@ -251,7 +250,7 @@ def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D
 
 
 def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
-    """(E,) median over the points of each edge of (N,) values; 0 for edges without points."""
+    """(E,) medians of (N,) values per edge; 0 for edges without points."""
     order = np.lexsort((values, edges.edge_ids))
     counts = np.diff(edges.edge_offsets)
     low = edges.edge_offsets[:-1] + np.maximum(counts - 1, 0) // 2
@@ -264,7 +263,7 @@ def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
 
 
 def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> FloatArray:
-    """(num_groups,) root mean square of the (T,) errors of each group; 0 of empty ones."""
+    """(num_groups,) root mean square of (T,) errors per group; 0 for empty groups."""
     counts = np.bincount(groups, minlength=num_groups)
     sums = np.bincount(groups, weights=errors**2, minlength=num_groups)
     rms: FloatArray = np.sqrt(sums / np.maximum(counts, 1))
@@ -272,9 +271,9 @@ def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> Floa
 
 
 def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
-    """(T,) distances in pixels of points from their observations, across the chains; NaN behind.
+    """(T,) distances of points from their observations across the chains, in pixels; NaN behind.
 
-    How far a point lies from its observation along a chain says nothing.
+    Distances along a chain are not errors, since a point can slide along its edge.
     """
     observed = edges.observations
     errors = np.full(len(observed.views), np.nan)
@@ -290,11 +289,11 @@ def errors_across(edges: Edges3D, chains: IndexedViews) -> FloatArray:
 def drop_doubtful_views(
     edges: Edges3D, chains: IndexedViews, options: VisibilityOptions, num_threads: int = 1
 ) -> tuple[Edges3D, dict[str, int]]:
-    """Leave out the views of a 3D edge that see it by chance, as those do that it is hidden from.
+    """Remove views from 3D edges that observe them by accident, for example where occluded.
 
-    Chains that cross its projection there are near it for a short stretch and do not follow it: a
-    view stays that observes three points of an edge and a third of them, within a root mean square
-    error of `max_rms_ratio` of the tolerance. Points are triangulated anew from those that stay.
+    Accidental chains are near the projection of an edge for a short stretch only. A view is kept if
+    it observes at least three points and a third of the points of an edge, with a root mean square
+    error of at most `max_rms_ratio` times the tolerance. Points are triangulated from the rest.
     """
     observed = edges.observations
     ids = edges.edge_ids[observed.points]
@@ -319,9 +318,9 @@ def drop_doubtful_views(
 
 
 def keep_points(edges: Edges3D, keep: BoolArray) -> Edges3D:
-    """Edges with only the kept points ((N,) bool), cut where some are missing; no lone points.
+    """Keep points of edges ((N,) bool), cut edges where points are missing, drop single points.
 
-    A closed edge that loses a point is opened there.
+    A closed edge that loses a point becomes open there.
     """
     edge_ids = edges.edge_ids
     order = np.arange(edges.num_points)

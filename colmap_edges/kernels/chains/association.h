@@ -1,4 +1,4 @@
-// Observations of 3D edge points in a view: the nearest point of a chain that runs the same way.
+// Observations of 3D edge points in a view: the nearest point of a chain parallel to the edge.
 #pragma once
 
 #include <cmath>
@@ -12,10 +12,10 @@ namespace colmap_edges {
 
 struct AssociationParameters {
   double max_distance_px;
-  double min_cosine;  // of the angle between the projected tangent and the chain
+  double min_cosine;  // minimum cosine of the angle between projected tangent and chain
 };
 
-// The place on the chain around point i that is nearest to x: its fractional position.
+// Fractional position nearest to x on the chain around point i.
 inline double NearestPosition(const EdgeIndex& view, int64_t i, const Vec2& x) {
   const Vec2& p = view.point(i);
   const Vec2& t = view.tangent(i);
@@ -23,7 +23,7 @@ inline double NearestPosition(const EdgeIndex& view, int64_t i, const Vec2& x) {
   const int64_t from = ahead ? i : view.Advance(i, -1);
   const int64_t to = ahead ? view.Next(i) : i;
   if (to < 0 || from == to) return double(i);
-  // A little short of the next point, which on a closed chain is not the next number.
+  // Slightly before the next point, whose index is not i + 1 at the end of a closed chain.
   return double(from) + std::min(NearestFraction(x, view.point(from), view.point(to)), 0.999999);
 }
 
@@ -51,7 +51,7 @@ inline double Associate(const EdgeIndex& view, const Vec3& world, const Vec3& ta
   return nearest < 0 ? -1 : NearestPosition(view, nearest, x);
 }
 
-// (count, K) positions of many points in K views, -1 where there is none.
+// (count, K) positions of points in K views, -1 where none.
 inline std::vector<double> AssociateAll(const std::vector<const EdgeIndex*>& views,
                                         const double* points, const double* tangents,
                                         const int8_t* sides, int64_t count,

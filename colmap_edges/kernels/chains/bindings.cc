@@ -1,4 +1,4 @@
-// Python face of tracing by depths along chains: depths, observations, refinement, occlusion.
+// Bindings of tracing by depths along chains: depths, observations, refinement, occlusion.
 #include "common/bindings.h"
 
 #include <nanobind/stl/optional.h>
@@ -104,7 +104,7 @@ OutArray<double> SeparationsArray(const EdgeIndex& view, Points3D points, Points
   return ToArray(std::move(columns), {2, count});
 }
 
-// What the arrays of curves and their observations say; they must outlive it.
+// View on the arrays of curves and their observations, which must outlive it.
 ObservedCurves ToObservedCurves(const Rotation& rotation, const Translation& translation,
                                 double focal, const Points2D& undistorted,
                                 const Doubles& inverse_depths,
@@ -255,32 +255,33 @@ void BindChains(nb::module_& m) {
   m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
         "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");
-  m.def("separations", &SeparationsArray, "view"_a, "points"_a, "offsets"_a, "steps"_a, "rows"_a,
-        "positions"_a, "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
-        "(2, n) pixels across an edge between its points at rows and places at offsets from them: "
-        "as they project, and as the chains are apart that observe them at positions, or, where "
-        "those are negative, nearest; NaN where not known.");
-  m.def("sum_observations", &SumObservationsArray, "rotation"_a, "translation"_a, "focal"_a,
-        "undistorted"_a, "inverse_depths"_a, "directions"_a.none(), "positions"_a, "views"_a,
-        "robust_scale_px"_a, "num_threads"_a,
-        "(7, N) sums over the observations of each point of a reference view's curves: of weight "
-        "times "
-        "slope slope, slope residual, slope across, across across, across residual; of the squared "
-        "speed; their number.");
+  m.def(
+      "separations", &SeparationsArray, "view"_a, "points"_a, "offsets"_a, "steps"_a, "rows"_a,
+      "positions"_a, "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
+      "(2, n) distances in pixels across edges, between points at rows and points at offsets from "
+      "them: of the projections, and of the chains that observe them at positions (if negative: "
+      "the nearest); NaN if unknown.");
+  m.def(
+      "sum_observations", &SumObservationsArray, "rotation"_a, "translation"_a, "focal"_a,
+      "undistorted"_a, "inverse_depths"_a, "directions"_a.none(), "positions"_a, "views"_a,
+      "robust_scale_px"_a, "num_threads"_a,
+      "(7, N) sums over the observations of each point of a reference view's curves: weight times "
+      "slope slope, slope residual, slope across, across across, across residual; squared speed; "
+      "number.");
   m.def("observation_residuals", &ObservationResidualsArrays, "rotation"_a, "translation"_a,
         "focal"_a, "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
   m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a,
         "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "reference"_a, "indices"_a,
         "offsets"_a, "reach"_a, "window"_a, "num_threads"_a,
-        "(2, N) information on inverse depth and gradient, in units of the noise of gray, from the "
-        "gray along the chains that observe curves and along the reference view's own.");
+        "(2, N) information and gradient of inverse depth, in units of the noise, from the "
+        "intensities along the observing chains and the reference view's.");
   m.def("slide_positions", &SlidePositionsArray, "rotation"_a, "translation"_a, "focal"_a,
         "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
-        "(N, K) positions nearest to the points on the chains that observed them.");
+        "(N, K) positions nearest to the points on their observing chains.");
   m.def("count_around", &CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a, "curves"_a,
         "radius_px"_a, "slope"_a, "num_threads"_a,
-        "(N,) how many points of other curves around each are nearer, and (N,) how many as far.");
+        "(N,) numbers of neighbours on other curves that are nearer, (N,) that are equally far.");
 }
 
 }  // namespace colmap_edges

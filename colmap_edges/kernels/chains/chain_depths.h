@@ -1,7 +1,7 @@
-// Depths along the chains of one view. Each sample of a chain has the depth hypotheses of its
-// epipolar crossings with the chains of other views; hypotheses that agree form clusters, scored
-// by their likelihood against chance; dynamic programming picks one cluster or none a sample so
-// that what is picked goes on along the chain in the other views too.
+// Depths along the chains of one view. The depth hypotheses of a sample are the intersections of
+// its epipolar lines with the chains of other views. Hypotheses that agree form clusters, scored
+// by a likelihood ratio against accidental agreement. Dynamic programming selects one cluster or
+// none per sample, such that consecutive clusters lie on the same chains of the other views.
 #pragma once
 
 #include <algorithm>
@@ -19,25 +19,25 @@ namespace colmap_edges {
 
 struct ChainDepthParameters {
   double max_disagreement_px;  // between two hypotheses, along their epipolar lines
-  // (256, 256) by the differences, in gray levels, of the dark and of the bright sides of an edge
-  // in two views: how much likelier they are for one edge than by chance; 0 for no match.
+  // (256, 256) likelihood ratios of one edge against two, by the differences of the intensities
+  // (0 to 255) of the dark and the bright sides in two views; 0 for no match.
   const float* side_likelihoods;
-  double min_angle_sin;             // between edge and epipolar line
-  double visibility_rate;           // chance that an edge of one view is not hidden in another
-  double detection_rate;            // chance that it is detected there if so
-  double min_log_likelihood_ratio;  // what a cluster's log likelihood ratio must exceed
-  double break_penalty;             // for a change from one cluster to another that does not go on
+  double min_angle_sin;             // minimum sine of the angle between edge and epipolar line
+  double visibility_rate;           // probability that an edge of one view is visible in another
+  double detection_rate;            // probability that a visible edge is detected
+  double min_log_likelihood_ratio;  // minimum log likelihood ratio of a cluster
+  double break_penalty;             // of consecutive clusters without common chains
   int max_clusters;
 };
 
-// A crossing of a sample's epipolar line with a chain of a neighbour.
+// An intersection of a sample's epipolar line with a chain of a neighbour.
 struct Hypothesis {
   double inverse_depth;
-  double sigma;     // inverse depth by which the crossing moves for 1 px across the edge
-  double position;  // of the crossing on the neighbour's chain
+  double sigma;     // change of inverse depth for 1 px across the neighbour's chain
+  double position;  // of the intersection on the neighbour's chain
   int32_t neighbor;
   int32_t polyline;
-  float likelihood;  // of its sides
+  float likelihood;  // likelihood ratio of its sides
 };
 
 struct Support {
@@ -48,15 +48,15 @@ struct Support {
 
 struct Cluster {
   double inverse_depth = 0, sigma = 0, score = 0;
-  std::vector<Support> support;  // ascending neighbours, each once
+  std::vector<Support> support;  // by ascending neighbour, at most one each
 };
 
-// The inverse depths that a sample may have.
+// The range of inverse depths of a sample.
 struct DepthRange {
   double low, high;
 };
 
-// The picked cluster of each sample; score 0 and no support where none is.
+// The selected cluster of each sample; score 0 and no support where there is none.
 struct ChainDepths {
   std::vector<double> inverse_depths, sigmas, scores;
   std::vector<int64_t> support_offsets;
@@ -71,26 +71,26 @@ inline Vec2 ImageDirection(const Vec3& d, const Vec2& x, double focal) {
   return {focal * d[0] - x[0] * d[2], focal * d[1] - x[1] * d[2]};
 }
 
-// The range with what is beside it on the epipolar line, so long that the crossings there tell how
-// dense they are; in a range of few pixels, as near an epipole, there is hardly any but the true
-// one. At an inverse depth rho the line is at z = a + rho b and moves by speed / z^2 pixels.
+// The range, extended along the epipolar line so that the density of intersections can be
+// estimated: a range of few pixels, as near an epipole, contains little but the true one. At
+// inverse depth rho, the depth in the neighbour is z = a + rho b and pixels move by speed / z^2.
 inline DepthRange WithNeighborhood(const DepthRange& range, double a, double b, double speed) {
   constexpr double kLengthPx = 64, kMostTimes = 16;
   const double middle = 0.5 * (range.low + range.high), z = a + middle * b;
-  // Where the whole range is hardly a pixel, agreement tells nothing of depth and shall not count.
+  // Limited, since agreement must not count if the whole range is about a pixel.
   const double extent = range.high - range.low;
   const double lacking = 0.5 * (std::min(kLengthPx * z * z / speed, kMostTimes * extent) - extent);
   if (!(z > 0) || lacking <= 0) return range;
   DepthRange wide{std::max(range.low - lacking, 0.0), range.high + lacking};
-  // Not to where the depth in the neighbour goes to nothing.
+  // The depth in the neighbour must stay positive.
   if (b < 0) wide.high = std::max(range.high, std::min(wide.high, middle - 0.5 * z / b));
   return wide;
 }
 
-// What the crossings with one neighbour say of chance.
+// Density of intersections with the chains of one neighbour.
 struct Seen {
   bool visible = false;
-  double density = 0;  // crossings of the right polarity per inverse depth
+  double density = 0;  // intersections of the right polarity per unit of inverse depth
 };
 
 class Sampler {
@@ -99,12 +99,12 @@ class Sampler {
           const std::vector<EpipolarIndex>& indexes, const ChainDepthParameters& p)
       : source_(source), pairs_(pairs), indexes_(indexes), p_(p), agree_(pairs.size()) {}
 
-  // Clusters of each of `count` samples at some points of the source, best first.
+  // Clusters of each of `count` samples at points of the source, best first.
   std::vector<std::vector<Cluster>> Clusters(const int64_t* points, const DepthRange* ranges,
                                              size_t count);
 
  private:
-  // The hypotheses of one sample and what the crossings with each neighbour say of chance.
+  // The hypotheses of one sample, and the density of intersections in each neighbour.
   struct Found {
     std::vector<Hypothesis> hypotheses;
     std::vector<Seen> seen;
@@ -129,7 +129,7 @@ class Sampler {
   const std::vector<Pair>& pairs_;
   const std::vector<EpipolarIndex>& indexes_;
   const ChainDepthParameters& p_;
-  std::vector<Found> found_;  // by sample; kept, so that its memory is used again
+  std::vector<Found> found_;  // by sample; a member to reuse its memory
   std::vector<double> scores_;
   std::vector<int64_t> agree_;
   std::vector<EpipolarIndex::Crossed> crossed_;
@@ -142,7 +142,7 @@ inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* points
     found_[s].hypotheses.clear();
     found_[s].seen.assign(pairs_.size(), Seen());
   }
-  // Neighbour by neighbour: what samples side by side look at is side by side in memory, too.
+  // Neighbour by neighbour, since consecutive samples access nearby memory.
   for (size_t n = 0; n < pairs_.size(); ++n) {
     for (size_t s = 0; s < count; ++s) Collect(points[s], ranges[s], int32_t(n), &found_[s]);
   }
@@ -175,13 +175,13 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   const double polarity0 = Dot(n0, toward) / (toward_norm + 1e-300);
   const Vec3 a = Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
   const Vec3& b = pair.translation;
-  // Along the epipolar line a pixel moves by gradient / z^2 for a change of inverse depth.
+  // Along the epipolar line a pixel moves by gradient / z^2 per unit of inverse depth.
   const Vec2 gradient = {f * (b[0] * a[2] - a[0] * b[2]), f * (b[1] * a[2] - a[1] * b[2])};
   const double speed = Norm(gradient);
   if (!(speed > 0)) return;
   const Vec2 u = {gradient[0] / speed, gradient[1] / speed};
   const auto wide_range = WithNeighborhood(range, a[2], b[2], speed);
-  // Not structured bindings: C++17 has no lambda capture those.
+  // No structured bindings, since C++17 lambdas cannot capture them.
   const double low = range.low, high = range.high;
   const double wide_low = wide_range.low, wide_high = wide_range.high;
   const size_t before = hypotheses.size();
@@ -200,7 +200,7 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
     ++count;
     nearest = std::min(nearest, rho), farthest = std::max(farthest, rho);
     if (!(rho >= low && rho <= high)) return;
-    constexpr double kSure = 0.1;  // nearer to the epipolar line the sign is noise
+    constexpr double kSure = 0.1;  // closer to the epipolar line, the sign is not reliable
     // The direction from the source's centre to the neighbour's is that of -u.
     const double polarity = -Dot(view.normal(s), u);
     if (polarity * polarity0 < 0 && std::min(std::abs(polarity), std::abs(polarity0)) > kSure) {
@@ -213,14 +213,14 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   if (hypotheses.size() == before) return;
   Seen& seen = found->seen[neighbor];
   seen.visible = true;
-  // What n crossings span is (n - 1) / (n + 1) of where they may be: the part of the range that
-  // the neighbour sees. Half of them have the wrong polarity.
+  // n intersections span (n - 1) / (n + 1) of the visible part of the range on average. Half of
+  // them have the wrong polarity.
   const double span = (farthest - nearest) * double(count + 1) / std::max(double(count - 1), 0.1);
   seen.density =
       0.5 * double(count) / std::clamp(span, 0.05 * (wide_high - wide_low), wide_high - wide_low);
 }
 
-// What agrees with hypothesis u: of each neighbour the nearest hypothesis within reach, in agree_.
+// Writes to agree_ the nearest agreeing hypothesis of each neighbour for hypothesis u.
 inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u) {
   const int64_t count = int64_t(hypotheses.size());
   const Hypothesis& center = hypotheses[u];
@@ -247,17 +247,17 @@ inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t
   }
 }
 
-// How much likelier a gap between two hypotheses is where they agree than by chance, by the square
-// of its share of the window: a Gaussian of half the window, and some that are anywhere.
+// Likelihood ratio of the difference of two agreeing hypotheses, true edge against chance, given
+// the square of its fraction of the window: a Gaussian with sigma of half the window, and outliers.
 inline double GapLikelihood(double share2) {
   constexpr double kAnywhere = 0.2, kSpread = 0.5;
-  constexpr double kMean = 0.598144;  // of the Gaussian's factor over the window
+  constexpr double kMean = 0.598144;  // mean of the Gaussian over the window
   return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share2 / (kSpread * kSpread));
 }
 
-// Log likelihood ratio of the agreement with each hypothesis, true edge against chance. The chance
-// that a neighbour agrees is that of a crossing within the window of two hypotheses, x / (1 + x)
-// for x crossings expected there; how near it is and how alike the sides are is further evidence.
+// Log likelihood ratio of the agreement with each hypothesis, true edge against chance. A neighbour
+// agrees by chance with the probability x / (1 + x) for x expected intersections in the window of
+// two hypotheses. Distances and side similarities are further factors.
 inline void Sampler::ScoreAll(const Found& found) {
   const std::vector<Hypothesis>& hypotheses = found.hypotheses;
   const double q = p_.detection_rate;
@@ -305,7 +305,7 @@ inline Cluster Sampler::MakeCluster(const std::vector<Hypothesis>& hypotheses, i
   return cluster;
 }
 
-// The best clusters, none within another's reach.
+// The best clusters, no two of which agree with each other.
 inline std::vector<Cluster> Sampler::BestClusters(const std::vector<Hypothesis>& hypotheses) {
   std::vector<Cluster> kept;
   while (int(kept.size()) < p_.max_clusters) {
@@ -323,7 +323,7 @@ inline std::vector<Cluster> Sampler::BestClusters(const std::vector<Hypothesis>&
   return kept;
 }
 
-// Number of neighbours whose chain goes on from one cluster to the next by about `steps` points.
+// Number of neighbours in which two clusters lie on one chain, about `steps` points apart.
 inline int CountFollowed(const Cluster& from, const Cluster& to, const std::vector<Pair>& pairs,
                          double steps) {
   int count = 0;
@@ -343,7 +343,7 @@ inline int CountFollowed(const Cluster& from, const Cluster& to, const std::vect
   return count;
 }
 
-// Viterbi over the samples of one chain; returns the picked cluster of each sample or -1.
+// Viterbi over the samples of one chain; returns the selected cluster of each sample or -1.
 inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
                                const std::vector<Pair>& pairs, double steps,
                                const ChainDepthParameters& p) {
@@ -382,8 +382,8 @@ inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
 }  // namespace chain_depths_internal
 
 // samples: point indices into `source`, those of one polyline contiguous and ascending.
-// sample_offsets: CSR of the samples by polyline. ranges: of the samples. steps: points between two
-// samples.
+// sample_offsets: CSR of the samples by polyline. ranges: inverse depths of the samples. steps:
+// points between two samples.
 inline ChainDepths ComputeChainDepths(const EdgeIndex& source,
                                       const std::vector<const EdgeIndex*>& neighbors,
                                       const std::vector<int64_t>& samples,

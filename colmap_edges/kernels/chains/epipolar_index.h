@@ -1,7 +1,7 @@
-// Where the epipolar lines of one view cross the chains of another: a grid over stretches of
-// chains in epipolar coordinates, which are the same for every pair of poses, also with an
-// epipole inside the image: the angle of the epipolar plane about the baseline, and the angle
-// between ray and baseline.
+// Index for intersections of the epipolar lines of one view with the chains of another: a grid over
+// stretches of chains in epipolar coordinates, the angle of the epipolar plane about the baseline
+// and the angle between ray and baseline. They are defined for any pair of poses, also if an
+// epipole is inside the image.
 #pragma once
 
 #include <algorithm>
@@ -32,13 +32,13 @@ inline Pair MakePair(const EdgeIndex& source, const EdgeIndex& neighbor) {
 
 class EpipolarIndex {
  public:
-  // A stretch in one bin of angles: from one angle to another, and which points it is.
+  // A stretch in one bin of angles: its range of angles and its points.
   struct Entry {
     float start, end;
     int32_t first, count;
   };
 
-  // An entry whose angles hold that of an epipolar line, and about where on it.
+  // An entry whose angles contain that of an epipolar line, and the approximate position on it.
   struct Crossed {
     Entry entry;
     int32_t guess;
@@ -51,7 +51,7 @@ class EpipolarIndex {
     baseline_ = Norm(pair.translation);
     if (!(baseline_ > 0)) return;
     axis_ = 1 / baseline_ * pair.translation;
-    // Angles count from the optical axis, so that their seam is behind the camera.
+    // Angles are relative to the optical axis, so that the wrap-around is behind the camera.
     const bool forward = std::abs(axis_[2]) > 0.999;
     e2_ = Cross(axis_, forward ? Vec3{1, 0, 0} : Vec3{0, 0, 1});
     e2_ = 1 / Norm(e2_) * e2_;
@@ -60,15 +60,16 @@ class EpipolarIndex {
   }
 
   // Calls visit(i, t) for each segment i -> Next(i) of the neighbour that the epipolar line of the
-  // ray a + inverse depth * translation (neighbour's camera frame) crosses between two inverse
-  // depths, or a bin beyond; t in [0, 1] is the fraction along the segment. `crossed` is scratch.
+  // ray a + inverse depth * translation (neighbour's camera frame) intersects between two inverse
+  // depths, or up to a bin beyond; t in [0, 1] is the fraction along the segment. `crossed` is a
+  // buffer.
   template <typename Visit>
   void VisitCrossings(const Vec3& a, double low, double high, std::vector<Crossed>* crossed,
                       const Visit& visit) const;
 
  private:
   static constexpr double kAngleBin = 8;      // pixels
-  static constexpr double kPositionBin = 32;  // pixels, more than a stretch is long
+  static constexpr double kPositionBin = 32;  // pixels, longer than a stretch
   static constexpr int64_t kMaxBins = 1 << 12;
   static constexpr double kPi = 3.14159265358979323846;
 
@@ -115,12 +116,12 @@ inline std::vector<EpipolarIndex::Span> EpipolarIndex::MakeSpans(double min_angl
   float last_x = NAN, last_y = NAN;
   Place last{};
   for (const EdgeIndex::Stretch& s : view_->stretches()) {
-    // A stretch mostly begins where the one before it ends.
+    // A stretch usually begins at the end of the previous one.
     const bool goes_on = s.ax == last_x && s.ay == last_y;
     const Place from = goes_on ? last : PlaceOf({s.ax / f, s.ay / f, 1});
     const Place to = PlaceOf({s.bx / f, s.by / f, 1});
     last_x = s.bx, last_y = s.by, last = to;
-    // The epipolar direction is that of the axis, as the image shows it there.
+    // The epipolar direction is the projection of the baseline's direction at this pixel.
     const double dx = f * axis_[0] - s.ax * axis_[2], dy = f * axis_[1] - s.ay * axis_[2];
     const double x = s.bx - s.ax, y = s.by - s.ay;
     const double cross = std::abs(dx * y - dy * x);
@@ -129,7 +130,7 @@ inline std::vector<EpipolarIndex::Span> EpipolarIndex::MakeSpans(double min_angl
     }
     spans.push_back({from, to, s.first, s.count});
     if (std::abs(from.angle - to.angle) <= kPi) continue;
-    // Across the seam: once on each side of it.
+    // A stretch across the wrap-around is entered on both sides.
     Span& low = spans.back();
     Span high = low;
     (low.from.angle > low.to.angle ? low.from : low.to).angle -= 2 * kPi;
@@ -139,7 +140,7 @@ inline std::vector<EpipolarIndex::Span> EpipolarIndex::MakeSpans(double min_angl
   return spans;
 }
 
-// Calls use(bin) once for each bin of angles that a stretch is in, with its position there.
+// Calls use(bin) for each bin of angles of a stretch, with its position there.
 template <typename Use>
 void EpipolarIndex::ForBins(const Span& span, const Use& use) const {
   const auto [low, high] = std::minmax(span.from.angle, span.to.angle);
@@ -156,7 +157,7 @@ void EpipolarIndex::ForBins(const Span& span, const Use& use) const {
 }
 
 inline void EpipolarIndex::Build(double min_angle_sin) {
-  // Chords turn a little from the points they stand for; the exact test comes with the crossing.
+  // Tolerance, since chords deviate from their stretches; the intersection is tested exactly later.
   const std::vector<Span> spans = MakeSpans(0.5 * min_angle_sin);
   if (spans.empty()) return;
   Place high{-kPi, 0};
@@ -200,7 +201,7 @@ void EpipolarIndex::VisitCrossings(const Vec3& a, double low, double high,
   const auto bin_of = [&](double inverse_depth) {
     return PositionBin(std::atan2(across, along + inverse_depth * baseline_));
   };
-  // An entry is listed by one of its positions: what it crosses may be a bin away.
+  // An entry is stored at one of its positions, so an intersection may be one bin away.
   const int64_t row = AngleBin(angle) * position_bins_;
   const int64_t from = row + std::max<int64_t>(bin_of(high) - 1, 0);
   const int64_t to = row + std::min(bin_of(low) + 1, position_bins_ - 1);
@@ -211,7 +212,7 @@ void EpipolarIndex::VisitCrossings(const Vec3& a, double low, double high,
     const Vec2& p = view_->point(i);
     return normal[0] * p[0] + normal[1] * p[1] + constant;
   };
-  // What is crossed is fetched while others are tested: it lies anywhere in memory.
+  // Prefetch while others are tested, since memory access is random.
   crossed->clear();
   for (int32_t k = offsets_[from]; k < offsets_[to + 1]; ++k) {
     const Entry& entry = entries_[k];
@@ -222,7 +223,7 @@ void EpipolarIndex::VisitCrossings(const Vec3& a, double low, double high,
     crossed->push_back({entry, guess});
   }
   for (const Crossed& c : *crossed) {
-    // The step at which the stretch changes sides: near where its chord does.
+    // Search the segment at which the stretch changes sides, starting where its chord does.
     const bool start = c.entry.start < target;
     const int64_t end = c.entry.first + c.entry.count - 1;
     int64_t i = c.guess;

@@ -1,5 +1,5 @@
-// Points of curves against the chains that observe them: how far off they are, how that changes
-// with their depth, and what least squares need of it.
+// Residuals of points of curves on the chains that observe them, with derivatives and the sums of
+// the normal equations.
 #pragma once
 
 #include <cmath>
@@ -12,28 +12,28 @@
 
 namespace colmap_edges {
 
-// N points on the chains of a reference, and the places on chains of K views that observe them.
+// N points on the chains of a reference view, and positions on chains of K views that observe them.
 struct ObservedCurves {
   Mat3 rotation;  // of the reference view
   Vec3 translation;
   double focal;
   const double* undistorted;     // (N, 2) pixels of the reference view
   const double* inverse_depths;  // (N)
-  const double* directions;      // (N, 2) in which points may move in its image; null for none
-  const double* positions;       // (N, K) on the views' chains; NaN where nothing observes
+  const double* directions;      // (N, 2) along which points may move in its image; null for none
+  const double* positions;       // (N, K) on the views' chains; NaN where not observed
   int64_t num_points;
   std::vector<const EdgeIndex*> views;
 };
 
-// One observation of one point, in pixels: the distance across the chain, its changes with inverse
-// depth and with a shift of the reference view's pixel, the change along the chain with inverse
-// depth, and the speed of the projection with that.
+// One observation of one point, in pixels: the distance across the chain, its derivatives by
+// inverse depth and by a shift of the reference view's pixel, the derivative along the chain by
+// inverse depth, and the speed of the projection.
 struct Observation {
   double residual, slope, across, along, speed2;
 };
 
-// Sums over the observations of a point, weighted by how well they fit; those of a shift go with
-// `across` as those of depth with `slope`.
+// Robustly weighted sums over the observations of a point: `slope` for inverse depth, `across` for
+// the shift.
 struct ObservationSums {
   double slope_slope = 0, slope_residual = 0, slope_across = 0, across_across = 0,
          across_residual = 0;
@@ -50,7 +50,7 @@ class CurveObserver {
     }
   }
 
-  // Where view k sees point i.
+  // Observation of point i in view k.
   Vec2 Project(int64_t i, int64_t k) const { return ToImage(k, ToView(i, k, RayOf(i))); }
 
   // Calls use(k, observation) for each view k that observes point i.
@@ -61,7 +61,7 @@ class CurveObserver {
     const double* positions = curves_.positions + i * num_views;
     const bool goes_on = i + 1 < curves_.num_points;
     for (int64_t k = 0; k < num_views; ++k) {
-      // Where the next point is observed may be anywhere in memory.
+      // Prefetch the next point's observation, since memory access is random.
       if (goes_on && !std::isnan(positions[num_views + k])) {
         curves_.views[k]->Prefetch(int64_t(positions[num_views + k]));
       }
@@ -75,7 +75,7 @@ class CurveObserver {
     return {x[0] / curves_.focal, x[1] / curves_.focal, 1};
   }
 
-  // Point i in the frame of view k, its depth in the reference taken as the unit.
+  // Point i in the frame of view k, divided by its depth in the reference view.
   Vec3 ToView(int64_t i, int64_t k, const Vec3& ray) const {
     const auto& [rotation, translation] = poses_[k];
     return Multiply(rotation, ray) + curves_.inverse_depths[i] * translation;
@@ -92,7 +92,7 @@ class CurveObserver {
     const double f = view.focal();
     const Vec3 local = ToView(i, k, ray);
     const Vec2 projected = ToImage(k, local);
-    // How the projection moves when the point does so by a vector in the view's frame.
+    // Derivative of the projection along a vector in the view's frame.
     const auto moving = [&](const Vec3& v) {
       return Vec2{(f * v.x - projected.x * v.z) / local.z, (f * v.y - projected.y * v.z) / local.z};
     };
@@ -109,10 +109,10 @@ class CurveObserver {
   }
 
   const ObservedCurves& curves_;
-  std::vector<std::pair<Mat3, Vec3>> poses_;  // of the views, from the reference view's frame
+  std::vector<std::pair<Mat3, Vec3>> poses_;  // view_from_reference of the views
 };
 
-// The sums of each point. Residuals count by Geman and McClure's weights.
+// The sums of each point, with Geman-McClure weights.
 inline std::vector<ObservationSums> SumObservations(const ObservedCurves& curves,
                                                     double robust_scale_px, int num_threads) {
   const CurveObserver observer(curves);
@@ -134,7 +134,7 @@ inline std::vector<ObservationSums> SumObservations(const ObservedCurves& curves
   return sums;
 }
 
-// (N, K) residuals, NaN where nothing observes, and (N) sums of squared slopes.
+// (N, K) residuals, NaN where not observed, and (N) sums of squared slopes.
 inline std::pair<std::vector<double>, std::vector<double>> ObservationResiduals(
     const ObservedCurves& curves, int num_threads) {
   const CurveObserver observer(curves);

@@ -1,4 +1,4 @@
-// Points of one image that lie behind others around them.
+// Points of one image that lie behind others near them.
 #pragma once
 
 #include <algorithm>
@@ -12,20 +12,20 @@
 
 namespace colmap_edges {
 
-// A point where an image shows it: its pixel, its depth and by how much that may be wrong.
+// A point in an image: its pixel, its depth and the tolerance of the depth.
 struct SeenPoint {
   Vec2 pixel;
   double depth, margin;
-  // Points of one curve say nothing of each other; those of none (< 0) are not asked about.
+  // Points of one curve do not occlude each other; points of no curve (< 0) are not tested.
   int64_t curve;
 };
 
 struct Crowd {
-  std::vector<int32_t> nearer, agreeing;  // of the points around each
+  std::vector<int32_t> nearer, agreeing;  // numbers of neighbours of each point
 };
 
-// The points of an image in rows as high as a radius, each from left to right in steps of a part of
-// it. What is very far from the first pixel counts to the last row or step.
+// The points of an image in rows of the height of a radius, sorted by steps of a fraction of it
+// within a row. Points very far from the first pixel are in the last row or step.
 class PointRows {
  public:
   PointRows(const std::vector<SeenPoint>& points, double radius) : order_(points.size()) {
@@ -42,8 +42,8 @@ class PointRows {
 
   static constexpr int64_t kNumRows = 1 << 16;
 
-  // Calls use(k, j, end) for each point k in a row with runs of points in order, j to end, that
-  // hold all within the radius around it.
+  // Calls use(k, j, end) for each point k in a row and ranges [j, end) of sorted points that
+  // contain all its neighbours within the radius.
   template <typename Use>
   void ForNeighbors(int64_t row, const Use& use) const {
     const int32_t first = starts_[row], last = starts_[row + 1];
@@ -60,18 +60,17 @@ class PointRows {
     }
   }
 
-  const SeenPoint& point(int32_t k) const { return points_[k]; }  // in order
-  int32_t index(int32_t k) const { return order_[k]; }            // as they were given
+  const SeenPoint& point(int32_t k) const { return points_[k]; }  // in sorted order
+  int32_t index(int32_t k) const { return order_[k]; }            // in the given order
 
  private:
-  static constexpr int kParts = 8;  // steps a radius
+  static constexpr int kParts = 8;  // steps per radius
 
   static uint16_t Place(double coordinate) {
     return uint16_t(std::clamp(std::floor(coordinate) + kNumRows / 2, 0.0, kNumRows - 1.0));
   }
 
-  // Orders the points by a key, equal ones as they were; returns where in the order each key
-  // starts.
+  // Sorts the points by a key (stable); returns the start of each key.
   std::vector<int32_t> SortBy(const std::vector<uint16_t>& keys) {
     std::vector<int32_t> starts(kNumRows + 1), sorted(order_.size());
     for (const uint16_t key : keys) ++starts[key + 1];
@@ -86,9 +85,9 @@ class PointRows {
   std::vector<int32_t> order_, starts_, steps_;  // starts of the rows
 };
 
-// How many points of other curves within `radius_px` of each are nearer to the camera than one
-// surface allows, and how many are as far; 0 for points of no curve. On one surface depth changes
-// by at most `slope` times itself a pixel.
+// For each point, the numbers of points of other curves within `radius_px` that are nearer to the
+// camera than possible on one surface, and of those that are equally far; 0 for points of no curve.
+// On one surface, depth changes by at most `slope` times itself per pixel.
 inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px, double slope,
                          int num_threads) {
   const PointRows rows(points, radius_px);
@@ -103,7 +102,7 @@ inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px,
         const double distance = Norm(other.pixel - own.pixel);
         const double gap = own.depth - other.depth;
         const double limit = slope * (distance + 1) * own.depth + own.margin + other.margin;
-        // No branch could be guessed.
+        // Without branches, which would be unpredictable.
         const bool counted = (other.curve != own.curve) & (distance <= radius_px);
         nearer += counted & (gap > limit);
         agreeing += counted & (std::abs(gap) <= limit);

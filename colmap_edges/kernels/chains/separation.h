@@ -1,4 +1,4 @@
-// How far apart a view sees two edges that run side by side, and how far apart they project.
+// Observed and projected distance of two parallel edges in a view.
 #pragma once
 
 #include <cmath>
@@ -9,18 +9,18 @@
 
 namespace colmap_edges {
 
-// Places beside each other on two edges, (n, 3) each: the one, from it to the other, and from it
-// to the next point of its edge.
+// Neighbouring points of two edges, (n, 3) each: the first, the vector to the second, and the
+// vector to the next point of the first edge.
 struct SidePlaces {
   const Vec3 *points, *offsets, *steps;
 };
 
 struct Separation {
-  double projected, seen;  // pixels across the edge; NaN where not known
+  double projected, seen;  // pixels across the edge; NaN if unknown
 };
 
-// `known` are the positions at which the view observes the one and the other; where negative, the
-// nearest that does so within the parameters' distance is looked for.
+// `known` are the positions at which the view observes both points; where negative, the nearest one
+// within the parameters' distance is searched.
 inline Separation Separate(const EdgeIndex& view, const SidePlaces& places, int64_t i,
                            const double* known, const AssociationParameters& parameters) {
   const auto project = [&](const Vec3& point) {

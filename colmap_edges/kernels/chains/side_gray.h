@@ -1,6 +1,6 @@
-// What the gray beside an edge says of its depth: it varies along the edge, and at a wrong depth
-// the gray in one view is that in another, moved along the chain. So edges along epipolar lines,
-// whose places across tell nothing, get a depth.
+// Photometric term: intensities on the sides of an edge vary along it, and at a wrong depth those
+// in two views are displaced along the chain. This determines the depth of edges parallel to
+// epipolar lines, which distances across the chain do not.
 #pragma once
 
 #include <algorithm>
@@ -17,19 +17,19 @@
 namespace colmap_edges {
 
 struct SideGrayParameters {
-  int64_t reach;   // points of a chain to both sides over which gray is smoothed
-  int64_t window;  // points of a curve to both sides within which differences of gray are compared
+  int64_t reach;   // half width, in chain points, of the smoothing of intensities
+  int64_t window;  // half width, in curve points, in which intensity differences are compared
 };
 
-// Of a point's inverse depth: information, and the gradient along which gray becomes more alike.
+// Information and gradient of a point's inverse depth, for the sum of squared differences.
 struct SideGraySums {
   double information = 0, gradient = 0;
 };
 
-// The gray on the dark and on the bright side.
+// The intensities of the dark and the bright side.
 using Grays = std::array<double, 2>;
 
-// Both at a position on a chain, smoothed over `reach` points to both sides.
+// Intensities at a position on a chain, smoothed over `reach` points to both sides.
 inline Grays SmoothGray(const EdgeIndex& view, double position, int64_t reach) {
   const int64_t i = int64_t(position);
   const double fraction = position - double(i);
@@ -51,15 +51,15 @@ inline Grays SmoothGray(const EdgeIndex& view, double position, int64_t reach) {
   return mean;
 }
 
-// Compares the gray along curves of a reference with that along the chains that observe them.
+// Compares intensities along curves of a reference view with those along the observing chains.
 class SideGray {
  public:
-  // indices: (N) of the curves' points in the reference view's graph.
+  // indices: (N) indices of the curves' points in the reference view's graph.
   SideGray(const ObservedCurves& curves, const EdgeIndex& reference, const int64_t* indices,
            const SideGrayParameters& parameters)
       : curves_(curves), observer_(curves), driver_(reference), indices_(indices), p_(parameters) {}
 
-  // Adds to the sums of the points first .. last - 1, which are one curve.
+  // Adds to the sums of one curve, the points [first, last).
   void AddCurve(int64_t first, int64_t last, SideGraySums* sums) const {
     const int64_t num_views = int64_t(curves_.views.size());
     std::vector<std::vector<Row>> rows(num_views);
@@ -82,12 +82,12 @@ class SideGray {
   }
 
  private:
-  static constexpr int64_t kFewest = 6;      // points that are compared
-  static constexpr double kLeastNoise2 = 1;  // of gray, squared: it is rounded to whole levels
-  static constexpr double kDensest = 0.4;    // pixels between points of a chain, for positions on
-  static constexpr double kSparsest = 2;     // it to tell lengths
+  static constexpr int64_t kFewest = 6;      // minimum number of compared points
+  static constexpr double kLeastNoise2 = 1;  // minimum variance of intensities, due to rounding
+  static constexpr double kDensest = 0.4;    // range of distances in pixels between chain points
+  static constexpr double kSparsest = 2;     // in which positions are proportional to lengths
 
-  // The gray of one view less that of the reference, and how that changes with inverse depth.
+  // Intensity difference of one view to the reference view, and its derivative by inverse depth.
   struct Difference {
     double gray, slope;
   };
@@ -116,7 +116,8 @@ class SideGray {
     if (count < kFewest) return;
     std::vector<Difference> differences(count);
     for (int64_t r = 0; r < count; ++r) differences[r] = rows[r].sides[side];
-    // What lies around, by running sums; exposure and shading change slowly along an edge.
+    // Local means by running sums, to remove exposure and shading, which change slowly along an
+    // edge.
     std::vector<Difference> total(count + 1, {0, 0});
     for (int64_t r = 0; r < count; ++r) {
       total[r + 1] = {total[r].gray + differences[r].gray, total[r].slope + differences[r].slope};
@@ -155,7 +156,7 @@ class SideGray {
   const SideGrayParameters p_;
 };
 
-// The sums of each point; offsets: CSR of the points by curve.
+// The sums of each point. offsets: CSR of the points by curve.
 inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves,
                                              const EdgeIndex& reference, const int64_t* indices,
                                              const int64_t* offsets, int64_t num_curves,
@@ -168,7 +169,7 @@ inline std::vector<SideGraySums> SumSideGray(const ObservedCurves& curves,
   return sums;
 }
 
-// The place nearest to x on the chain around a position of it: where the point has moved to.
+// Position nearest to x on the chain around a given position: the observation of a moved point.
 inline double SlideTo(const EdgeIndex& view, double position, const Vec2& x) {
   constexpr int kMostSteps = 64;
   const auto distance2 = [&](int64_t i) {
@@ -185,7 +186,7 @@ inline double SlideTo(const EdgeIndex& view, double position, const Vec2& x) {
   return NearestPosition(view, i, x);
 }
 
-// (N, K) positions where the points, at new depths, are on the chains that observed them.
+// (N, K) positions of the points, at new depths, on the chains that observe them.
 inline std::vector<double> SlidePositions(const ObservedCurves& curves, int num_threads) {
   const CurveObserver observer(curves);
   const int64_t num_views = int64_t(curves.views.size());

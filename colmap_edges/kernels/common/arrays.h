@@ -1,4 +1,4 @@
-// Array types of the bindings, their checks, and the one way to hand a C++ vector to numpy.
+// Array types of the bindings, their checks, and the conversion of C++ vectors to numpy.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -35,7 +35,7 @@ inline void Require(bool holds, const char* message) {
   if (!holds) throw std::invalid_argument(message);
 }
 
-// Offsets of `total` points in rows.
+// Checks CSR offsets of `total` points.
 inline void CheckOffsets(const Longs& offsets, size_t total) {
   Require(offsets.size() > 0 && offsets(0) == 0 && offsets(offsets.size() - 1) == int64_t(total),
           "offsets must start at 0 and end at the number of points");

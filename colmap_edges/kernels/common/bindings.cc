@@ -1,4 +1,4 @@
-// Python face of what all tracing uses: the index of a view's edge graph, polylines, triangulation.
+// Bindings common to both methods: index of a view's edge graph, polylines, triangulation.
 #include "common/bindings.h"
 
 #include <nanobind/stl/vector.h>
@@ -99,7 +99,7 @@ nb::tuple TriangulateTracksArrays(const std::vector<const EdgeIndex*>& views, Lo
                         ToArray(std::move(errors), {count}));
 }
 
-// Costs are those of PieceCosts in their order, row by row for each polyline.
+// Costs: one row of PieceCosts, in the order of its fields, per polyline.
 nb::tuple CutPiecesArrays(Points3D points, Doubles weights, Longs offsets,
                           InArray<double, nb::shape<-1, -1, 5>> costs, int64_t max_places,
                           int num_threads) {
@@ -123,7 +123,7 @@ nb::tuple CutPiecesArrays(Points3D points, Doubles weights, Longs offsets,
         std::vector<Piece>& pieces = found[row * count + e];
         totals[row * count + e] = table.Cut(cost, &pieces);
         if (rows > 1 || size <= max_places) continue;
-        // The best cut between places apart; now between all the points around its cuts.
+        // The best cuts between spaced places are refined among all points around them.
         const PieceTable fine(all + first, weights.data() + first,
                               PlacesNear(pieces, size, 1 + size / max_places));
         pieces.clear();
@@ -156,24 +156,26 @@ void BindCommon(nb::module_& m) {
       .def("__init__", &InitEdgeIndex, "points"_a, "normals"_a, "sides"_a, "offsets"_a, "closed"_a,
            "rotation"_a, "translation"_a, "focal"_a)
       .def_prop_ro("num_polylines", &EdgeIndex::num_polylines);
-  m.def("walk_records", &WalkRecordsArrays, "data"_a, "first"_a, "num_records"_a, "head_size"_a,
-        "element_size"_a,
-        "Byte offsets (N,) int64 of records one after the other in the (n,) bytes of a file, each\n"
-        "a head that ends in a count (8 bytes) and so many elements; the (N,) int64 counts; and\n"
-        "where the last one ends, n + 1 where the data end within a record.");
+  m.def(
+      "walk_records", &WalkRecordsArrays, "data"_a, "first"_a, "num_records"_a, "head_size"_a,
+      "element_size"_a,
+      "Byte offsets (N,) int64 of consecutive records in the (n,) bytes of a file, each a header\n"
+      "that ends with a count (8 bytes) followed by the elements; the (N,) int64 counts; and the\n"
+      "end of the last record, n + 1 if the data end within a record.");
   m.def("chain_points", &ChainPointsArrays, "index"_a, "positions"_a,
         "(N, 2) undistorted pixels and (N, 2) unit tangents at fractional positions on chains.");
   m.def("douglas_peucker", &DouglasPeuckerArrays, "points"_a, "offsets"_a, "distance"_a,
         "Indices that Douglas-Peucker keeps of each polyline, and their CSR offsets.");
-  m.def("cut_pieces", &CutPiecesArrays, "points"_a, "weights"_a, "offsets"_a, "costs"_a,
-        "max_places"_a, "num_threads"_a,
-        "Polylines cut into lines, arcs and points of neither, of least cost: (R, E) costs, (K, 2) "
-        "first points and ends of pieces, (K,) kinds (0 line, 1 arc, -1 neither) and (R E + 1,) "
-        "offsets of the pieces by row of costs and polyline.");
+  m.def(
+      "cut_pieces", &CutPiecesArrays, "points"_a, "weights"_a, "offsets"_a, "costs"_a,
+      "max_places"_a, "num_threads"_a,
+      "Segmentation of polylines into lines, arcs and outliers at least cost: (R, E) costs, (K, 2) "
+      "ranges of points, (K,) kinds (0 line, 1 arc, -1 outliers) and (R E + 1,) offsets of the "
+      "pieces by row of costs and polyline.");
   m.def("triangulate_tracks", &TriangulateTracksArrays, "views"_a, "offsets"_a, "track_views"_a,
         "track_pixels"_a, "num_threads"_a,
-        "(N, 3) least-squares points of tracks and (N,) largest errors in pixels; NaN and inf "
-        "where a track does not triangulate.");
+        "(N, 3) least-squares points of tracks and (N,) largest errors in pixels; NaN and inf if "
+        "a track cannot be triangulated.");
 }
 
 }  // namespace colmap_edges

@@ -1,7 +1,7 @@
-// One view's edge graph with its pose, ready for look-ups: dense polylines in undistorted pixels
-// and a uniform grid over them. A place on a chain is one number, its position: the index of the
-// point before it plus the fraction of the way to the next one. The last point of a closed chain
-// leads to its first.
+// Search index of one view's edge graph, with its pose: dense polylines in undistorted pixels and a
+// uniform grid over them. A position on a chain is a fractional index: the index of the previous
+// point plus the fraction of the way to the next one. The last point of a closed chain is
+// connected to its first.
 #pragma once
 
 #include <algorithm>
@@ -20,9 +20,9 @@
 namespace colmap_edges {
 
 using Vec2f = std::array<float, 2>;
-using Sides = std::array<uint8_t, 2>;  // gray on the dark and on the bright side
+using Sides = std::array<uint8_t, 2>;  // intensities of the dark and the bright side
 
-// What is made when it is first asked for, by whichever thread.
+// A value made at its first use, by any thread.
 template <typename T>
 class Lazy {
  public:
@@ -39,8 +39,8 @@ class Lazy {
 
 class EdgeIndex {
  public:
-  // points, normals: (N, 2) undistorted pixels; sides: (N, 2) gray on the dark and the bright side;
-  // offsets: (P + 1) polylines; closed: (P).
+  // points, normals: (N, 2) undistorted pixels; sides: (N, 2) intensities of the dark and the
+  // bright side; offsets: (P + 1) CSR of the points by polyline; closed: (P).
   EdgeIndex(const std::vector<Vec2>& points, const std::vector<Vec2>& normals,
             const std::vector<Sides>& sides, std::vector<int64_t> offsets,
             std::vector<uint8_t> closed, const PinholeView& pose)
@@ -82,7 +82,7 @@ class EdgeIndex {
   double focal() const { return pose_.focal_px; }
   double longest_segment() const { return longest_segment_; }  // pixels
 
-  // Asks for points i and i + 1 ahead of their use.
+  // Prefetches points i and i + 1.
   void Prefetch(int64_t i) const {
     __builtin_prefetch(&points_[i]);
     __builtin_prefetch(&points_[i] + 1);
@@ -123,7 +123,7 @@ class EdgeIndex {
     return {a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])};
   }
 
-  // The position a fraction in [0, 1] of the way from point i, which has a next one, to that.
+  // The position at a fraction in [0, 1] of the segment from point i to its next one.
   double Position(int64_t i, double fraction) const {
     const double position = double(i) + fraction;
     return position < double(i + 1) ? position : double(Next(i));
@@ -135,8 +135,8 @@ class EdgeIndex {
   // Unit direction of the polyline around point i.
   Vec2 tangent(int64_t i) const { return Widened(points_[i].tangent); }
 
-  // The chord of a stretch of a polyline, from point `first` over `count` steps. What crosses the
-  // chord crosses the stretch, and all but grazing lines that cross the stretch cross the chord.
+  // The chord of a stretch of a polyline, from point `first` over `count` steps. Lines that
+  // intersect the chord intersect the stretch; the converse holds except for nearly tangent lines.
   struct Stretch {
     float ax, ay, bx, by;
     int32_t first, count;
@@ -145,8 +145,8 @@ class EdgeIndex {
     return stretches_.Get([this] { return MakeStretches(); });
   }
 
-  // Calls visit(i, dx, dy) for each point i, seen from `center`, that is within the square of
-  // half-width `radius` around it.
+  // Calls visit(i, dx, dy) for each point i within the square of half width `radius` around
+  // `center`, with its offset from there.
   template <typename Visit>
   void VisitNear(const Vec2& center, double radius, const Visit& visit) const {
     const int64_t left = Column(center.x - radius), right = Column(center.x + radius);
@@ -157,16 +157,16 @@ class EdgeIndex {
   template <typename Accept>
   int64_t Nearest(const Vec2& center, double radius, const Accept& accept) const;
 
-  // The same as VisitNear, but points farther than `margin` from a line may be left out.
+  // As VisitNear, but points farther than `margin` from a line may be left out.
   template <typename Visit>
   void VisitAlong(const Line2D& line, double margin, const Vec2& center, double radius,
                   const Visit& visit) const;
 
  private:
   static constexpr double kCell = 8;             // pixels
-  static constexpr int64_t kMaxStretch = 16;     // points; keeps it within few bins of angles
+  static constexpr int64_t kMaxStretch = 16;     // points, so that it covers few bins of angles
   static constexpr double kStretchDistance = 1;  // pixels between a stretch and its chord
-  static constexpr int64_t kTangentReach = 3;    // points to both sides that make a tangent
+  static constexpr int64_t kTangentReach = 3;    // points on both sides used for a tangent
 
   Vec2 FindTangent(int64_t i) const {
     const Vec2& a = point(Advance(i, -kTangentReach));
@@ -183,13 +183,13 @@ class EdgeIndex {
   }
   int64_t CellOf(const Vec2& x) const { return Row(x[1]) * columns_ + Column(x[0]); }
 
-  // Whether there may be points within the square of half-width `radius` around a place.
+  // Whether there may be points within the square of half width `radius` around a pixel.
   bool Reaches(const Vec2& center, double radius) const {
     return !points_.empty() && center.x + radius >= low_.x && center.x - radius <= high_.x &&
            center.y + radius >= low_.y && center.y - radius <= high_.y;
   }
 
-  // VisitNear in the cells of each row r between those of a pair columns(r).
+  // VisitNear in the cells of each row r in the range columns(r).
   template <typename Visit, typename Columns>
   void VisitRows(const Vec2& center, double radius, const Visit& visit,
                  const Columns& columns) const;
@@ -197,8 +197,8 @@ class EdgeIndex {
   std::vector<Stretch> MakeStretches() const;
   void BuildGrid();
 
-  // All that a crossing needs to know of a point, as small as it can be: views are larger than
-  // caches. Single precision is a thousandth of a chain's own noise.
+  // Data of a point for intersections, kept small since views do not fit into caches. Rounding to
+  // single precision is a thousandth of a chain's noise.
   struct Point {
     Vec2f xy, normal, tangent;
     int32_t polyline;
@@ -284,7 +284,7 @@ void EdgeIndex::VisitAlong(const Line2D& line, double margin, const Vec2& center
   VisitRows(center, radius, visit, [&](int64_t r) {
     double left = center.x - radius, right = center.x + radius;
     if (std::abs(line.a) > 1e-9) {
-      // Where the line and what is within the margin of it are in the row.
+      // The part of the row within the margin of the line.
       const double top = low_.y + kCell * double(r), bottom = top + kCell;
       const auto [first, last] =
           std::minmax({-(line.c + line.b * top) / line.a, -(line.c + line.b * bottom) / line.a});
@@ -313,7 +313,7 @@ void EdgeIndex::VisitRows(const Vec2& center, double radius, const Visit& visit,
 template <typename Accept>
 int64_t EdgeIndex::Nearest(const Vec2& center, double radius, const Accept& accept) const {
   if (!Reaches(center, radius)) return -1;
-  constexpr int kBlock = 32;  // points whose distances are found before one is looked at
+  constexpr int kBlock = 32;  // points whose distances are computed before they are tested
   double best = radius * radius;
   int64_t nearest = -1;
   const int64_t left = Column(center.x - radius), right = Column(center.x + radius);
@@ -324,7 +324,7 @@ int64_t EdgeIndex::Nearest(const Vec2& center, double radius, const Accept& acce
       double distances2[kBlock];
       int32_t near[kBlock];
       int count = 0;
-      // Without branches, which would be guessed wrong as often as not.
+      // Without branches, which would be unpredictable.
       for (const int32_t stop = std::min(k + kBlock, end); k < stop; ++k) {
         const CellPoint& p = cell_points_[k];
         const double dx = p.xy[0] - center.x, dy = p.xy[1] - center.y;
@@ -338,7 +338,7 @@ int64_t EdgeIndex::Nearest(const Vec2& center, double radius, const Accept& acce
       }
     }
   };
-  // Rows beside that of the center only if they may hold something nearer.
+  // Neighbouring rows only if they can contain a nearer point.
   const int64_t middle = Row(center.y);
   search(middle);
   for (int64_t r = middle - 1; r >= Row(center.y - radius); --r) {

@@ -47,7 +47,7 @@ inline PinholeView MakePinholeView(const double* R, const double* t, double foca
 struct Line2D {
   double a, b, c;
   double SignedDistance(Vec2 p) const { return a * p.x + b * p.y + c; }
-  // Where it crosses p-q, as a fraction in [0, 1); of two segments that share an end one holds it.
+  // Intersection with p-q, as a fraction in [0, 1); of two segments with a common end, one has it.
   bool Crosses(Vec2 p, Vec2 q, double* fraction) const {
     const double s0 = SignedDistance(p), s1 = SignedDistance(q);
     if ((s0 < 0) == (s1 < 0)) return false;
@@ -69,7 +69,7 @@ struct Box2D {
     return min.x <= other.max.x && max.x >= other.min.x && min.y <= other.max.y &&
            max.y >= other.min.y;
   }
-  bool Meets(const Line2D& line) const {  // or all but does
+  bool Meets(const Line2D& line) const {  // with a tolerance for rounding
     const Vec2 half = 0.5 * (max - min);
     return std::abs(line.SignedDistance(min + half)) <=
            std::abs(line.a) * half.x + std::abs(line.b) * half.y + 1e-6;
@@ -131,7 +131,7 @@ inline bool TriangulateLinear(const Sighting* sightings, int count, Vec3* point)
 }
 
 // Largest reprojection error in pixels; infinity when the point is behind one of the views.
-// `worst` receives the index of the sighting that has it.
+// `worst` receives the index of its sighting.
 inline double MaxReprojectionError(const Sighting* sightings, int count, const Vec3& point,
                                    int* worst = nullptr) {
   double largest = -1;
@@ -147,8 +147,8 @@ inline double MaxReprojectionError(const Sighting* sightings, int count, const V
   return largest;
 }
 
-// Least-squares triangulation: linear start, then Gauss-Newton on reprojection errors. False when
-// the rays are parallel or the point comes to lie behind a view.
+// Least-squares triangulation: linear start, then Gauss-Newton on reprojection errors. False if the
+// rays are parallel or the point is behind a view.
 inline bool Triangulate(const Sighting* sightings, int count, Vec3* point) {
   if (!TriangulateLinear(sightings, count, point)) return false;
   for (int iteration = 0; iteration < 10; ++iteration) {

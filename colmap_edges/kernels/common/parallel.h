@@ -1,4 +1,4 @@
-// Runs independent pieces of work on threads; results must not depend on which thread did what.
+// Runs independent tasks on threads; results must not depend on their assignment to threads.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 namespace colmap_edges {
 
 // Calls work(index, worker) for each index in [0, count); `worker` is in [0, num_threads).
-// The first exception is thrown again on the calling thread.
+// The first exception is rethrown on the calling thread.
 template <typename Work>
 void ParallelFor(int64_t count, int num_threads, const Work& work) {
   std::atomic<int64_t> next{0};
@@ -34,7 +34,7 @@ void ParallelFor(int64_t count, int num_threads, const Work& work) {
   try {
     for (int worker = 1; worker < workers; ++worker) threads.emplace_back(run, worker);
   } catch (const std::system_error&) {
-    // The system has no more threads to give; those that there are do the work.
+    // The system refuses more threads; the existing ones do the work.
   }
   run(0);
   for (std::thread& thread : threads) thread.join();

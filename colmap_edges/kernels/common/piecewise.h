@@ -1,4 +1,4 @@
-// Polylines cut into stretches that a line or a circular arc fits: optimal by dynamic programming.
+// Optimal segmentation of polylines into lines and circular arcs by dynamic programming.
 #pragma once
 
 #include <algorithm>
@@ -13,21 +13,21 @@ namespace colmap_edges {
 
 enum PieceKind : int32_t { kNothing = -1, kLine = 0, kArc = 1 };
 
-// Points first to last - 1 of a polyline are one piece.
+// A piece of a polyline: points [first, last).
 struct Piece {
   int64_t first, last;
   PieceKind kind;
 };
 
-// What a piece costs beside the squares of its residuals, which are in standard deviations.
+// Costs of pieces, in addition to squared residuals in standard deviations.
 struct PieceCosts {
-  double line, arc;  // once a piece
-  double nothing;    // each point that belongs to none
-  double variance;   // by which squares are divided, those of a piece of n points by
-  double shared;     // 1 + n / shared as much
+  double line, arc;  // per piece
+  double nothing;    // per outlier
+  double variance;   // divisor of the squares; for a piece of n points,
+  double shared;     // it is multiplied by 1 + n / shared
 };
 
-// Weighted sums of points, from which lines and circles are fitted.
+// Weighted moments of points, from which lines and circles are fitted.
 struct Moments {
   double w = 0, p[3] = {}, pp[6] = {}, pz[3] = {}, z = 0,
          zz = 0;  // z is |p|^2; pp: xx xy xz yy yz zz
@@ -83,8 +83,8 @@ inline void Eigen3(const double given[6], double values[3], Vec3 vectors[3]) {
   }
 }
 
-// Mean squared distance of points in a plane to their circle, by Taubin's fit, which Newton's
-// method finds (Chernov 2010, section 5.9). The moments are those about the mean, over the weight.
+// Mean squared distance of points in a plane to their circle, by Taubin's fit with Newton's method
+// (Chernov 2010, section 5.9). Moments are central and divided by the weight.
 inline double TaubinResidual(double xx, double xy, double yy, double xz, double yz, double zz) {
   const double z = xx + yy, det = xx * yy - xy * xy, variance = zz - z * z;
   const double a3 = 4 * z, a2 = -3 * z * z - zz;
@@ -102,8 +102,7 @@ inline double TaubinResidual(double xx, double xy, double yy, double xz, double 
   return std::max(0.0, x);
 }
 
-// Weighted sums of squared distances to the best line, and to the best circle in the plane nearest
-// to the points.
+// Weighted sums of squared distances to the best line, and to the best circle in the best plane.
 inline void Residuals(const Moments& m, double* line, double* arc) {
   const double mean[3] = {m.p[0] / m.w, m.p[1] / m.w, m.p[2] / m.w};
   const int row[6] = {0, 0, 0, 1, 1, 2}, column[6] = {0, 1, 2, 1, 2, 2};
@@ -133,10 +132,10 @@ inline void Residuals(const Moments& m, double* line, double* arc) {
   *arc = m.w * (values[0] + std::min(plane, values[1]));
 }
 
-// Squares of residuals of lines and arcs through the points between each two places to cut at.
+// Squared residuals of lines and arcs through the points between each two candidate cuts.
 class PieceTable {
  public:
-  // `places` are ascending indices of points, from 0 to their number.
+  // `places`: ascending indices of points at candidate cuts, from 0 to the number of points.
   PieceTable(const Vec3* points, const double* weights, std::vector<int64_t> places)
       : places_(std::move(places)),
         count_(places_.size()),
@@ -159,7 +158,7 @@ class PieceTable {
     }
   }
 
-  // The pieces of least cost, in their order; returns the cost.
+  // The pieces of least total cost, in order; returns this cost.
   double Cut(const PieceCosts& costs, std::vector<Piece>* pieces) const {
     std::vector<double> best(count_, kInfinite);
     std::vector<size_t> from(count_, 0);
@@ -191,7 +190,7 @@ class PieceTable {
     return best[count_ - 1];
   }
 
-  static constexpr int64_t kLinePoints = 3, kArcPoints = 5;  // one more than they have freedom
+  static constexpr int64_t kLinePoints = 3, kArcPoints = 5;  // minimum numbers of points
 
  private:
   static constexpr double kInfinite = std::numeric_limits<double>::infinity();
@@ -200,7 +199,7 @@ class PieceTable {
   std::vector<double> line_, arc_;
 };
 
-// The places around the cuts between pieces, up to `reach` points off, and both ends.
+// Candidate cuts: both ends, and points up to `reach` from the cuts between pieces.
 inline std::vector<int64_t> PlacesNear(const std::vector<Piece>& pieces, int64_t count,
                                        int64_t reach) {
   std::vector<int64_t> places = {0, count};
@@ -214,7 +213,7 @@ inline std::vector<int64_t> PlacesNear(const std::vector<Piece>& pieces, int64_t
   return places;
 }
 
-// Indices from 0 to `count`, at most `most` + 1 of them and evenly apart.
+// At most `most` + 1 evenly spaced indices from 0 to `count`.
 inline std::vector<int64_t> PlacesToCut(int64_t count, int64_t most) {
   const int64_t parts = std::min(count, most);
   std::vector<int64_t> places(parts + 1);

@@ -9,7 +9,7 @@
 
 namespace colmap_edges {
 
-// The fraction in [0, 1] of the way from a to b where the segment is nearest to p.
+// Fraction in [0, 1] along the segment a-b of its point nearest to p.
 inline double NearestFraction(const Vec2& p, const Vec2& a, const Vec2& b) {
   const Vec2 d = b - a;
   const double length2 = Dot(d, d);
@@ -23,9 +23,9 @@ inline double SquaredDistanceToSegment(const Vec2& p, const Vec2& a, const Vec2&
   return Dot(e, e);
 }
 
-// Indices in [first, last] that Douglas-Peucker keeps so that no point is farther than `distance`
-// from the kept polyline; both ends are kept. Appended to `kept` in ascending order. `point(i)` is
-// a Vec2.
+// Appends to `kept` the indices in [first, last], ascending and with both ends, that
+// Douglas-Peucker keeps so that no point is farther than `distance` from the polyline. `point(i)`
+// is a Vec2.
 template <typename Point>
 void DouglasPeucker(const Point& point, int64_t first, int64_t last, double distance,
                     std::vector<int64_t>* kept) {

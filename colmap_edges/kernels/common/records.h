@@ -1,4 +1,4 @@
-// Records of different lengths one after the other in a file: heads that end in a count.
+// Records of different lengths in a file, with headers that end with a count.
 #pragma once
 
 #include <cstdint>
@@ -9,11 +9,11 @@ namespace colmap_edges {
 
 struct Records {
   std::vector<int64_t> starts, counts;
-  int64_t end = 0;  // of the last one; one byte past the data where they end within a record
+  int64_t end = 0;  // of the last record; one byte past the data if these end within a record
 };
 
-// Walks `num_records` records from byte `first` on: a head of `head_size` bytes, whose last eight
-// are the number of elements of `element_size` bytes that follow it.
+// Iterates over `num_records` records from byte `first`: a header of `head_size` bytes, whose last
+// eight bytes are the number of the following elements of `element_size` bytes.
 inline Records WalkRecords(const uint8_t* data, int64_t size, int64_t first, uint64_t num_records,
                            int64_t head_size, int64_t element_size) {
   Records result;

@@ -1,5 +1,5 @@
-// Python face of what works on one image: edge points at sub-pixel positions, sides, colours, and
-// corners and junctions of its chains.
+// Bindings of the processing of one image: sub-pixel positions, side intensities and colours of
+// edge points, corners and junctions of chains.
 #include "common/bindings.h"
 
 #include <algorithm>
@@ -160,24 +160,24 @@ void BindImage(nb::module_& m) {
   m.def(
       "find_corners", &FindCornersArrays, "points"_a, "offsets"_a, "closed"_a, "rounded"_a, "arm"_a,
       "bent_cosine"_a, "max_cosine"_a, "max_scatter"_a, "slack"_a, "max_radius"_a, "max_cut"_a,
-      "(K,) points of chains at corners, ascending, and (K, 2) where the lines along them cross.");
+      "(K,) points of chains at corners, ascending, and (K, 2) intersections of the lines there.");
   m.def("touched_chains", &TouchedChainsArrays, "points"_a, "offsets"_a, "width"_a, "height"_a,
-        "(2C,) chain whose inside each end touches, other than its own, or -1.");
+        "(2C,) another chain whose inner points each end touches, or -1.");
   m.def("link_pixels", &LinkPixelsArrays, "map"_a, "reach"_a,
         "(N, 2) pixels (x, y) of a thinned edge image, linked to chains, and their (C + 1,) "
         "offsets.");
   m.def("refine_subpixel", &RefineSubpixelArrays, "image"_a, "pixels"_a,
-        "(N, 2) pixels moved along the gradient to where the image changes most, and (N, 2) unit "
+        "(N, 2) pixels moved along the gradient to the maximum of its magnitude, and (N, 2) unit "
         "gradient directions.");
   m.def("undo_displacement", &UndoDisplacementArrays, "image"_a, "points"_a, "normals"_a, "blur"_a,
-        "(N, 2) edge points moved along their normals to where they are without what blur does to "
-        "edges beside each other.");
+        "(N, 2) edge points moved along their normals to undo the displacement of neighbouring "
+        "edges by blur.");
   m.def("sample_sides", &SampleSidesArrays, "image"_a, "points"_a, "normals"_a, "distance"_a,
         "table"_a,
-        "(N, 2) values of an image, 0 to 1, looked up in a table, at a distance against and along "
-        "the normals.");
+        "(N, 2) values of an image, 0 to 1, mapped by a table, at a distance against and along the "
+        "normals.");
   m.def("bilinear", &BilinearArrays, "image"_a, "points"_a,
-        "(N, 3) values of an image at points, centre of its first pixel (0, 0).");
+        "(N, 3) values of an image at points; its first pixel is centred at (0, 0).");
 }
 
 }  // namespace colmap_edges

@@ -1,4 +1,4 @@
-// Corners of chains of pixels: where the lines along a chain before and after a bend cross.
+// Corners of chains of pixels: intersections of the lines along a chain before and after a bend.
 #pragma once
 
 #include <algorithm>
@@ -10,14 +10,14 @@
 
 namespace colmap_edges {
 
-// What is a corner. An arm is `arm` points to either side of it, beyond the `rounded` ones that
-// blur may have moved. Lengths are in pixels.
+// Conditions for a corner. An arm consists of `arm` points on one side of it, beyond the `rounded`
+// ones that blur may displace. Lengths are in pixels.
 struct CornerLimits {
   int64_t rounded, arm;
-  double bent_cosine;                 // of the angle between the chords of the arms, at most
-  double max_cosine;                  // the same of the lines through them
-  double max_scatter;                 // root mean square of the points of an arm around its line
-  double slack, max_radius, max_cut;  // of the distance from the chain, see MaxDistance
+  double bent_cosine;                 // maximum cosine of the angle between the arms' chords
+  double max_cosine;                  // maximum cosine of the angle between the arms' lines
+  double max_scatter;                 // maximum root mean square distance of an arm to its line
+  double slack, max_radius, max_cut;  // limits of the distance from the chain, see MaxDistance
 };
 
 // A line through points.
@@ -26,14 +26,14 @@ struct Line {
   double scatter;
 };
 
-// A corner of a chain: the point of the chain, and where the lines cross at some distance from it.
+// A corner of a chain: the index of the point, and the intersection of the lines with its distance.
 struct Corner {
   int64_t point;
   Vec2 crossing;
   double distance;
 };
 
-// One chain; an index beyond the ends of one that is closed goes around.
+// One chain; indices of closed ones wrap around.
 struct Chain {
   const double* points;
   int64_t first, length;
@@ -61,7 +61,7 @@ inline Line FitLine(const Chain& chain, int64_t begin, int64_t end) {
     xx += d.x * d.x, xy += d.x * d.y, yy += d.y * d.y;
   }
   xx /= count, xy /= count, yy /= count;
-  // Half the angle of (xx - yy, 2 xy), by the cosine of that: x >= 0.
+  // Half the angle of (xx - yy, 2 xy), from its cosine: x >= 0.
   const double half = (xx - yy) / 2, radius = std::sqrt(half * half + xy * xy);
   const double cosine = radius > 0 ? half / radius : 1;
   Vec2 direction = {std::sqrt(std::max((1 + cosine) / 2, 0.0)),
@@ -70,13 +70,13 @@ inline Line FitLine(const Chain& chain, int64_t begin, int64_t end) {
   return {center, direction, std::sqrt(std::max((xx + yy) / 2 - radius, 0.0))};
 }
 
-// How far from the chain a corner may be: blur makes an arc of it of at most `max_radius`.
+// Maximum distance of a corner from the chain: blur rounds it to an arc of at most `max_radius`.
 inline double MaxDistance(double cosine, const CornerLimits& limits) {
   const double half = std::sqrt(std::clamp((1 + cosine) / 2, 1e-6, 1.0));
   return std::min(limits.slack + limits.max_radius * (1 / half - 1), limits.max_cut);
 }
 
-// Whether there is a corner at the k-th point of a chain, and which.
+// Whether the k-th point of a chain is at a corner; writes the corner.
 inline bool FindCorner(const Chain& chain, int64_t k, const CornerLimits& limits, Corner* corner) {
   const int64_t near = limits.rounded, far = near + limits.arm - 1;
   const Vec2 into = chain.At(k - near) - chain.At(k - far);
@@ -95,15 +95,15 @@ inline bool FindCorner(const Chain& chain, int64_t k, const CornerLimits& limits
   const Vec2 crossing = before.center + along * before.direction;
   const double distance = Norm(crossing - chain.At(k));
   if (distance > MaxDistance(cosine, limits)) return false;
-  // Both lines lead to the crossing, past the points that are trusted.
+  // The intersection must lie beyond the points of both arms.
   if (Dot(crossing - chain.At(k - near), before.direction) <= 0) return false;
   if (Dot(chain.At(k + near) - crossing, after.direction) <= 0) return false;
   *corner = {chain.Index(k), crossing, distance};
   return true;
 }
 
-// Appends the corners of a chain, ascending. Of those within 2 `rounded` points of one another the
-// one nearest to the chain stays.
+// Appends the corners of a chain, ascending. Of corners within 2 `rounded` points of each other,
+// the one nearest to the chain is kept.
 inline void FindCorners(const Chain& chain, const CornerLimits& limits,
                         std::vector<Corner>* corners) {
   const int64_t reach = limits.rounded + limits.arm - 1;

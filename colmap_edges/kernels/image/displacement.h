@@ -1,7 +1,7 @@
-// Blur moves the two edges of a thin bar apart: within a few standard deviations of each other they
-// are seen farther from each other than they are. What is seen of both, how far apart they are and
-// how steep, tells where they are. (A step that rises beside another moves it, too, but what rises
-// there may as well be shading.)
+// Blur displaces the two edges of a thin bar outwards if they are within a few standard deviations
+// of each other. Their true positions follow from the observed distance and the ratio of slopes.
+// (Neighbouring edges of equal polarity also displace each other, but cannot be distinguished from
+// shading.)
 #pragma once
 
 #include <algorithm>
@@ -13,12 +13,13 @@
 
 namespace colmap_edges {
 
-// How far a rising edge is moved by a falling one. Across both the image changes as the difference
-// of two Gaussians, each at its edge and as high as that is strong. Lengths are in standard
+// Displacement of a rising edge by a falling one. The derivative of the image across both is the
+// difference of two Gaussians at the edges, scaled by their contrasts. Lengths are in standard
 // deviations of the blur.
 class DisplacementTable {
  public:
-  static constexpr double kMost = 0.6;  // bars thinner than the blur may be of any width
+  static constexpr double kMost =
+      0.6;  // maximum; the width of bars thinner than the blur is unknown
 
   DisplacementTable() {
     for (int i = 0; i < kSeparations; ++i) {
@@ -26,8 +27,8 @@ class DisplacementTable {
     }
   }
 
-  // By how much an edge is moved away from another that is seen at a distance > 0 and falls `ratio`
-  // > 0 times as steeply.
+  // Displacement of an edge away from another one observed at a distance > 0, whose slope is
+  // `ratio` > 0 times as large.
   double operator()(double separation, double ratio) const {
     const double x = std::clamp((separation - kFirst) / kStep, 0.0, kSeparations - 1.0);
     const double y = std::clamp(ratio / (1 + ratio) / kShareStep, 0.0, kShares - 1.0);
@@ -41,21 +42,21 @@ class DisplacementTable {
   static constexpr int kSeparations = 51, kShares = 20, kSolverSteps = 100;
   static constexpr double kFirst = 1, kStep = 0.1, kShareStep = 0.05, kDamping = 0.3;
 
-  // Of two edges seen at 0 and `separation`, of whose slopes `share` is the second's, step by step:
-  // how strong they are where they are thought to be, and where they are, being so strong.
+  // For two edges observed at 0 and `separation`, `share` being the second one's part of the sum of
+  // slopes: alternates between contrasts given the positions and positions given the contrasts.
   static double Solve(double separation, double share) {
     const auto gaussian = [](double x) { return std::exp(-0.5 * x * x); };
     const double rise = 1 - share, fall = share;
-    double moved = 0, moved2 = 0;  // away from each other
+    double moved = 0, moved2 = 0;  // displacements away from each other
     for (int step = 0; step < kSolverSteps; ++step) {
       const double own = gaussian(moved), own2 = gaussian(moved2);
-      // What of each is seen where the other is.
+      // Contribution of each Gaussian at the other edge.
       const double at_second = separation - moved, at_first = separation - moved2;
       const double of_first = gaussian(at_second), of_second = gaussian(at_first);
       const double determinant = std::max(own * own2 - of_first * of_second, 1e-6);
       const double strength = (rise * own2 + fall * of_second) / determinant;
       const double strength2 = (fall * own + rise * of_first) / determinant;
-      // Where the steepest place is seen the slopes of both Gaussians cancel.
+      // At the observed maximum, the derivatives of both Gaussians cancel.
       const double target = strength2 * at_first * of_second / (strength * own);
       const double target2 = strength * at_second * of_first / (strength2 * own2 + 1e-300);
       moved += kDamping * (std::min(target, kMost) - moved);
@@ -67,13 +68,13 @@ class DisplacementTable {
   std::array<std::array<double, kShares>, kSeparations> at_;
 };
 
-// Moves edge points along their normals from where edges are seen to where they are, falling ones
-// being beside them. The image is blurred by `blur` pixels (standard deviation) in all.
+// Moves edge points along their normals from the observed to the true positions where falling edges
+// are near. `blur` is the total standard deviation of the blur in pixels.
 inline void UndoDisplacement(const Image& image, double blur, const double* points,
                              const double* normals, int64_t num_points, double* moved) {
-  constexpr int kReach = 6;            // pixels to both sides
-  constexpr double kLeastRatio = 0.2;  // weaker ones are noise or do little
-  // Values between pixels are means of neighbours, differences are over two pixels.
+  constexpr int kReach = 6;            // search range in pixels on both sides
+  constexpr double kLeastRatio = 0.2;  // weaker edges are noise or have little effect
+  // Interpolation adds blur, as do differences over two pixels.
   const double variance = blur * blur + 1.0 / 6 + 4.0 / 12, sigma = std::sqrt(variance);
   static const DisplacementTable table;
   std::array<double, kReach> nearness;

@@ -13,8 +13,8 @@
 
 namespace colmap_edges {
 
-// A label for every pixel of an image and of a border of one pixel around it; 0 at first. Memory
-// that comes as zeros costs nothing where no label is put.
+// A label for every pixel of an image and of a border of one pixel around it; initially 0. Memory
+// allocated as zeros costs nothing where no label is written.
 class PixelLabels {
  public:
   PixelLabels(int64_t width, int64_t height)
@@ -24,7 +24,7 @@ class PixelLabels {
     if (!labels_) throw std::bad_alloc();
   }
 
-  // Of the pixel that holds a point, or the nearest; moved by (dx, dy) pixels.
+  // Label of the pixel at a point, or the nearest pixel, offset by (dx, dy) pixels.
   int32_t& At(const Vec2& point, int64_t dx = 0, int64_t dy = 0) {
     const int64_t x = std::clamp(std::floor(point.x) + 1, 0.0, double(stride_ - 1));
     const int64_t y = std::clamp(std::floor(point.y) + 1, 0.0, double(rows_ - 1));
@@ -37,9 +37,9 @@ class PixelLabels {
   std::unique_ptr<int32_t, decltype(&std::free)> labels_;
 };
 
-// Of both ends of every chain: the chain, other than its own, of which a point that is no end lies
-// within the 3x3 pixels around it; the last of several, and the last of those that share a pixel;
-// -1 for none. `point(i)` is a Vec2.
+// For both ends of every chain: another chain with an inner point within the 3x3 pixels around the
+// end; the last one of several, also of those that share a pixel; -1 for none. `point(i)` is a
+// Vec2.
 template <typename Point>
 std::vector<int32_t> TouchedChains(const Point& point, const std::vector<int64_t>& offsets,
                                    int64_t width, int64_t height) {

@@ -9,8 +9,8 @@
 
 namespace colmap_edges {
 
-// Pixels that are set, in rows from the top, and which of them touch: side by side, or corner to
-// corner where no pixel beside both is set. A step of a staircase is passed over its corner so.
+// Set pixels, row by row, and their neighbours: 4-neighbours, and diagonal neighbours without a
+// common 4-neighbour that is set, so that chains follow staircases pixel by pixel.
 class TouchingPixels {
  public:
   TouchingPixels(const uint8_t* map, int64_t width, int64_t height)
@@ -28,7 +28,7 @@ class TouchingPixels {
     return {double(places_[pixel] % width_), double(places_[pixel] / width_)};
   }
 
-  // The pixels that touch one: at most 4. Returns how many they are.
+  // The neighbours of a pixel, at most 4. Returns their number.
   int Around(int32_t pixel, std::array<int32_t, 4>* found) const {
     const int64_t x = places_[pixel] % width_, y = places_[pixel] / width_;
     int count = 0;
@@ -50,12 +50,12 @@ class TouchingPixels {
 
   const uint8_t* map_;
   int64_t width_, height_;
-  std::vector<int32_t> index_;   // of each place, -1 where no pixel is set
-  std::vector<int64_t> places_;  // of each pixel
+  std::vector<int32_t> index_;   // of each place in the image, -1 if not set
+  std::vector<int64_t> places_;  // place in the image of each set pixel
 };
 
-// Where a branch that leaves a pixel by a neighbour goes: the direction of the pixel that is at
-// most `reach` steps away, before the branch ends or forks.
+// Direction of a branch that leaves a pixel by a neighbour: towards the pixel `reach` steps away,
+// or fewer if the branch ends or forks.
 inline Vec2 BranchDirection(const TouchingPixels& pixels, int32_t from, int32_t by, int reach) {
   int32_t before = from, here = by;
   for (int step = 1; step < reach; ++step) {
@@ -68,8 +68,8 @@ inline Vec2 BranchDirection(const TouchingPixels& pixels, int32_t from, int32_t 
   return (1 / std::max(Norm(way), 1.0)) * way;
 }
 
-// The two neighbours of a pixel between which a chain passes: where branches meet, those that go on
-// most nearly straight, the first of equals. -1 for those that it has not.
+// The two neighbours of a pixel that are connected through it: at a junction those of the smallest
+// turn, the first ones if equal. -1 for missing ones.
 inline std::array<int32_t, 2> PassedNeighbours(const TouchingPixels& pixels, int32_t pixel,
                                                int reach) {
   std::array<int32_t, 4> around;
@@ -88,9 +88,9 @@ inline std::array<int32_t, 2> PassedNeighbours(const TouchingPixels& pixels, int
   return passed;
 }
 
-// Chains of touching pixels, each pixel in one of them. Where branches meet, the two that go on
-// most nearly straight are one chain and the others end beside it. Writes (x, y) of the pixels and
-// the offsets of the chains: open ones in the order of their first pixels, then closed ones.
+// Links pixels to chains; each pixel is in one chain. At a junction, the two branches of the
+// smallest turn form one chain, and the others end next to it. Writes (x, y) of the pixels and the
+// offsets of the chains: open ones in the order of their first pixels, then closed ones.
 inline void LinkPixels(const uint8_t* map, int64_t width, int64_t height, int reach,
                        std::vector<double>* places, std::vector<int64_t>* offsets) {
   const TouchingPixels pixels(map, width, height);

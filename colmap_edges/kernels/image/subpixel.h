@@ -1,4 +1,4 @@
-// Sub-pixel positions of edge pixels: where the image changes most along its gradient.
+// Sub-pixel positions of edge pixels: maxima of the derivative along the gradient.
 #pragma once
 
 #include <algorithm>
@@ -9,8 +9,8 @@
 
 namespace colmap_edges {
 
-// Where a position lies among pixels, the first centred at (0, 0): those around it by their place
-// in a row-major image, and how far it is from the first. Outside it is on the border.
+// Bilinear interpolation at a position, the first pixel being centred at (0, 0): indices of the
+// surrounding pixels in a row-major image, and fractions. Positions outside are clamped.
 struct PixelCell {
   int64_t top_left, top_right, bottom_left, bottom_right;
   double fx, fy;
@@ -26,7 +26,7 @@ struct PixelCell {
     fx = x - x0, fy = y - y0;
   }
 
-  // Bilinear value of one of an image's channels.
+  // Interpolated value of one channel of an image.
   template <typename Value>
   double In(const Value* data, int channels = 1) const {
     const double top = data[top_left * channels] * (1 - fx) + data[top_right * channels] * fx;
@@ -36,7 +36,7 @@ struct PixelCell {
   }
 };
 
-// An image, row major; outside it is as on the border.
+// A row-major image; coordinates outside are clamped.
 struct Image {
   const float* data;
   int64_t width, height;
@@ -57,9 +57,8 @@ struct Image {
   double At(const Vec2& point) const { return PixelCell(width, height, point.x, point.y).In(data); }
 };
 
-// Moves each pixel along its gradient to where the image changes most: to the maximum of a parabola
-// through the differences over 2 px at -1, 0 and 1 px; at most 1 px. Writes the points and the unit
-// gradient directions.
+// Moves each pixel along its gradient, by at most 1 px, to the maximum of the parabola through the
+// differences over 2 px at -1, 0 and 1 px. Writes the points and the unit gradient directions.
 inline void RefineSubpixel(const Image& image, const double* pixels, int64_t num_pixels,
                            double* points, double* normals) {
   for (int64_t i = 0; i < num_pixels; ++i) {

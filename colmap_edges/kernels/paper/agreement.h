@@ -1,4 +1,5 @@
-// Where along the ray of an edge point its candidates in other views agree (paper: PEPC-selection).
+// Depths along the ray of an edge point at which candidates in other views agree (paper:
+// PEPC-selection).
 #pragma once
 
 #include <algorithm>
@@ -10,20 +11,20 @@
 
 namespace colmap_edges {
 
-// The inverse distances along a ray that one candidate of a view allows.
+// The interval of inverse distances along a ray that is consistent with one candidate of a view.
 struct DepthInterval {
   double low, high;
   int32_t view;  // from 0
 };
 
-// An inverse distance that more views allow than those next to it.
+// A local maximum of the number of consistent views.
 struct AgreedDepth {
   double inverse_distance;
   int32_t num_views;
 };
 
-// The local maxima of the number of views with an interval around an inverse distance that at
-// least `min_views` views allow; those of most views first, far ones before near ones.
+// Finds inverse distances at local maxima of the number of consistent views, of at least
+// `min_views`, in descending order of this number; of equal ones, far points first.
 inline void FindAgreement(const std::vector<DepthInterval>& intervals, int min_views,
                           std::vector<AgreedDepth>* agreed) {
   struct Event {
@@ -59,9 +60,9 @@ inline void FindAgreement(const std::vector<DepthInterval>& intervals, int min_v
                    [](const auto& a, const auto& b) { return a.num_views > b.num_views; });
 }
 
-// The inverse distance at which a ray of direction `ray` (length 1) from `origin` comes nearest to
-// a pixel of a view, and how many pixels the view sees it move for a change of 1. False behind the
-// view or the origin.
+// The inverse distance at which a ray of direction `ray` (length 1) from `origin` projects nearest
+// to a pixel of a view, and the displacement in pixels per unit of inverse distance. False behind
+// the view or the origin.
 inline bool MeetRay(const Vec3& origin, const Vec3& ray, const PinholeView& view, Vec2 pixel,
                     double* inverse_distance, double* px_per_inverse) {
   const Vec3 a = view.FromWorld(origin), b = view.Rotate(ray);

@@ -1,4 +1,4 @@
-// Python face of the paper's tracing: what is near pixels, correspondences, following.
+// Bindings of the paper's tracing: polylines near pixels, correspondences, following.
 #include "common/bindings.h"
 
 #include <nanobind/stl/vector.h>
@@ -27,7 +27,7 @@ std::vector<Place> ToPlaces(const Views& views, const Ints& of_views, const Doub
   return places;
 }
 
-// CSR of lists: offsets, and the concatenation of the lists, which are emptied.
+// CSR of lists: offsets, and the concatenation of the lists, which are emptied meanwhile.
 template <typename T>
 std::vector<int64_t> Concatenate(std::vector<std::vector<T>>* lists, std::vector<T>* all) {
   std::vector<int64_t> offsets = {0};
@@ -39,7 +39,7 @@ std::vector<int64_t> Concatenate(std::vector<std::vector<T>>* lists, std::vector
   return offsets;
 }
 
-// (offsets, views, positions) of lists of places.
+// Lists of places as (offsets, views, positions).
 nb::tuple ToPlaceArrays(std::vector<int64_t>&& offsets, const std::vector<Place>& places) {
   std::vector<int32_t> views;
   std::vector<double> positions;
@@ -152,8 +152,8 @@ nb::object LouvainArray(int num_nodes, Ints firsts, Ints seconds, Doubles weight
   return nb::cast(ToArray(std::move(labels), {size_t(num_nodes)}));
 }
 
-// Runs of the polylines of each label, by view and ascending: CSR. Labels are of the polylines of
-// all views.
+// Runs of the polylines of each label, by view and ascending, in CSR arrays. `labels` covers the
+// polylines of all views.
 std::vector<int64_t> RunsOfLabels(const Views& views, const Ints& labels,
                                   std::vector<PecRun>* all) {
   int32_t num_labels = 0;
@@ -171,7 +171,7 @@ std::vector<int64_t> RunsOfLabels(const Views& views, const Ints& labels,
 nb::tuple CandidatesInPecsArrays(const Views& views, Ints start_views, Doubles start_positions,
                                  Ints labels, Points2D depth_ranges, int num_threads) {
   const std::vector<Place> starts = ToPlaces(views, start_views, start_positions);
-  // The first polyline of each view among those of all views.
+  // Index of the first polyline of each view.
   std::vector<int64_t> firsts = {0};
   for (const EdgeIndex* chains : views) firsts.push_back(firsts.back() + chains->num_polylines());
   Require(int64_t(labels.size()) == firsts.back(), "one label for each polyline is needed");
@@ -225,7 +225,7 @@ nb::tuple ToEdgeArrays(const std::vector<Edge3D>& edges, std::vector<StartOutcom
       ToArray(std::move(positions), {total}), ToArray(std::move(codes), {num_starts}));
 }
 
-// Which chain points of all views 3D edges cover.
+// The chain points of all views that are covered by 3D edges.
 struct CoveredChains {
   explicit CoveredChains(const Views& views) : points(NothingCovered(views)) {}
   Coverage points;
@@ -291,7 +291,7 @@ void BindPaper(nb::module_& m) {
         "resolution"_a, "seed"_a,
         "(N,) communities of a weighted graph by Louvain's method, numbered by their first nodes.");
   m.def("agreed_depths", &AgreedDepthsArrays, "lows"_a, "highs"_a, "views"_a, "min_views"_a,
-        "Where intervals of most views overlap: inverse distances and numbers of views.");
+        "Maxima of the overlap of the views' intervals: inverse distances and numbers of views.");
   nb::class_<CoveredChains>(m, "CoveredChains", "Which chain points of all views 3D edges cover.")
       .def(nb::init<const Views&>(), "indexes"_a)
       .def("covers", &Covers, "views"_a, "positions"_a, "(N,) whether places are covered, uint8.");
@@ -299,9 +299,8 @@ void BindPaper(nb::module_& m) {
         "start_positions"_a, "offsets"_a, "candidate_views"_a, "candidate_positions"_a, "step_px"_a,
         "max_error_px"_a, "max_step_ratio"_a, "min_epipolar_sine"_a, "full_triangulation_sine"_a,
         "max_stretch"_a, "min_views"_a, "min_steps"_a, "max_selections"_a, "num_threads"_a,
-        "3D edges of PEPCs, which `covered` has from then on: points, edge offsets, closed, track "
-        "offsets, track views and "
-        "positions, and the outcome of each start.");
+        "3D edges of PEPCs, which are added to `covered`: points, edge offsets, closed, track "
+        "offsets, track views and positions, and the outcome of each start.");
 }
 
 }  // namespace colmap_edges

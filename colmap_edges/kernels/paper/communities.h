@@ -16,8 +16,7 @@ struct WeightedLink {
   double weight;
 };
 
-// An undirected graph: the links of each node in a row. A link of a node with itself counts twice
-// for its strength.
+// An undirected graph as rows of links. A link of a node with itself counts twice in its strength.
 class WeightedGraph {
  public:
   WeightedGraph(int32_t num_nodes, const std::vector<WeightedLink>& links)
@@ -55,7 +54,7 @@ class WeightedGraph {
   std::vector<std::pair<int32_t, double>> neighbors_;
 };
 
-// The numbers from 0 to count in random order, the same on any platform.
+// A random permutation of [0, count), the same on any platform.
 inline std::vector<int32_t> RandomOrder(int32_t count, std::mt19937_64* random) {
   std::vector<int32_t> order(count);
   std::iota(order.begin(), order.end(), 0);
@@ -63,11 +62,11 @@ inline std::vector<int32_t> RandomOrder(int32_t count, std::mt19937_64* random) 
   return order;
 }
 
-// Moves nodes, each of a community of its own at first, to the neighboring community that raises
-// modularity most, until none does; returns the community of each node.
+// Starts with one community per node and moves nodes to the neighboring community that increases
+// modularity most, until none does. Returns the community of each node.
 inline std::vector<int32_t> MoveNodes(const WeightedGraph& graph, double resolution,
                                       std::mt19937_64* random) {
-  constexpr double kMinGain = 1e-9;  // of the total strength; rounding must not move nodes for ever
+  constexpr double kMinGain = 1e-9;  // relative to the total strength; avoids cycles by rounding
   const int32_t count = graph.num_nodes();
   const double all = graph.total_strength();
   std::vector<int32_t> labels(count), touched;
@@ -102,7 +101,7 @@ inline std::vector<int32_t> MoveNodes(const WeightedGraph& graph, double resolut
   return labels;
 }
 
-// Numbers labels from 0 by their first node; returns how many there are.
+// Renumbers labels from 0 in the order of their first nodes; returns their number.
 inline int32_t Renumber(std::vector<int32_t>* labels) {
   std::vector<int32_t> numbers(labels->size(), -1);
   int32_t count = 0;
@@ -113,7 +112,7 @@ inline int32_t Renumber(std::vector<int32_t>* labels) {
   return count;
 }
 
-// The links between communities, those within one as links with itself.
+// The graph of communities; links within one become a link with itself.
 inline std::vector<WeightedLink> MergedLinks(const std::vector<WeightedLink>& links,
                                              const std::vector<int32_t>& labels) {
   std::vector<WeightedLink> merged;
@@ -136,7 +135,7 @@ inline std::vector<WeightedLink> MergedLinks(const std::vector<WeightedLink>& li
   return merged;
 }
 
-// (num_nodes) the community of each node, numbered from 0 by their first nodes.
+// (num_nodes) community of each node, numbered from 0 in the order of their first nodes.
 inline std::vector<int32_t> LouvainCommunities(int32_t num_nodes, std::vector<WeightedLink> links,
                                                double resolution, uint64_t seed) {
   std::mt19937_64 random(seed);

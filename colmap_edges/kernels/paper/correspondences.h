@@ -1,5 +1,5 @@
-// Candidate correspondences of edge points: where their epipolar lines cross the edge graphs of
-// other views (paper: PEPC generation).
+// Candidate correspondences of edge points: intersections of their epipolar lines with the edge
+// graphs of other views (paper: PEPC generation).
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 
 namespace colmap_edges {
 
-// A sphere around a scene point that bounds the search, and the views that see the point.
+// A sphere around an SfM point that bounds the search, and the views that observe the point.
 struct SearchSphere {
   Vec3 center;
   double radius;
@@ -20,7 +20,7 @@ struct SearchSphere {
   int64_t num_views;
 };
 
-// Sorts places by view and along the chains, each once.
+// Sorts places by view and along the chains, without duplicates.
 inline void SortPlaces(std::vector<Place>* places) {
   std::sort(places->begin(), places->end(), [](const Place& a, const Place& b) {
     return a.view != b.view ? a.view < b.view : a.position < b.position;
@@ -31,7 +31,7 @@ inline void SortPlaces(std::vector<Place>* places) {
   places->erase(std::unique(places->begin(), places->end(), same), places->end());
 }
 
-// Crossings inside the projected sphere, approximated by a circle of radius * focal / depth.
+// Intersections inside the projected sphere, approximated by a circle of radius * focal / depth.
 inline void CandidatesInSphere(const Views& views, const Place& start, const SearchSphere& sphere,
                                std::vector<Place>* candidates) {
   const PinholeView& from = views[start.view]->pose();
@@ -62,8 +62,8 @@ inline void CandidatesInSphere(const Views& views, const Place& start, const Sea
   SortPlaces(candidates);
 }
 
-// The box in `to` that holds the epipolar segment of depths [near, far] of a pixel in `from`;
-// unbounded when an end of it is behind `to`.
+// Bounding box in `to` of the epipolar segment of depths [near, far] of a pixel in `from`;
+// unbounded if an end is behind `to`.
 inline Box2D EpipolarBox(const PinholeView& from, const PinholeView& to, Vec2 pixel, double near,
                          double far) {
   const Vec3 direction = from.RotateBack({pixel.x / from.focal_px, pixel.y / from.focal_px, 1});
@@ -85,7 +85,7 @@ struct PecRun {
   Box2D box;
 };
 
-// Appends the runs of one polyline. They lie in a row, for a search tests all of a PEC.
+// Appends the runs of one polyline. Contiguous, since a search tests all runs of a PEC.
 inline void AddRuns(const Views& views, int32_t view, int32_t polyline, std::vector<PecRun>* runs) {
   constexpr int64_t kRun = 16;  // segments; only speed depends on it
   const EdgeIndex& chains = *views[view];
@@ -98,8 +98,8 @@ inline void AddRuns(const Views& views, int32_t view, int32_t polyline, std::vec
   }
 }
 
-// Crossings with the polylines of a PEC, by view and ascending, in the other views. depth_ranges
-// holds (near, far) of each view.
+// Intersections with the polylines of a PEC in other views, by view and ascending. depth_ranges:
+// (near, far) of each view.
 inline void CandidatesInPec(const Views& views, const Place& start, const PecRun* runs,
                             int64_t num_runs, const double* depth_ranges,
                             std::vector<Place>* candidates) {

@@ -17,20 +17,20 @@
 namespace colmap_edges {
 
 struct FollowSettings {
-  double step_px;                  // walk on the leading view between edge points
-  double max_error_px;             // largest reprojection error of a valid triangulation
-  double max_step_ratio;           // longest walk on another view, in expected steps
-  double min_epipolar_sine;        // of the angle between an edge and an epipolar line
-  double full_triangulation_sine;  // triangulation angle from which views count fully
-  double max_stretch;              // longest 3D step, in steps seen frontally
-  int min_views;                   // views that must see every edge point
-  int min_steps;                   // steps that make a selection a valid 3D edge
-  int max_selections;              // selections, and triples of views of one, that are tried
+  double step_px;                  // distance of edge points in the leading view
+  double max_error_px;             // maximum reprojection error of a valid triangulation
+  double max_step_ratio;           // maximum step in another view, relative to the expected one
+  double min_epipolar_sine;        // minimum sine of the angle between edge and epipolar line
+  double full_triangulation_sine;  // sine of the triangulation angle from which views count fully
+  double max_stretch;              // maximum 3D step, relative to a step seen frontally
+  int min_views;                   // minimum number of views of every edge point
+  int min_steps;                   // minimum number of steps of a valid selection
+  int max_selections;              // maximum number of selections, and of triples of views of one
 };
 
 enum class StartOutcome : uint8_t {
   kAccepted,
-  kCovered,      // on a stretch that an earlier 3D edge covers
+  kCovered,      // on a stretch covered by an earlier 3D edge
   kTooFewViews,  // candidates in fewer than two other views
   kInvalid,      // no selection triangulates and can be followed
   kAmbiguous,    // several different selections can
@@ -38,7 +38,8 @@ enum class StartOutcome : uint8_t {
   kNumOutcomes
 };
 
-// An edge seen in one view: where it is there and which way the 3D edge runs (+1, -1, 0 unknown).
+// Observation of an edge in one view: the place, and the direction of the 3D edge along the chain
+// (+1, -1, 0 unknown).
 struct Strand {
   Place at;
   int sign;
@@ -46,7 +47,7 @@ struct Strand {
 
 struct EdgePoint3D {
   Vec3 position;
-  std::vector<Place> track;  // one place a view
+  std::vector<Place> track;  // one place per view
 };
 
 struct Edge3D {
@@ -54,14 +55,14 @@ struct Edge3D {
   bool closed = false;
 };
 
-// The chain points, by view, that accepted 3D edges cover.
+// The chain points, by view, that are covered by accepted 3D edges.
 using Coverage = std::vector<std::vector<uint8_t>>;
 
 inline bool IsCovered(const Place& at, const Coverage& covered) {
   return covered[at.view][int64_t(at.position)] != 0;
 }
 
-// More than half of the places are covered: the edge is known already.
+// Whether more than half of the places are covered, so that the edge is a duplicate.
 inline bool MostlyCovered(const std::vector<Place>& track, const Coverage& covered) {
   size_t count = 0;
   for (const Place& at : track) count += IsCovered(at, covered);
@@ -82,7 +83,7 @@ class EdgeTracer {
     for (const EdgeIndex* chains : views) num_points_ += chains->num_points();
   }
 
-  // Candidates must come grouped by view. On acceptance `edge` is the traced edge.
+  // Candidates must be grouped by view. If accepted, `edge` is the traced edge.
   StartOutcome Trace(Place start, const Place* candidates, int64_t num_candidates,
                      Edge3D* edge) const {
     if (IsCovered(start, covered_)) return StartOutcome::kCovered;
@@ -100,16 +101,16 @@ class EdgeTracer {
   }
 
  private:
-  // A candidate, the way in which its chain runs where the start's runs with its points, where the
-  // start's ray meets it, and how well conditioned that is.
+  // A candidate, the direction of its chain that corresponds to ascending points of the start's
+  // chain, its inverse distance along the start's ray, and the conditioning.
   struct Candidate {
     Place at;
-    int32_t group;  // its view, counted among those of the start's candidates
+    int32_t group;  // index of its view among those of the start's candidates
     int sign;
     double inverse_distance, px_per_inverse, score;
   };
-  // Strands of one 3D edge point; the first is the leading view's. Signs are those of the
-  // direction in which the leading strand walks with its points.
+  // Strands of one 3D edge point, that of the leading view first. Signs are relative to ascending
+  // points of the leading strand.
   struct Selection {
     Vec3 point;
     double error = INFINITY;
@@ -132,8 +133,8 @@ class EdgeTracer {
     return std::abs(line.a * tangent.x + line.b * tangent.y);
   }
 
-  // +1 where the bright side of the chain is to the left of a walk with its points, -1 to the
-  // right.
+  // +1 if the bright side of the chain is to the left in the direction of ascending points, else
+  // -1.
   int BrightSide(Place at) const {
     const EdgeIndex& chains = ChainsAt(at);
     const int64_t i = int64_t(at.position);
@@ -141,13 +142,13 @@ class EdgeTracer {
     return Cross(tangent, normal) >= 0 ? 1 : -1;
   }
 
-  // Whether two strands have their bright sides on the same side of the 3D edge.
+  // Whether the bright sides of two strands are on the same side of the 3D edge.
   bool SameBrightSide(const Strand& a, const Strand& b) const {
     return a.sign * BrightSide(a.at) == b.sign * BrightSide(b.at);
   }
 
-  // The way in which the chain at `at` runs where that at `start` runs with its points: both leave
-  // the epipolar plane to the same side.
+  // Direction of the chain at `at` that corresponds to ascending points at `start`: both leave the
+  // epipolar plane to the same side.
   int SignAlong(Place start, Place at, const Vec3& epipolar_normal) const {
     const auto leaves = [&](Place place) {
       const Vec2 tangent = ChainsAt(place).tangent(int64_t(place.position));
@@ -156,8 +157,8 @@ class EdgeTracer {
     return leaves(start) == leaves(at) ? 1 : -1;
   }
 
-  // The well-conditioned candidates, by view. Those whose bright side is on the other side of the
-  // 3D edge are of another edge.
+  // The well-conditioned candidates, by view. Candidates whose bright side is on the other side of
+  // the 3D edge belong to another edge.
   std::vector<Candidate> UsableCandidates(Place start, const Place* candidates,
                                           int64_t num_candidates) const {
     std::vector<Candidate> usable;
@@ -206,8 +207,8 @@ class EdgeTracer {
     return true;
   }
 
-  // Number of valid selections (at most 2), of which `best` becomes the one that most views agree
-  // with. Others count that all but one as many agree with.
+  // Number of valid selections (at most 2); `best` becomes the one with most supporting views.
+  // Others count if they have at most one supporting view fewer.
   int SelectUnique(Place start, const std::vector<Candidate>& usable, Selection* best) const {
     thread_local std::vector<DepthInterval> intervals;
     thread_local std::vector<AgreedDepth> agreed;
@@ -230,8 +231,8 @@ class EdgeTracer {
     return num_views > 0;
   }
 
-  // The first valid selection, of the start and the best conditioned two of the candidates, one a
-  // view, that come nearest to a point of the start's ray. False when there is none.
+  // The first valid selection of the start and two candidates, the best conditioned first, of those
+  // nearest to a point of the start's ray in each view. False if there is none.
   bool SelectAt(Place start, const std::vector<Candidate>& usable, double inverse_distance,
                 Selection* selection) const {
     std::vector<const Candidate*> near = NearestOfViews(usable, inverse_distance);
@@ -254,7 +255,7 @@ class EdgeTracer {
     return false;
   }
 
-  // Of each view that allows a point of the start's ray the candidate nearest to it.
+  // The candidate nearest to a point of the start's ray, for each consistent view.
   std::vector<const Candidate*> NearestOfViews(const std::vector<Candidate>& usable,
                                                double inverse_distance) const {
     std::vector<const Candidate*> nearest;
@@ -272,7 +273,7 @@ class EdgeTracer {
     return nearest;
   }
 
-  // Whether two selections are one 3D point as far as the views of the first can tell.
+  // Whether two selections are one 3D point within the errors in the views of the first.
   bool SamePoint(const Selection& a, const Selection& b) const {
     for (const Strand& strand : a.strands) {
       Vec2 p, q;
@@ -284,14 +285,14 @@ class EdgeTracer {
     return true;
   }
 
-  // Longest walk allowed on another view for one step of the leading view at `point`.
+  // Maximum step in another view for one step of the leading view at `point`.
   double Reach(const PinholeView& leader, const PinholeView& other, const Vec3& point) const {
     const double leader_scale = leader.focal_px / leader.FromWorld(point).z;
     const double other_scale = other.focal_px / other.FromWorld(point).z;
     return settings_.max_step_ratio * settings_.step_px * std::max(1.0, other_scale / leader_scale);
   }
 
-  // Whether at least min_steps (1 or 2: one or both directions) can be walked from a selection.
+  // Whether a selection can be followed for min_steps (1 or 2: in one or both directions).
   bool CanFollow(const Selection& selection) const {
     std::vector<Strand> strands = selection.strands;
     int valid = 0;
@@ -312,7 +313,7 @@ class EdgeTracer {
     return Walk(ChainsAt(from), from.position, sign, settings_.step_px, &to->position);
   }
 
-  // Moves a strand to its first crossing with the epipolar line of the leader's new place.
+  // Moves a strand to its first intersection with the epipolar line of the leader's new place.
   bool MoveToLine(const Strand& lead, const Vec3& point, Strand* strand) const {
     Line2D line;
     const PinholeView &from = ViewAt(lead.at), &to = ViewAt(strand->at);
@@ -327,8 +328,8 @@ class EdgeTracer {
     return SameBrightSide(lead, *strand);
   }
 
-  // False for a 3D step much longer than what a view sees of it: an edge towards the camera, in
-  // truth a jump in depth.
+  // False for a 3D step much longer than its projection in a view: an edge along the viewing ray is
+  // usually a jump in depth.
   bool Plausible(const Vec3& from, const Vec3& to, const std::vector<Strand>& strands) const {
     double longest = 0, frontal = 0;
     for (const Strand& strand : strands) {
@@ -341,8 +342,8 @@ class EdgeTracer {
     return frontal <= settings_.max_stretch * longest;
   }
 
-  // One step of all strands; views that end or disagree drop out while min_views remain. When the
-  // leading chain ends, the next view leads.
+  // One step of all strands. Views whose chains end or disagree are dropped while min_views remain.
+  // If the leading chain ends, the next view leads.
   bool Step(const std::vector<Strand>& strands, const Vec3& point, StepResult* step) const {
     for (size_t leader = 0; leader + settings_.min_views <= strands.size(); ++leader) {
       Place lead;
@@ -357,7 +358,7 @@ class EdgeTracer {
     return false;
   }
 
-  // Triangulates, leaving out the worst strand while the error is too large.
+  // Triangulates, dropping the worst strand while the error is too large.
   bool Reconcile(StepResult* step) const {
     while (int(step->strands.size()) >= settings_.min_views) {
       int worst = 0;
@@ -368,7 +369,7 @@ class EdgeTracer {
     return false;
   }
 
-  // Adds the candidates of further views that fit the point and the directions of its edge.
+  // Adds candidates of further views that are consistent with the point and the edge's directions.
   void Extend(const std::vector<Candidate>& usable, Selection* selection) const {
     std::array<StepResult, 2> steps;
     std::array<bool, 2> stepped;
@@ -405,7 +406,7 @@ class EdgeTracer {
                        [&](const Strand& s) { return s.at.view == view; });
   }
 
-  // Whether a new strand's neighbours see the neighbouring 3D points, wherever there are any.
+  // Whether a new strand also observes the neighbouring 3D points, if there are any.
   bool FitsSteps(const Strand& strand, const std::array<StepResult, 2>& steps,
                  const std::array<bool, 2>& stepped) const {
     int fits = 0;
@@ -442,7 +443,7 @@ class EdgeTracer {
     edge->points.insert(edge->points.end(), forward.begin(), forward.end());
   }
 
-  // True when the edge came round to its start.
+  // Returns whether the edge is closed.
   bool FollowOneWay(const Selection& selection, std::vector<EdgePoint3D>* points) const {
     std::vector<Strand> strands = selection.strands;
     Vec3 point = selection.point;
@@ -458,8 +459,8 @@ class EdgeTracer {
     return false;
   }
 
-  // Whether the last step of the leader on a closed polyline passed the place it started from;
-  // the leader of the start may have dropped out meanwhile.
+  // Whether the last step of the leader on a closed polyline passed its start; the first leader may
+  // have been dropped meanwhile.
   bool CameRound(const std::vector<Strand>& before, const std::vector<Strand>& after,
                  const Selection& selection) const {
     const Place now = after[0].at;
@@ -475,10 +476,11 @@ class EdgeTracer {
       return false;
     }
     const double size = double(chains.last(polyline) - chains.first(polyline) + 1);
-    const auto ahead = [&](Place at) {  // points from the last place on, in walking direction
-      const double delta = at.position - previous->at.position;
-      return std::fmod(after[0].sign * delta + 2 * size, size);
-    };
+    const auto ahead =
+        [&](Place at) {  // points after the last place, in the direction of following
+          const double delta = at.position - previous->at.position;
+          return std::fmod(after[0].sign * delta + 2 * size, size);
+        };
     return ahead(begun->at) <= ahead(now);
   }
 
@@ -493,7 +495,7 @@ class EdgeTracer {
   int64_t num_points_ = 0;
 };
 
-// Marks the chain points between two places on one polyline, the shorter way on a closed one.
+// Marks the chain points between two places on one polyline; on a closed one, the shorter way.
 inline void MarkStretch(const EdgeIndex& chains, double a, double b,
                         std::vector<uint8_t>* covered) {
   const int32_t polyline = chains.polyline(int64_t(a));
@@ -509,7 +511,7 @@ inline void MarkStretch(const EdgeIndex& chains, double a, double b,
   }
 }
 
-// Marks what an edge covers in every view that sees consecutive points of it.
+// Marks the chain points covered by an edge in every view that observes consecutive points.
 inline void MarkEdge(const Views& views, const Edge3D& edge, Coverage* covered) {
   const size_t count = edge.points.size();
   for (size_t i = 0; i + 1 < count + (edge.closed ? 1 : 0); ++i) {
@@ -522,7 +524,7 @@ inline void MarkEdge(const Views& views, const Edge3D& edge, Coverage* covered) 
   }
 }
 
-// Whether an edge traced before the last changes of `covered` would be traced differently now.
+// Whether the last changes of `covered` affect an edge traced before them.
 inline bool RunsIntoCovered(const Edge3D& edge, const Coverage& covered) {
   return std::any_of(edge.points.begin(), edge.points.end(),
                      [&](const EdgePoint3D& point) { return MostlyCovered(point.track, covered); });
@@ -541,10 +543,10 @@ inline Coverage NothingCovered(const Views& views) {
   return covered;
 }
 
-// Validates the PEPCs in order, follows the accepted ones where nothing is covered yet and marks
-// what they cover. They are traced in batches against
-// the coverage at the start of the batch; one whose surroundings were covered by an earlier one
-// of its batch is traced again, so the result is that of one thread.
+// Validates PEPCs in order, follows accepted ones on uncovered chains and marks the chains that
+// they cover. They are traced in parallel in batches, with the coverage at the start of the batch.
+// A PEPC near chains covered by an earlier one of its batch is traced again, so the result is that
+// of one thread.
 inline std::vector<Edge3D> TraceEdges(const Views& views, const Pepcs& pepcs,
                                       const FollowSettings& settings, int num_threads,
                                       Coverage* covered, std::vector<StartOutcome>* outcomes) {

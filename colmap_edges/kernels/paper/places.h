@@ -1,4 +1,4 @@
-// Places on the chains of all views: which are near a pixel, and walks from one along its chain.
+// Places on the chains of all views: search near a pixel, and walks along chains.
 #pragma once
 
 #include <algorithm>
@@ -20,13 +20,13 @@ struct Place {
   double position;
 };
 
-// The place where a polyline comes nearest to a pixel.
+// The place of a polyline nearest to a pixel.
 struct NearPolyline {
   int32_t polyline;
   double position, distance;
 };
 
-// For each polyline of a view within `radius` px of the pixel the nearest place on it, by ascending
+// The nearest place of each polyline of a view within `radius` px of a pixel, by ascending
 // polyline.
 inline void FindNear(const EdgeIndex& chains, const Vec2& pixel, double radius,
                      std::vector<NearPolyline>* found) {
@@ -57,9 +57,9 @@ inline void FindNear(const EdgeIndex& chains, const Vec2& pixel, double radius,
             [](const NearPolyline& a, const NearPolyline& b) { return a.polyline < b.polyline; });
 }
 
-// Calls visit(i, next, begin) for each segment i -> next of a chain that a walk from a position
-// passes, with its points (sign +1) or against them (-1), from the fraction `begin` of it on. Ends
-// where visit returns true, at an open end and after a round; returns whether visit did.
+// Walks along a chain from a position in ascending (sign +1) or descending (-1) order of points.
+// Calls visit(i, next, begin) for each segment i -> next, from the fraction `begin` on. Ends if
+// visit returns true, at an open end, or after one round. Returns whether visit returned true.
 template <typename Visit>
 bool WalkSegments(const EdgeIndex& chains, double position, int sign, const Visit& visit) {
   int64_t i = int64_t(position);
@@ -89,7 +89,7 @@ inline bool Walk(const EdgeIndex& chains, double from, int sign, double length, 
   });
 }
 
-// First place where the chain crosses the line when walking from `from` by at most `reach` px.
+// First intersection of the chain with the line on a walk from `from` of at most `reach` px.
 inline bool FirstCrossing(const EdgeIndex& chains, double from, int sign, const Line2D& line,
                           double reach, double* to) {
   double walked = 0;

@@ -1,7 +1,7 @@
-// Normal equations of poses and points, each point eliminated as soon as its rows are known.
+// Normal equations of poses and points, with points eliminated one by one.
 //
-// No row outlives its point, so that what is held is the points, the blocks of poses that share
-// points, and nothing of the size of all observations but the observations themselves.
+// Rows are kept for one point at a time. Apart from the observations, memory therefore holds only
+// the points and the blocks of poses that share points.
 #pragma once
 
 #include <algorithm>
@@ -16,22 +16,22 @@
 
 namespace colmap_edges {
 
-// The measurements, and poses and points at which they are linearised; nothing is owned.
+// The measurements, and the poses and points of linearisation. Owns nothing.
 struct Adjustment {
   int64_t num_points = 0;
-  const int64_t* offsets = nullptr;      // (P + 1) rows of each point's observations
-  const int32_t* views = nullptr;        // (N)
-  const double* pixels = nullptr;        // (N, 2) undistorted
-  const double* normals = nullptr;       // (N, 2) only directions that are known; 0: both are
-  const double* tangents = nullptr;      // (P, 3) unit directions along which points stay; 0: none
-  const int32_t* frames = nullptr;       // (V)
-  const double* rotations = nullptr;     // (V, 3, 3) of cam_from_world
+  const int64_t* offsets = nullptr;   // (P + 1) rows of each point's observations
+  const int32_t* views = nullptr;     // (N)
+  const double* pixels = nullptr;     // (N, 2) undistorted
+  const double* normals = nullptr;    // (N, 2) measured directions; 0 if both are measured
+  const double* tangents = nullptr;   // (P, 3) unit directions in which points are fixed; 0: none
+  const int32_t* frames = nullptr;    // (V)
+  const double* rotations = nullptr;  // (V, 3, 3) of cam_from_world
   const double* translations = nullptr;  // (V, 3)
   const double* focals_px = nullptr;     // (V)
-  const double* centers = nullptr;       // (F, 3) about which frames turn
+  const double* centers = nullptr;       // (F, 3) centres of rotation of the frames
   const double* points = nullptr;        // (P, 3)
-  double sigmas_px[2] = {1, 1};          // of observations known in both directions, in one
-  double robust_factor = 1;              // sigmas from which on observations lose influence
+  double sigmas_px[2] = {1, 1};          // of observations measured in two directions, in one
+  double robust_factor = 1;              // threshold of the robust loss, in sigmas
 
   Vec3 Point(int64_t p) const { return At(points, p); }
   static Vec3 At(const double* values, int64_t i) {
@@ -42,18 +42,18 @@ struct Adjustment {
 using Vec6 = std::array<double, 6>;
 using Block = std::array<double, 36>;  // row major
 
-// A weighted measurement: its derivatives by the motion of its frame and by its point.
+// A weighted measurement: derivatives by the motion of its frame and by its point.
 struct Row {
   int32_t frame;
   Vec6 by_pose;
-  Vec3 by_point;  // its solution by the point's factor once the point is eliminated
+  Vec3 by_point;  // after elimination of the point, L^-1 times this
   double residual;
 };
 
-// One observation as its view sees it.
+// One observation in its view.
 struct Projection {
   Vec3 local;          // the point in the camera
-  double residual[2];  // pixels; infinite where the point is not before the camera
+  double residual[2];  // pixels; infinite if the point is not in front of the camera
   bool across;         // only the first is measured, along the normal
 };
 
@@ -79,7 +79,7 @@ inline Projection Project(const Adjustment& a, int64_t observation, const Vec3& 
   return result;
 }
 
-// (N, 2) residuals in pixels; the second is 0 where only one direction is measured.
+// (N, 2) residuals in pixels; the second is 0 if only one direction is measured.
 inline std::vector<double> Residuals(const Adjustment& a) {
   std::vector<double> result(2 * a.offsets[a.num_points]);
   for (int64_t p = 0; p < a.num_points; ++p) {
@@ -91,7 +91,7 @@ inline std::vector<double> Residuals(const Adjustment& a) {
   return result;
 }
 
-// Appends the weighted rows of an observation; none where the point is not before the camera.
+// Appends the weighted rows of an observation; none if the point is not in front of the camera.
 inline void Linearize(const Adjustment& a, int64_t observation, int64_t p, std::vector<Row>* rows) {
   const Vec3 point = a.Point(p), tangent = Adjustment::At(a.tangents, p);
   const Projection seen = Project(a, observation, point);
@@ -119,7 +119,7 @@ inline void Linearize(const Adjustment& a, int64_t observation, int64_t p, std::
   }
 }
 
-// A point taken out of the equations: L of L L^T = its damped block, and L^-1 times its gradient.
+// An eliminated point: L of L L^T = its damped block, and L^-1 times its gradient.
 struct Eliminated {
   double l[6];  // by rows of the lower triangle
   Vec3 gradient;
@@ -134,8 +134,8 @@ struct Eliminated {
   }
 };
 
-// Eliminates a point from its rows, whose `by_point` become L^-1 times it; sorts them by frame.
-// Throws std::domain_error where the block has no inverse.
+// Eliminates a point from its rows, sorts these by frame and multiplies their `by_point` by L^-1.
+// Throws std::domain_error if the block is singular.
 inline Eliminated Eliminate(const Adjustment& a, int64_t p, double damping,
                             std::vector<Row>* rows) {
   rows->clear();
@@ -174,13 +174,13 @@ inline void AddOuter(double scale, const Vec6& a, const Vec6& b, Block* block) {
   }
 }
 
-// Blocks of the poses' system: which frames share points (CSR, columns ascending), and what is
-// taken off their information because the points are not known.
+// Blocks of the reduced system of the poses: frames that share points (CSR, columns ascending), and
+// the information subtracted by the elimination of points.
 struct PoseSystem {
   const int64_t* offsets = nullptr;  // (F + 1)
   const int32_t* columns = nullptr;  // (B)
   int64_t num_frames = 0;
-  std::vector<Block> information;  // (F) of the frames, were the points known; not damped
+  std::vector<Block> information;  // (F) of the frames with fixed points, undamped
   std::vector<Block> shared;       // (B) to be added
   std::vector<Vec6> right;         // (F)
 
@@ -235,7 +235,7 @@ inline void ReducePoints(const Adjustment& a, double damping, PoseSystem* system
   system->Mirror();
 }
 
-// (P, 3) steps of the points that go with steps (F, 6) of the frames.
+// (P, 3) steps of the points, given the steps (F, 6) of the frames.
 inline std::vector<double> PointSteps(const Adjustment& a, double damping, const double* steps) {
   std::vector<double> result(3 * a.num_points);
   std::vector<Row> rows;

@@ -1,4 +1,4 @@
-// Python face of the adjustment of poses and points.
+// Bindings of the adjustment of poses and points.
 #include "common/bindings.h"
 
 #include <nanobind/stl/array.h>
@@ -14,7 +14,7 @@ namespace {
 using namespace nb::literals;
 using Rotations = InArray<double, nb::shape<-1, 3, 3>>;
 
-// The measurements and where they are linearised; holds on to the arrays given.
+// The measurements and the point of linearisation; keeps the given arrays alive.
 class BoundAdjustment {
  public:
   BoundAdjustment(Longs offsets, Ints views, Points2D pixels, Points2D normals, Points3D tangents,
@@ -127,25 +127,25 @@ void BindPoses(nb::module_& m) {
       m, "Adjustment",
       "Measurements of points in views, and the poses and points at which they are linearised.\n\n"
       "Observations are in CSR arrays by point: `views` (N,) int32, undistorted `pixels` (N, 2),\n"
-      "`normals` (N, 2) in which alone they are known, or 0. Points (P, 3) stay along `tangents`\n"
-      "(P, 3). Views have `frames` (V,) int32 that turn about `centers` (F, 3). Raises ValueError\n"
-      "for arrays that do not fit each other.")
+      "`normals` (N, 2) the only measured directions, or 0. Points (P, 3) are fixed along\n"
+      "`tangents` (P, 3). Views have `frames` (V,) int32 that rotate about `centers` (F, 3).\n"
+      "Raises ValueError for inconsistent arrays.")
       .def(nb::init<Longs, Ints, Points2D, Points2D, Points3D, Ints, Doubles, Rotations, Points3D,
                     Points3D, Points3D>(),
            "offsets"_a, "views"_a, "pixels"_a, "normals"_a, "tangents"_a, "frames"_a, "focals_px"_a,
            "rotations"_a, "translations"_a, "centers"_a, "points"_a)
       .def("residuals", &BoundAdjustment::Residuals,
-           "(N, 2) residuals in pixels, infinite behind the view; the second is 0 where only one\n"
+           "(N, 2) residuals in pixels, infinite behind the view; the second is 0 if only one\n"
            "direction is measured.")
       .def("reduce", &BoundAdjustment::Reduce, "sigmas_px"_a, "robust_factor"_a, "damping"_a,
            "block_offsets"_a, "block_columns"_a,
-           "Damped normal equations of the poses, points eliminated.\n\n"
-           "Returns (F, 6, 6) information of each frame were the points known, not damped, (B, 6,\n"
-           "6) blocks of frames that share points, to be added, in the places that the CSR arrays\n"
-           "say, and (F, 6) right side. Raises ValueError for a pair of frames that has no place\n"
-           "and for a point that is not determined.")
+           "Damped normal equations of the poses, with points eliminated.\n\n"
+           "Returns (F, 6, 6) undamped information of each frame for fixed points, (B, 6, 6)\n"
+           "blocks to be added for frames that share points, in the order of the CSR arrays, and\n"
+           "(F, 6) right side. Raises ValueError for a pair of frames without a block and for an\n"
+           "undetermined point.")
       .def("point_steps", &BoundAdjustment::PointSteps, "sigmas_px"_a, "robust_factor"_a,
-           "damping"_a, "steps"_a, "(P, 3) steps of the points that go with (F, 6) of the frames.");
+           "damping"_a, "steps"_a, "(P, 3) steps of the points, given (F, 6) steps of the frames.");
 }
 
 }  // namespace colmap_edges
