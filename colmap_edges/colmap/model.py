@@ -76,8 +76,13 @@ class Model:
         """The same model with every view upsampled `scale` times."""
         return replace(self, views=tuple(replace(view, scale=scale) for view in self.views))
 
-    def selected(self, points: BoolArray, observations: BoolArray) -> Model:
-        """The model with masked (N,) points and (T,) observations; these belong to kept points."""
+    def selected(self, points: BoolArray, observations: BoolArray | None = None) -> Model:
+        """The model with masked (N,) points and (T,) observations; by default theirs.
+
+        Observations must belong to kept points; `reconstruction` stays whole.
+        """
+        if observations is None:
+            observations = points[self.track_points]
         lengths = np.bincount(self.track_points[observations], minlength=len(points))
         return replace(
             self,
@@ -214,8 +219,7 @@ def without_far_points(model: Model) -> Model:
     near = within_reach(model.points3D_xyz, model.camera_centers)
     if near.all():
         return model
-    rest = model.selected(near, near[model.track_points])
-    return replace(rest, far_point3D_ids=model.point3D_ids[~near])
+    return replace(model.selected(near), far_point3D_ids=model.point3D_ids[~near])
 
 
 def view_from_image(image: Any, scale: float = 1.0) -> View:

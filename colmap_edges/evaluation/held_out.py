@@ -17,7 +17,6 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
 from colmap_edges.evaluation.metrics import depth
-from colmap_edges.evaluation.metrics.observations import select_points
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 
 
@@ -46,7 +45,7 @@ def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
     """Two models, each with a random half of the points."""
     chosen = np.zeros(len(model.points3D_xyz), dtype=bool)
     chosen[np.random.default_rng(seed).permutation(len(chosen))[: len(chosen) // 2]] = True
-    return select_points(model, chosen), select_points(model, ~chosen)
+    return model.selected(chosen), model.selected(~chosen)
 
 
 def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dict[str, Any]:

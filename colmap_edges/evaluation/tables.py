@@ -3,13 +3,83 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-ERROR_COLUMNS = ("mae", "rmse", "sigma", "median", "p90")
-SHARE_COLUMNS = ("coverage", "right_0_5_percent", "right_1_percent", "right_2_percent")
-_ERROR_NAMES = ("MAE", "RMSE", "σ", "median", "P90")
-_SHARE_NAMES = ("coverage", "right at 0.5 %", "right at 1 %", "right at 2 %")
+# Headers of columns by keys of the records.
+ERRORS = {"mae": "MAE", "rmse": "RMSE", "sigma": "σ", "median": "median", "p90": "P90"}
+SHARES = {
+    "coverage": "coverage",
+    "right_0_5_percent": "right at 0.5 %",
+    "right_1_percent": "right at 1 %",
+    "right_2_percent": "right at 2 %",
+}
+SCORES = {"threshold": "threshold", "precision": "precision", "recall": "recall", "f_score": "F"}
+CORNERS = {
+    **SCORES,
+    "threshold": "corners: threshold",
+    "result_corners": "found",
+    "reference_corners": "true",
+}
+DISTANCES = {
+    "accuracy": "accuracy (mean)",
+    "completeness": "completeness (mean)",
+    "spacing": "sample spacing",
+    "unit": "unit",
+}
+KINDS = {
+    "num_true": "true curves found",
+    "num_found": "curves",
+    "times_found": "times each is found",
+    "right_kind": "length of the right kind",
+    "right_radius": "radii within 1 %",
+    "median_radius_error": "median error of the radius",
+}
+TIMES_FOUND = {
+    "threshold": "threshold",
+    "result_length": "edges on true curves",
+    "found_length": "true curves found",
+    "times": "times each is found",
+}
+DEPTHS = {
+    "name": "relative depth error",
+    "count": "pairs",
+    "median": "median",
+    "p90": "P90",
+    "within_0_2_percent": "within 0.2 %",
+    "within_1_percent": "within 1 %",
+}
+REPROJECTION = {
+    "points": "edge points",
+    "observations_mean": "observations each",
+    "median": "reprojection median px",
+    "p95": "P95 px",
+    "within_1_px": "within 1 px",
+}
+LENGTHS = {
+    "count": "segments",
+    "total": "total length",
+    "median": "median",
+    "p95": "P95",
+    "longest": "longest",
+    "gross": "gross",
+    "gross_total": "gross length",
+}
+HELD_OUT_VIEWS = {
+    "view": "left-out image",
+    "points": "edge points",
+    "median_px": "median px",
+    "within_1_px": "within 1 px",
+    "within_2_px": "2 px",
+    "chance_2_px": "2 px by chance",
+}
+DTU = {
+    "accuracy": "accuracy",
+    "completeness": "completeness",
+    "overall": "overall",
+    "accuracy_median": "accuracy median",
+    "completeness_median": "completeness median",
+}
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -35,95 +105,59 @@ def cell(value: Any) -> str:
     return f"{value:.4g}"
 
 
+def table(columns: Mapping[str, str], records: Iterable[Mapping[str, Any]]) -> str:
+    """A table of records, with a column for each key."""
+    return markdown(
+        [*columns.values()], [[record.get(key) for key in columns] for record in records]
+    )
+
+
+def error_table(title: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
+    """A table of statistics of errors and shares of pixels by name."""
+    columns = {"name": title} | ERRORS | SHARES
+    return table(columns, [{"name": name} | dict(row) for name, row in errors.items()])
+
+
 def mesh_tables(record: dict[str, Any]) -> str:
     """Tables of the result of `scene.evaluate_mesh`."""
     parts = [f"{record['faces']:,} faces; errors in world units"]
-    names = (*_ERROR_NAMES, *_SHARE_NAMES)
     if "depth" in record:
         parts_of = record["depth"]
         views = {"all views": parts_of["pooled"]}
         if len(parts_of["views"]) > 1:
             views["mean of views"] = parts_of["mean_of_views"]
-        views |= parts_of["views"]
-        rows = [_error_row(name, statistics) for name, statistics in views.items()]
-        parts.append(markdown(("depth error", *names), rows))
+        parts.append(error_table("depth error", views | parts_of["views"]))
     if "points_depth" in record:
-        rows = [_error_row(name, s) for name, s in record["points_depth"].items()]
-        parts.append(markdown(("depth error at SfM observations", *names), rows))
+        parts.append(error_table("depth error at SfM observations", record["points_depth"]))
     if "accuracy" in record:
-        rows = [
-            [name, *(record[name][column] for column in ERROR_COLUMNS)]
-            for name in ("accuracy", "completeness")
-        ]
-        parts.append(markdown(("distance", *_ERROR_NAMES), rows))
-        parts.append(score_table(record["scores"]))
+        rows = [{"name": name} | record[name] for name in ("accuracy", "completeness")]
+        parts.append(table({"name": "distance"} | ERRORS, rows))
+        parts.append(table(SCORES, record["scores"]))
     return "\n\n".join(parts)
-
-
-def _error_row(name: str, statistics: dict[str, Any]) -> list[Any]:
-    return [name, *map(statistics.get, (*ERROR_COLUMNS, *SHARE_COLUMNS))]
-
-
-def score_table(scores: list[dict[str, float]]) -> str:
-    """Precision, recall and F at thresholds."""
-    names = ("threshold", "precision", "recall", "f_score")
-    rows = [[row[name] for name in names] for row in scores]
-    return markdown(("threshold", "precision", "recall", "F"), rows)
 
 
 def edge_tables(record: dict[str, Any]) -> str:
     """Tables of the result of `scene.evaluate_edges`."""
     parts = []
-    if "curves" in record:
-        parts += [score_table(record["curves"]["scores"]), _distance_table(record["curves"])]
-        if "recall_by_views" in record["curves"]:
-            parts.append(_visible_curve_table(record["curves"]))
+    if curves := record.get("curves"):
+        parts += [table(SCORES, curves["scores"]), table(DISTANCES, [curves])]
+        if "recall_by_views" in curves:
+            parts.append(_visible_curve_table(curves))
     if "kinds" in record:
-        parts.append(_kind_table(record["kinds"]))
+        parts.append(table(KINDS, [record["kinds"]]))
     if "times_found" in record:
-        parts.append(_times_found_table(record["times_found"]))
-    if "corners" in record:
-        parts.append(_corner_table(record["corners"]))
+        parts.append(table(TIMES_FOUND, record["times_found"]))
+    if corners := record.get("corners"):
+        parts.append(table(CORNERS, [corners | row for row in corners["scores"]]))
     if "twins" in record:
         header = [f"parallel twin within {row['limit_px']:g} px" for row in record["twins"]]
         parts.append(markdown(header, [[row["share"] for row in record["twins"]]]))
-    if "depth" in record:
-        parts.append(_depth_table(record["depth"]))
-    if "reprojection" in record:
-        parts.append(_reprojection_table(record["reprojection"]))
-    return "\n\n".join([*parts, _length_table(record["lengths"])])
-
-
-def _kind_table(errors: dict[str, Any]) -> str:
-    header = (
-        "true curves found",
-        "curves",
-        "times each is found",
-        "length of the right kind",
-        "radii within 1 %",
-        "median error of the radius",
-    )
-    names = ("num_true", "num_found", "times_found", "right_kind", "right_radius")
-    return markdown(header, [[*(errors[name] for name in names), errors["median_radius_error"]]])
-
-
-def _distance_table(errors: dict[str, Any]) -> str:
-    names = ("accuracy", "completeness", "spacing", "unit")
-    header = ("accuracy (mean)", "completeness (mean)", "sample spacing", "unit")
-    return markdown(header, [[errors[name] for name in names]])
-
-
-def _times_found_table(rows: list[dict[str, float]]) -> str:
-    names = ("threshold", "result_length", "found_length", "times")
-    header = ("threshold", "edges on true curves", "true curves found", "times each is found")
-    return markdown(header, [[row[name] for name in names] for row in rows])
-
-
-def _corner_table(corners: dict[str, Any]) -> str:
-    names = ("threshold", "precision", "recall", "f_score")
-    header = ("corners: threshold", "precision", "recall", "F", "found", "true")
-    counts = (corners["result_corners"], corners["reference_corners"])
-    return markdown(header, [[*(row[n] for n in names), *counts] for row in corners["scores"]])
+    if depths := record.get("depth"):
+        rows = [{"name": name} | of | of["relative"] for name, of in depths.items()]
+        parts.append(table(DEPTHS, rows))
+    if errors := record.get("reprojection"):
+        parts.append(table(REPROJECTION, [errors | errors["distance_px"]]))
+    return "\n\n".join([*parts, table(LENGTHS, [record["lengths"]])])
 
 
 def _visible_curve_table(errors: dict[str, Any]) -> str:
@@ -139,28 +173,6 @@ def _visible_curve_table(errors: dict[str, Any]) -> str:
     if errors.get("sfm_points_on_surface"):
         rows.append(["SfM points on the true surface", "", *errors["sfm_points_on_surface"]])
     return markdown(("share", "length", *limits), rows)
-
-
-def _depth_table(errors: dict[str, Any]) -> str:
-    header = ("relative depth error", "pairs", "median", "P90", "within 0.2 %", "within 1 %")
-    rows = []
-    for name, kind in errors.items():
-        relative = [kind["relative"][column] for column in ("count", "median", "p90")]
-        rows.append([name, *relative, kind["within_0_2_percent"], kind["within_1_percent"]])
-    return markdown(header, rows)
-
-
-def _reprojection_table(errors: dict[str, Any]) -> str:
-    header = ("edge points", "observations each", "reprojection median px", "P95 px", "within 1 px")
-    pixels = errors["distance_px"]
-    row = (errors["points"], errors["observations_mean"], pixels["median"], pixels["p95"])
-    return markdown(header, [[*row, errors["within_1_px"]]])
-
-
-def _length_table(lengths: dict[str, Any]) -> str:
-    names = ("count", "total", "median", "p95", "longest", "gross", "gross_total")
-    header = ("segments", "total length", "median", "P95", "longest", "gross", "gross length")
-    return markdown(header, [[lengths[name] for name in names]])
 
 
 def paper_tables(results: dict[str, Any], baseline: str) -> str:
@@ -194,7 +206,8 @@ def paper_tables(results: dict[str, Any], baseline: str) -> str:
     return "\n\n".join(parts)
 
 
-_POINT_COLUMNS = ("mae", "rmse", "sigma", "median")
+_POINT_ERRORS = [*ERRORS][:4]
+_POINT_HEADER = ("scene", "method", "points", "points MAE", *[*ERRORS.values()][1:4])
 _TABLE_NOTE = """\
 Points: distance to the reference cloud, or (reference depth only) depth error in the views
 that observe them, smallest in 5x5 pixels. Rows with edges or lines count the points on these
@@ -215,39 +228,34 @@ def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
 
 
 def _main_table(results: dict[str, Any], baseline: str) -> str:
-    header = (
-        "scene", "method", "points", "points MAE", "RMSE", "σ", "median", "mesh MAE", "RMSE", "σ",
-        "median", "P90", *_SHARE_NAMES, "faces",
-    )  # fmt: skip
-    nan = float("nan")
-    rows = []
-    for scene, method, record in _records(results):
-        if "error" in record:
-            continue
-        points, mesh = record["points"], record.get("mesh", {})
-        unit = results[scene]["unit"]
-        rows.append(
-            [f"{scene} ({unit})", method, points["count"]]
-            + [points.get(name, nan) for name in _POINT_COLUMNS]
-            + [mesh.get(name, nan) for name in (*ERROR_COLUMNS, *SHARE_COLUMNS)]
-            + [record["faces"]]
-        )
-    kinds = [("points", name) for name in _POINT_COLUMNS]
-    kinds += [("mesh", name) for name in ERROR_COLUMNS]
+    header = (*_POINT_HEADER, "mesh MAE", *[*ERRORS.values()][1:], *SHARES.values(), "faces")
+    rows = [
+        _point_cells(results, scene, method, record["points"])
+        + [record.get("mesh", {}).get(name, math.nan) for name in (*ERRORS, *SHARES)]
+        + [record["faces"]]
+        for scene, method, record in _records(results)
+        if "error" not in record
+    ]
+    kinds = [("points", name) for name in _POINT_ERRORS] + [("mesh", name) for name in ERRORS]
     variations = [[*row, *[""] * 5] for row in _variation_rows(results, baseline, kinds)]
     return markdown(header, rows + variations)
 
 
 def _all_points_table(results: dict[str, Any], baseline: str) -> str:
-    header = ("scene", "method", "points", "points MAE", "RMSE", "σ", "median")
     rows = [
-        [f"{scene} ({results[scene]['unit']})", method, record["all_points"]["count"]]
-        + [record["all_points"].get(name) for name in _POINT_COLUMNS]
+        _point_cells(results, scene, method, record["all_points"])
         for scene, method, record in _records(results)
         if "all_points" in record
     ]
-    kinds = [("all_points", name) for name in _POINT_COLUMNS]
-    return markdown(header, rows + _variation_rows(results, baseline, kinds))
+    kinds = [("all_points", name) for name in _POINT_ERRORS]
+    return markdown(_POINT_HEADER, rows + _variation_rows(results, baseline, kinds))
+
+
+def _point_cells(
+    results: dict[str, Any], scene: str, method: str, points: Mapping[str, Any]
+) -> list[Any]:
+    errors = [points.get(name, math.nan) for name in _POINT_ERRORS]
+    return [f"{scene} ({results[scene]['unit']})", method, points["count"], *errors]
 
 
 def _variation_rows(
@@ -274,14 +282,12 @@ def _variation(results: dict[str, Any], base: str, method: str, part: str, name:
 
 
 def _dtu_table(results: dict[str, Any]) -> str:
-    names = ("accuracy", "completeness", "overall", "accuracy_median", "completeness_median")
-    header = ("scan", "method", *(name.replace("_", " ") for name in names))
     rows = [
-        [scene, method, *(record["dtu"][name] for name in names)]
+        {"scan": scene, "method": method} | record["dtu"]
         for scene, method, record in _records(results)
         if "dtu" in record
     ]
-    return markdown(header, rows)
+    return table({"scan": "scan", "method": "method"} | DTU, rows)
 
 
 def run_tables(record: dict[str, Any]) -> str:
@@ -290,22 +296,14 @@ def run_tables(record: dict[str, Any]) -> str:
     if "mesh" in record:
         parts.append(mesh_tables(record["mesh"]))
     if "held_out_points" in record:
-        rows = [
-            _error_row(f"{name}, {kind}", errors)
+        errors = {
+            f"{name}, {kind}": errors
             for name, kinds in record["held_out_points"].items()
             for kind, errors in kinds.items()
-        ]
-        header = ("depth error at left-out points", *_ERROR_NAMES, *_SHARE_NAMES)
-        parts.append(markdown(header, rows))
+        }
+        parts.append(error_table("depth error at left-out points", errors))
     if "edges" in record:
         parts.append(edge_tables(record["edges"]))
     if "held_out_views" in record:
-        parts.append(held_out_view_table(record["held_out_views"]))
+        parts.append(table(HELD_OUT_VIEWS, record["held_out_views"]))
     return "\n\n".join(parts)
-
-
-def held_out_view_table(errors: list[dict[str, Any]]) -> str:
-    """Table of `held_out.ViewErrors`."""
-    names = ("view", "points", "median_px", "within_1_px", "within_2_px", "chance_2_px")
-    header = ("left-out image", "edge points", "median px", "within 1 px", "2 px", "2 px by chance")
-    return markdown(header, [[error[name] for name in names] for error in errors])

@@ -41,10 +41,10 @@ def test_sphere_against_its_sampling():
     nearest = clouds.cloud_to_cloud(directions[:50] * 12, directions * 10)
     expected = [np.linalg.norm(directions * 10 - p, axis=1).min() for p in directions[:50] * 12]
     np.testing.assert_allclose(nearest, expected)
-    row = clouds.score(distances, distances, 2.5)
-    assert (row.precision, row.recall, row.f_score) == (1, 1, 1)
-    assert clouds.score(distances, distances, 1.5).f_score == 0
-    assert clouds.make_score(1.0, 0.5, 1.0).f_score == pytest.approx(2 / 3)
+    far, near = clouds.scores(distances, distances, [2.5, 1.5])
+    assert (far.precision, far.recall, far.f_score) == (1, 1, 1)
+    assert near.f_score == 0
+    assert clouds.score(1.0, 0.5, 1.0).f_score == pytest.approx(2 / 3)
 
 
 def test_depth_of_a_cloud_hides_what_lies_behind(sparse):

@@ -10,7 +10,6 @@ from project import run_script
 from colmap_edges.colmap.model import load_model
 from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.metrics import curves, depth, edges, visible_curves
-from colmap_edges.evaluation.metrics.observations import select_points
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 from colmap_edges.evaluation.protocols import scene
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
@@ -134,7 +133,7 @@ def test_window_takes_the_nearer_side_of_a_depth_step(model_path):
     truth = np.full((60, 80), 150, dtype=np.float32)
     truth[30:, :] = 100.5  # the step runs through the points at y = 0
     reference = depth.ReferenceDepth(view=model.views[2], depth=truth, scale=1.0)
-    middle = select_points(model, model.points3D_xyz[:, 1] == 0)
+    middle = model.selected(model.points3D_xyz[:, 1] == 0)
     errors = edges.depth_window_errors(middle, [reference])
     np.testing.assert_allclose(errors, 0.5 / 100.5, rtol=1e-5)
     assert len(errors) == 7

@@ -58,22 +58,13 @@ def cloud_to_mesh(points: FloatArray, vertices: NDArray[Any], faces: NDArray[Any
     return np.asarray(meshes.mesh(0).vertex_scalar_array(), dtype=np.float64)
 
 
-def score(
-    to_reference: FloatArray,
-    to_result: FloatArray,
-    threshold: float,
-) -> Score:
-    """Precision, recall and F of distances result -> reference (N,) and reference -> result (M,).
-
-    Tanks and Temples' definition at its tau. A share of nothing is 0.
-    """
-    precision = float(np.mean(to_reference < threshold)) if len(to_reference) else 0.0
-    recall = float(np.mean(to_result < threshold)) if len(to_result) else 0.0
-    return make_score(threshold, precision, recall)
+def shares_below(distances: FloatArray, thresholds: Sequence[float]) -> list[float]:
+    """Share of `distances` (N,) below each threshold; 0 without distances."""
+    return [float(np.mean(distances < t)) if len(distances) else 0.0 for t in thresholds]
 
 
-def make_score(threshold: float, precision: float, recall: float) -> Score:
-    """Score of a known precision and recall."""
+def score(threshold: float, precision: float, recall: float) -> Score:
+    """The score of a known precision and recall."""
     total = precision + recall
     f_score = 2 * precision * recall / total if total > 0 else 0.0
     return Score(threshold=threshold, precision=precision, recall=recall, f_score=f_score)
@@ -82,5 +73,9 @@ def make_score(threshold: float, precision: float, recall: float) -> Score:
 def scores(
     to_reference: FloatArray, to_result: FloatArray, thresholds: Sequence[float]
 ) -> list[Score]:
-    """`score` at every threshold."""
-    return [score(to_reference, to_result, threshold) for threshold in thresholds]
+    """Scores of distances result -> reference (N,) and reference -> result (M,) at thresholds.
+
+    Tanks and Temples' definition, with the thresholds as its tau.
+    """
+    precisions, recalls = (shares_below(d, thresholds) for d in (to_reference, to_result))
+    return [score(*row) for row in zip(thresholds, precisions, recalls, strict=True)]

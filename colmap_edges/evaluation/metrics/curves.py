@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, ranks_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranks_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, scores
 from colmap_edges.evaluation.readers.curves import Curves
@@ -36,21 +37,39 @@ class CurveErrors:
     unit: float
 
 
-def sample(curves: Curves, spacing: float) -> FloatArray:
-    """Points (N, 3) at most `spacing` apart along every segment, at the middles of equal parts.
+class Samples(NamedTuple):
+    """Samples of segments.
+
+    Attributes:
+        points: (N, 3) positions.
+        segments: (N,) segment of each.
+        lengths: (N,) length represented by each.
+    """
+
+    points: FloatArray
+    segments: IntArray
+    lengths: FloatArray
+
+
+def sample_segments(curves: Curves, spacing: FloatArray | float) -> Samples:
+    """Samples at most `spacing` apart along every segment, at the middles of equal parts.
 
     A segment gives ceil(length / spacing) samples, so every sample stands for nearly the same
-    length and shares of samples are shares of length. Curves without segments give their points.
+    length and shares of samples are shares of length; segments of length 0 give none.
     """
-    if not len(curves.segments):
-        return curves.points
     lengths = curves.lengths()
-    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
-    counts[lengths == 0] = 0
+    counts = np.ceil(lengths / spacing).astype(np.int64)
     segment = np.repeat(np.arange(len(counts)), counts)
     part = (ranks_of(counts) + 0.5) / counts[segment]
     start, end = (curves.points[curves.segments[segment, side]] for side in (0, 1))
-    return np.asarray(start + part[:, None] * (end - start))
+    return Samples(
+        start + part[:, None] * (end - start), segment, (lengths[segment] / counts[segment])
+    )
+
+
+def sample(curves: Curves, spacing: float) -> FloatArray:
+    """Points (N, 3) of `sample_segments`; curves without segments give their points."""
+    return sample_segments(curves, spacing).points if len(curves.segments) else curves.points
 
 
 def inside_box(points: FloatArray, reference: FloatArray, margin: float) -> BoolArray:

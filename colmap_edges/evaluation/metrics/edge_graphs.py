@@ -10,12 +10,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, end_points
 from colmap_edges.core.view import View
-from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, make_score, score
-from colmap_edges.evaluation.metrics.curves import sample
+from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, scores
+from colmap_edges.evaluation.metrics.curves import sample, sample_segments
 from colmap_edges.evaluation.readers.curves import Curves
 
 MIN_CORNER_DEG = 20.0  # minimum turn between curves that form a corner
@@ -69,10 +69,7 @@ def times_found(
     """
     spacing = unit * min(thresholds) / 5
     found, true = sample(result, spacing), sample(reference, spacing)
-    found_weights, true_weights = (
-        sample_lengths(result, spacing),
-        sample_lengths(reference, spacing),
-    )
+    found_weights, true_weights = (sample_lengths(c, spacing) for c in (result, reference))
     to_true, to_found = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
     rows = []
     for threshold in thresholds:
@@ -89,26 +86,17 @@ def times_found(
 
 def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
     """(N,) length represented by each sample of `curves.sample`."""
-    if not len(curves.segments):
-        # Samples coincide where curves meet or are duplicated.
-        size = float(np.ptp(curves.points, axis=0).max(initial=0.0)) if len(curves.points) else 0.0
-        if size == 0:
-            return np.zeros(len(curves.points))
-        points = curves.points / size
-        distinct = np.unique(points.round(9), axis=0)
-        step = float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
-        counts = cKDTree(points).query_ball_point(points, step / 4, return_length=True)
-        return np.asarray(size * step / counts, np.float64)
-    lengths = curves.lengths()
-    counts = sample_counts(lengths, spacing)
-    return np.repeat(lengths / np.maximum(counts, 1), counts)
-
-
-def sample_counts(lengths: FloatArray, spacing: FloatArray | float) -> IntArray:
-    """(S,) number of samples at most `spacing` apart per segment; 0 for length 0."""
-    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
-    counts[lengths == 0] = 0
-    return counts
+    if len(curves.segments):
+        return sample_segments(curves, spacing).lengths
+    # Samples coincide where curves meet or are duplicated.
+    size = float(np.ptp(curves.points, axis=0).max(initial=0.0)) if len(curves.points) else 0.0
+    if size == 0:
+        return np.zeros(len(curves.points))
+    points = curves.points / size
+    distinct = np.unique(points.round(9), axis=0)
+    step = float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
+    counts = cKDTree(points).query_ball_point(points, step / 4, return_length=True)
+    return np.asarray(size * step / counts, np.float64)
 
 
 def twin_shares(
@@ -123,15 +111,11 @@ def twin_shares(
         pixel_sizes: (P,) length of a pixel at each point in the nearest view that observes it.
         limits_px: Distances up to which edges are twins.
     """
-    lengths = result.lengths()
-    sizes = pixel_sizes[result.segments].mean(axis=1) if len(lengths) else np.zeros(0)
-    counts = sample_counts(lengths, sizes)
-    owner = np.repeat(np.arange(len(counts)), counts)
+    sizes = pixel_sizes[result.segments].mean(axis=1)
+    points, owner, weights = sample_segments(result, sizes)
     if not len(owner):
         return [TwinShare(limit_px=limit, share=0.0) for limit in limits_px]
-    start, end = (result.points[result.segments[owner, side]] for side in (0, 1))
-    points = start + ((ranks_of(counts) + 0.5) / counts[owner])[:, None] * (end - start)
-    weights, tangents = lengths[owner] / counts[owner], (end - start) / lengths[owner, None]
+    tangents = unit(np.diff(result.points[result.segments[owner]], axis=1)[:, 0])
     nearest = nearest_twins(
         points, tangents, weights, edges_of(result)[owner], sizes[owner], max(limits_px)
     )
@@ -284,17 +268,10 @@ def compare_corners(
     Each true corner is found once: of several corners nearest to the same one, only one counts.
     """
     if not len(true) or not len(found):
-        return [
-            score(np.full(len(found), np.inf), np.full(len(true), np.inf), t) for t in thresholds
-        ]
+        return scores(np.full(len(found), np.inf), np.full(len(true), np.inf), thresholds)
     to_true, nearest = cKDTree(true).query(found)
-    to_found = cloud_to_cloud(true, found)
     order = np.lexsort((to_true, nearest))
     first = np.ones(len(order), bool)
     first[1:] = np.diff(nearest[order]) != 0
     to_true[order[~first]] = np.inf
-    rows = []
-    for threshold in thresholds:
-        precision = float(np.mean(to_true < threshold))
-        rows.append(make_score(threshold, precision, float(np.mean(to_found < threshold))))
-    return rows
+    return scores(to_true, cloud_to_cloud(true, found), thresholds)

@@ -13,7 +13,6 @@ from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import track_residuals
 from colmap_edges.evaluation.metrics.depth import ReferenceDepth
-from colmap_edges.evaluation.metrics.observations import select_points
 from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summarize
 from colmap_edges.evaluation.readers.curves import Curves
 
@@ -187,7 +186,7 @@ def segment_lengths(curves: Curves) -> SegmentLengths:
 
 def edge_points(model: Model, input_model: Model) -> Model:
     """The points of `model` whose ids are not in `input_model`."""
-    return select_points(model, ~np.isin(model.point3D_ids, input_model.point3D_ids))
+    return model.selected(~np.isin(model.point3D_ids, input_model.point3D_ids))
 
 
 def points_of_edges(found: Edges3D, model: Model) -> Model:

@@ -8,21 +8,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
-from colmap_edges.core.curves3d import (
-    ARC,
-    ELLIPTIC_ARC,
-    LINE,
-    SPLINE,
-    Curves3D,
-)
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.curves3d import ARC, ELLIPTIC_ARC, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics.curves import sample_segments
 from colmap_edges.evaluation.readers.arrays import read_arrays
+from colmap_edges.evaluation.readers.curves import Curves
 
 # An arc is right if the true curve is a circle: gaps are not errors of kind.
 FAMILIES = np.array([LINE, ARC, ARC, ELLIPTIC_ARC, ELLIPTIC_ARC, SPLINE])
 SAMPLES = 5  # samples per threshold
-# Minimum share of a curve\'s samples on the true curve with which radii are compared.
+# Minimum share of a curve's samples on the true curve with which radii are compared.
 MIN_SHARE = 0.5
 MAX_RADIUS_ERROR = 0.01
 
@@ -82,14 +78,10 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
     data = read_arrays(path) if path.suffix == ".npz" else {}
     if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
         return None
-    ends = data["points"][data["edges"]]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    counts = np.maximum(np.ceil(lengths / spacing), 1).astype(np.int64)
-    owners = np.repeat(np.arange(len(counts)), counts)
-    places = ((ranks_of(counts) + 0.5) / counts[owners])[:, None]
+    samples = sample_segments(Curves(points=data["points"], segments=data["edges"]), spacing)
     return TrueCurves(
-        points=ends[owners, 0] + places * (ends[owners, 1] - ends[owners, 0]),
-        curves=data["curves"][owners],
+        points=samples.points,
+        curves=data["curves"][samples.segments],
         kinds=data["kinds"],
         radii=data["radii"],
     )

@@ -12,7 +12,13 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, cloud_to_mesh, make_score
+from colmap_edges.evaluation.metrics.clouds import (
+    Score,
+    cloud_to_cloud,
+    cloud_to_mesh,
+    score,
+    shares_below,
+)
 from colmap_edges.evaluation.metrics.curves import sample
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 from colmap_edges.evaluation.readers.curves import Curves
@@ -139,12 +145,12 @@ def compare_visible_curves(
     seen = visibility(true, views, caster)
     to_reference, nearest = cKDTree(true).query(found, workers=2) if len(found) else ([], [])
     limit = seen.pixel_size[np.asarray(nearest, dtype=np.int64)]
-    precision = _shares(np.asarray(to_reference, dtype=np.float64) / limit, thresholds_px)
+    precision = shares_below(np.asarray(to_reference, dtype=np.float64) / limit, thresholds_px)
     to_result = cloud_to_cloud(true, found)
     visible = seen.count >= min_views
-    recall = _shares((to_result / seen.pixel_size)[visible], thresholds_px)
+    recall = shares_below((to_result / seen.pixel_size)[visible], thresholds_px)
     return VisibleCurveErrors(
-        scores=[make_score(*row) for row in zip(thresholds_px, precision, recall, strict=True)],
+        scores=[score(*row) for row in zip(thresholds_px, precision, recall, strict=True)],
         accuracy=float(np.mean(to_reference)) if len(found) else float("nan"),
         completeness=float(to_result[visible].mean()) if visible.any() else float("nan"),
         recall_by_views=recall_by_views(
@@ -178,7 +184,7 @@ def recall_by_views(
                     min_views=low,
                     max_views=high,
                     length=float(chosen.sum()) * spacing,
-                    recall=_shares(distances_px[chosen], thresholds_px),
+                    recall=shares_below(distances_px[chosen], thresholds_px),
                 )
             )
         low, high = high + 1, max(1, 2 * high)
@@ -196,9 +202,4 @@ def on_surface(
         return []
     distances = cloud_to_mesh(points, surface.vertices, surface.faces)
     size = visibility(points, views, None).pixel_size
-    return _shares(distances / size, thresholds_px)
-
-
-def _shares(distances: FloatArray, thresholds: Sequence[float]) -> list[float]:
-    """Share of `distances` (N,) below each threshold, 0 of nothing."""
-    return [float(np.mean(distances < t)) if len(distances) else 0.0 for t in thresholds]
+    return shares_below(distances / size, thresholds_px)
