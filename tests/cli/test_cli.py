@@ -2,7 +2,6 @@ import json
 import os
 import platform
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -11,7 +10,7 @@ import time
 from dataclasses import asdict, fields
 
 import pytest
-from forked import call_forked
+from forked import COMMAND, Forked, call_forked
 
 import colmap_edges
 from colmap_edges.options import PipelineOptions, preset
@@ -274,19 +273,15 @@ def test_reader_that_leaves_is_no_error(flags, tmp_path):
 
 
 def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
-
-    process = start("detect", *flags, preexec_fn=limit)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert errors == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
+    done = call_forked(["detect", *flags], file_size=50_000)
+    assert done.returncode == 1
+    assert done.stderr == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
 def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay, hash_output):
-    process = start("detect", *flags, "--num_threads", 1)
+    process = Forked(COMMAND, "detect", *flags, "--num_threads", 1)
     deadline = time.monotonic() + 60
     while not any(tmp_path.glob(WORK)) and time.monotonic() < deadline:
         time.sleep(0.005)
@@ -303,7 +298,7 @@ def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay,
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 )
 def test_interruption_leaves_nothing(flags, tmp_path, number, code):
-    process = start("detect", *flags, "--num_threads", 1, start_new_session=True)
+    process = Forked(COMMAND, "detect", *flags, "--num_threads", 1)
     deadline = time.monotonic() + 60
     while not any(tmp_path.glob(f"{WORK}/edge_graphs")) and time.monotonic() < deadline:
         time.sleep(0.005)

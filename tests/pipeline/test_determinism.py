@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pycolmap
 import pytest
+from forked import call_forked
 from project import DEMO
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
@@ -16,16 +17,15 @@ LOCALES = ["C", "POSIX", "C.UTF-8", "de_DE.UTF-8", "tr_TR.UTF-8", "fr_FR.ISO-885
 
 
 def mesh(folder, output, *flags, **environment):
-    """Mesh the scene below `folder` in a process of its own."""
-    command = [sys.executable, "-m", "colmap_edges", "mesh", "--output_path", output, *flags]
-    command += ["--image_path", folder / "images", "--input_path", folder / "sparse"]
-    subprocess.run(
-        [str(word) for word in command],
-        check=True,
-        capture_output=True,
-        env=os.environ | environment,
-        timeout=600,
-    )
+    """Mesh the scene below `folder`, in an environment of its own in a process of its own."""
+    words = ["mesh", "--output_path", output, "--image_path", folder / "images"]
+    words = [str(word) for word in (*words, "--input_path", folder / "sparse", *flags)]
+    if environment:  # which Python reads when it starts
+        command = [sys.executable, "-m", "colmap_edges", *words]
+        variables = os.environ | environment
+        subprocess.run(command, check=True, capture_output=True, env=variables, timeout=600)
+    else:
+        assert call_forked(words, 600).returncode == 0
     return output
 
 

@@ -1,6 +1,5 @@
 """Runs that end too early: by a signal, a full disk, a folder that cannot be written to."""
 
-import resource
 import shutil
 import signal
 import subprocess
@@ -9,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from forked import call_forked
+from forked import COMMAND, Forked, call_forked
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -27,22 +26,28 @@ def mesh_command(small):
     """A function that gives the command that meshes the small scene."""
 
     def command(output, *flags):
-        run = [sys.executable, "-m", "colmap_edges", "mesh", "--output_path", output, *flags]
+        run = ["mesh", "--output_path", output, *flags]
         run += ["--image_path", small[0], "--input_path", small[1]]
         return [str(word) for word in [*run, "--num_threads", 1]]
 
     return command
 
 
+def in_shell(words):
+    """The command line with these words, in a process of its own, as a shell's line."""
+    return subprocess.list2cmdline([sys.executable, "-m", "colmap_edges", *words])
+
+
 @pytest.fixture(scope="module")
 def undisturbed(mesh_command, tmp_path_factory):
     """An output, another one without edges, and seconds from the start of work to the end."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    subprocess.run(mesh_command(folder / "plain", "--use_edges", 0), check=True, timeout=120)
-    process = subprocess.Popen(mesh_command(folder / "edges"), stdout=subprocess.DEVNULL)
+    assert call_forked(mesh_command(folder / "plain", "--use_edges", 0)).returncode == 0
+    process = Forked(COMMAND, *mesh_command(folder / "edges"))
     wait_for(folder / "edges", process)
     started = time.monotonic()
-    assert process.wait(timeout=120) == 0
+    process.communicate()
+    assert process.returncode == 0
     return folder / "edges", folder / "plain", time.monotonic() - started
 
 
@@ -75,7 +80,7 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_out
         if number != signal.SIGKILL and code != 0:
             assert [path.name for path in folder.iterdir()] == ["out"] * (found is not None)
             assert found is not None or not seed % 2
-        assert call_forked(mesh_command(output, "--overwrite")[3:]).returncode == 0
+        assert call_forked(mesh_command(output, "--overwrite")).returncode == 0
         assert hash_output(output) == expected
         assert [path.name for path in folder.iterdir()] == ["out"]
         ends.append((number.name, code))
@@ -88,12 +93,12 @@ def test_signals_at_random_moments(mesh_command, undisturbed, tmp_path, hash_out
 
 def interrupt(command, output, number, rng, seconds):
     """Send a signal at a random moment of the run; give the exit code."""
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = Forked(COMMAND, *command)
     wait_for(output, process)
     time.sleep(rng.uniform(0, seconds))
     process.send_signal(number)
-    _, errors = process.communicate(timeout=120)
-    assert b"Traceback" not in errors, errors.decode()
+    _, errors = process.communicate()
+    assert "Traceback" not in errors, errors
     assert process.returncode in (0, -number, 128 + number)
     return process.returncode
 
@@ -107,13 +112,7 @@ def test_files_that_cannot_be_whole(
     limits = [size - 1 for size in sizes] if soak else [sizes[0] - 1, sizes[-1] - 1]
     for limit in limits:
         command = mesh_command(tmp_path / "out", "--output_type", output_type)
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),  # noqa: B023
-        )
-        check_refused(done, tmp_path)
+        check_refused(call_forked(command, file_size=limit), tmp_path)
     show(f"{output_type}: runs with files cut short: {len(limits)}")
 
 
@@ -136,7 +135,7 @@ def test_full_disk(mesh_command, undisturbed, tmp_path, hash_output, soak, show,
     disk = tmp_path / "disk"
     disk.mkdir()
     flags = ["--output_type", output_type, "--overwrite"]
-    command = subprocess.list2cmdline(mesh_command(disk / "out", *flags))
+    command = in_shell(mesh_command(disk / "out", *flags))
     for size in sizes:
         script = (
             f"mount -t tmpfs -o size={size}k none {disk} || exit 99\n"
@@ -159,7 +158,7 @@ def test_full_disk(mesh_command, undisturbed, tmp_path, hash_output, soak, show,
 
 @needs_mounts
 def test_read_only_disk(mesh_command, tmp_path):
-    command = subprocess.list2cmdline(mesh_command(tmp_path / "disk" / "out"))
+    command = in_shell(mesh_command(tmp_path / "disk" / "out"))
     (tmp_path / "disk").mkdir()
     script = f"mount -t tmpfs -o ro none {tmp_path}/disk || exit 99; {command}"
     done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True)
@@ -169,17 +168,17 @@ def test_read_only_disk(mesh_command, tmp_path):
 
 def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     """The second is refused while the first goes on undisturbed."""
-    first = subprocess.Popen(mesh_command(tmp_path / "out"), stdout=subprocess.DEVNULL)
+    first = Forked(COMMAND, *mesh_command(tmp_path / "out"))
     wait_for(tmp_path / "out", first)
     first.send_signal(signal.SIGSTOP)
     try:
-        command = mesh_command(tmp_path / "out")
-        second = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        second = call_forked(mesh_command(tmp_path / "out"))
     finally:
         first.send_signal(signal.SIGCONT)
     assert second.returncode == 1
     assert second.stderr.startswith("Error: another run is writing to")
-    assert first.wait(timeout=120) == 0
+    first.communicate()
+    assert first.returncode == 0
     assert hash_output(tmp_path / "out") == hash_output(undisturbed[0])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -188,11 +187,11 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
 def test_interrupted_evaluation_leaves_nothing(undisturbed, small, tmp_path, number):
     pytest.importorskip("embreex", reason="the extra for evaluation is not installed")
     shutil.copytree(undisturbed[0], tmp_path / "out")
-    run = [sys.executable, "-m", "colmap_edges", "evaluate", "--input_path", small[1]]
-    run += ["--run_path", tmp_path / "out", "--image_path", small[0], "--held_out_views", "2"]
-    process = subprocess.Popen(list(map(str, run)), stderr=subprocess.PIPE)
+    run = ["evaluate", "--run_path", tmp_path / "out", "--input_path", small[1]]
+    run += ["--image_path", small[0], "--held_out_views", 2]
+    process = Forked(COMMAND, *run)
     wait_for(tmp_path / "out" / "evaluation", process)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=120)
-    assert (process.returncode, errors) == (128 + number, b"")
+    _, errors = process.communicate()
+    assert (process.returncode, errors) == (128 + number, "")
     assert not any("evaluation" in path.name for path in (tmp_path / "out").iterdir())

@@ -1,4 +1,4 @@
-"""The command line, called in forks of a process that has imported all it needs.
+"""The command line and the scripts, run in forks of a process that has imported their libraries.
 
 A call takes the time of its work, not that of starting Python and importing libraries.
 """
@@ -7,29 +7,46 @@ import atexit
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
 from functools import cache
 from pathlib import Path
 
-SERVER = """
-import json, os, sys
+COMMAND = "colmap-edges"
+SERVER = f"""
+import gc, json, os, resource, runpy, sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command sets it, before numpy is loaded
 import colmap_edges.cli.run_commands, colmap_edges.pipeline.run, colmap_edges.evaluation.run
 import colmap_edges.edges3d.chains.tracing, colmap_edges.surfaces.mesher
+import colmap_edges.evaluation.benchmark, colmap_edges.export.dxf, plotly.offline, trimesh
 from colmap_edges.cli.main import main
+gc.freeze()
 for line in sys.stdin:
-    words, files, folder, variables = json.loads(line)
+    request = json.loads(line)
+    if "wait" in request:
+        ended, status = os.waitpid(request["wait"], request["flags"])
+        print(os.waitstatus_to_exitcode(status) if ended else "null", flush=True)
+        continue
     child = os.fork()
-    if not child:
-        for stream, path in enumerate(files):
-            os.dup2(os.open(path, os.O_RDWR), stream)
-        os.chdir(folder)
-        os.environ.clear()
-        os.environ.update(variables)
+    if child:
+        print(child, flush=True)
+        continue
+    for stream, path in enumerate(request["files"]):
+        os.dup2(os.open(path, os.O_RDWR), stream)
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["variables"])
+    if request["file_size"]:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (request["file_size"],) * 2)
+    program, *words = request["words"]
+    if program == {COMMAND!r}:
         main(words)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+    sys.argv = request["words"]
+    sys.path.insert(0, os.path.dirname(program))
+    runpy.run_path(program, run_name="__main__")
+    sys.exit()
 """
 
 
@@ -42,20 +59,58 @@ def server():
     return process
 
 
-def call_forked(words, timeout=120):
+def ask(request, timeout=120):
+    """The number that the server answers, or None."""
+    server().stdin.write(json.dumps(request) + "\n")
+    server().stdin.flush()
+    if not select.select([server().stdout], [], [], timeout)[0]:
+        server().kill()
+        server.cache_clear()
+        raise subprocess.TimeoutExpired(str(request), timeout)
+    return json.loads(server().stdout.readline())
+
+
+class Forked:
+    """A run of a program in a fork, used like `subprocess.Popen` with text captured."""
+
+    def __init__(self, program, *words, file_size=0, **environment):
+        """Start a script, or the command line as `COMMAND`, with files up to `file_size`."""
+        self.folder = tempfile.TemporaryDirectory()
+        files = [os.devnull, *(str(Path(self.folder.name, name)) for name in ("out", "err"))]
+        for path in files[1:]:
+            Path(path).touch()
+        self.files, self.returncode = files, None
+        request = {"words": [os.fspath(program), *map(str, words)], "files": files}
+        request |= {"folder": str(Path.cwd()), "variables": dict(os.environ) | environment}
+        self.pid = ask(request | {"file_size": file_size})
+
+    def poll(self, flags=os.WNOHANG, timeout=120):
+        """The exit code, None while it runs."""
+        if self.returncode is None:
+            self.returncode = ask({"wait": self.pid, "flags": flags}, timeout)
+        return self.returncode
+
+    def wait(self, timeout=120):
+        """Wait for the end; the exit code."""
+        return self.poll(0, timeout)
+
+    def communicate(self, timeout=120):
+        """Wait for the end; what was written to standard output and error."""
+        self.wait(timeout)
+        with self.folder:
+            return tuple(Path(path).read_text() for path in self.files[1:])
+
+    def send_signal(self, number):
+        """Send a signal; one that has ended keeps its number until it is waited for."""
+        os.kill(self.pid, number)
+
+    def kill(self):
+        """End it at once."""
+        self.send_signal(signal.SIGKILL)
+
+
+def call_forked(words, timeout=120, program=COMMAND, **how):
     """What `subprocess.run` gives of `colmap-edges` with these words, text captured."""
-    with tempfile.TemporaryDirectory() as folder:
-        output, errors = Path(folder, "output"), Path(folder, "errors")
-        output.touch()
-        errors.touch()
-        files = [os.devnull, str(output), str(errors)]
-        words = [os.fspath(word) for word in words]
-        request = json.dumps([words, files, str(Path.cwd()), dict(os.environ)])
-        server().stdin.write(request + "\n")
-        server().stdin.flush()
-        if not select.select([server().stdout], [], [], timeout)[0]:
-            server().kill()
-            server.cache_clear()
-            raise subprocess.TimeoutExpired(words, timeout)
-        code = int(server().stdout.readline())
-        return subprocess.CompletedProcess(words, code, output.read_text(), errors.read_text())
+    process = Forked(program, *map(os.fspath, words), **how)
+    output, errors = process.communicate(timeout)
+    return subprocess.CompletedProcess(words, process.returncode, output, errors)
