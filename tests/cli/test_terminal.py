@@ -13,7 +13,7 @@ import time
 
 import pycolmap
 import pytest
-from forked import call_forked
+from forked import COMMAND, Forked, call_forked
 
 from colmap_edges.cli.main import main
 from colmap_edges.cli.terminal import LogFormatter
@@ -79,20 +79,14 @@ def test_errors_with_a_closed_stream_keep_their_code(small, tmp_path):
 
 @pytest.mark.parametrize(("ignored", "code"), [(True, 0), (False, 129)])
 def test_nohup_is_respected(small, tmp_path, ignored, code):
-    how = signal.SIG_IGN if ignored else signal.SIG_DFL
-    process = subprocess.Popen(
-        command(small, tmp_path / "out"),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, how),
-    )
+    process = Forked(COMMAND, *command(small, tmp_path / "out")[3:], hangup_ignored=ignored)
     end = time.monotonic() + 60
     while not any(tmp_path.glob(".out.*/new")) and time.monotonic() < end:
         time.sleep(0.002)
     for _ in range(2):  # the kernel and the shell both send it
         process.send_signal(signal.SIGHUP)
-    _, errors = process.communicate(timeout=120)
-    assert (process.returncode, errors) == (code, b"")
+    _, errors = process.communicate()
+    assert (process.returncode, errors) == (code, "")
     assert [path.name for path in tmp_path.iterdir()] == ["out"] * ignored
 
 
@@ -149,9 +143,7 @@ def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
     assert done.returncode == 0, done.stderr
     assert r"a\x1b[31m.jpg" in done.stderr
     assert r"out\x1b[31m\n/overlays (" in done.stdout
-    info = subprocess.run(
-        [sys.executable, "-m", "colmap_edges", "info", output], capture_output=True, text=True
-    )
+    info = call_forked(["info", output])
     assert "output of colmap-edges detect" in info.stdout
     (scene[0] / "b\nc.jpg").unlink()
     missing = call(scene, tmp_path / "second", "--verbose", name="detect")
@@ -191,8 +183,7 @@ def test_paths_that_are_no_text_work(small, tmp_path, hash_output, usual):
         assert done.returncode == 0, done.stderr
         if "TXT" not in flags:
             assert hash_output(bad(b"out")) == hash_output(usual)
-    info = [sys.executable, "-m", "colmap_edges", "info", bad(b"out")]
-    assert subprocess.run(info, capture_output=True).returncode == 0
+    assert call_forked(["info", bad(b"out")]).returncode == 0
     (bad(b"out") / os.fsdecode(b"n\xe9")).write_text("mine")
     done = call(scene, bad(b"out"), "--overwrite")
     assert done.returncode == 1

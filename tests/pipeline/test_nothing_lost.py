@@ -5,8 +5,6 @@ import os
 import pwd
 import shutil
 import stat
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -25,14 +23,14 @@ OLD_NAMES = (".out.colmap-edges-partial", ".out.colmap-edges-previous")
 
 
 def command(small, output, *flags):
-    """The command that meshes the points of the small scene, which is fast."""
-    run = [sys.executable, "-m", "colmap_edges", "mesh", "--use_edges", "0", "--report", "0"]
+    """The words of the command that meshes the points of the small scene, which is fast."""
+    run = ["mesh", "--use_edges", "0", "--report", "0"]
     run += ["--image_path", small[0], "--input_path", small[1], "--output_path", output, *flags]
     return [os.fspath(word) for word in run]
 
 
 def call(small, output, *flags):
-    return call_forked(command(small, output, *flags)[3:])
+    return call_forked(command(small, output, *flags))
 
 
 def check_refused(done, *words):
@@ -407,25 +405,14 @@ def shared(small):
 
 @pytest.fixture
 def as_nobody(shared):
-    """A function that calls as another user; the first run, as root, loads all that is needed."""
+    """A folder of another user, and a function that calls as that user."""
     if os.geteuid() != 0:
         pytest.skip("only root can become another user")
     who = pwd.getpwnam("nobody")
-    script = (
-        "import os, sys; from colmap_edges.cli.main import main\n"
-        "try: main([*sys.argv[4:-1], sys.argv[3]])\n"
-        "except SystemExit as end: assert not end.code\n"
-        "user, group = map(int, sys.argv[1:3])\n"
-        "os.setgroups([]); os.setresgid(group, group, group); os.setresuid(user, user, user)\n"
-    )
 
     def call(output, *flags):
-        with tempfile.TemporaryDirectory() as folder:
-            run = command((shared / "images", shared / "sparse"), output)
-            run = [sys.executable, "-c", script + f"main({[*run[3:], *map(str, flags)]})"]
-            run += [str(who.pw_uid), str(who.pw_gid), f"{folder}/first"]
-            run += command((shared / "images", shared / "sparse"), output)[3:]
-            return subprocess.run(run, capture_output=True, text=True, timeout=120)
+        words = command((shared / "images", shared / "sparse"), output, *flags)
+        return call_forked(words, user=(who.pw_uid, who.pw_gid))
 
     mine = shared / "nobody's"
     mine.mkdir()

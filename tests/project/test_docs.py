@@ -26,13 +26,13 @@ EXAMPLES = [(page.name, *found) for page in PAGES for found in EXAMPLE.findall(p
 
 
 @pytest.fixture(scope="module")
-def workspace(scene_paths, tmp_path_factory):
+def workspace(small, tmp_path_factory):
     """A workspace as COLMAP leaves it, and the environment in which commands are typed."""
     folder = tmp_path_factory.mktemp("workspace")
-    shutil.copytree(scene_paths[0], folder / "images")
-    shutil.copytree(scene_paths[1], folder / "sparse" / "0")
+    shutil.copytree(small[0], folder / "images")
+    shutil.copytree(small[1], folder / "sparse" / "0")
     (folder / "masks").mkdir()
-    for image in scene_paths[0].iterdir():
+    for image in small[0].iterdir():
         mask = cv2.inRange(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE), 10, 255)
         cv2.imwrite(str(folder / "masks" / f"{image.name}.png"), mask)
     command = folder / "bin" / "colmap-edges"

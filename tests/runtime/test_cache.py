@@ -3,15 +3,13 @@
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from io import BytesIO
 
 import cv2
 import numpy as np
 import pytest
+from forked import COMMAND, Forked, call_forked
 
 from colmap_edges.core.arrays import flattened, unflattened
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
@@ -274,29 +272,30 @@ def test_a_scheduler_needs_a_cache(small, tmp_path):
 
 
 def command(scene, output, cache):
-    """The command that meshes a scene with a cache."""
+    """The words of the command that meshes a scene with a cache."""
     flags = ["--image_path", scene[0], "--input_path", scene[1], "--output_path", output]
     flags += ["--cache_path", cache, "--num_threads", 1, "--overwrite"]
-    return [sys.executable, "-m", "colmap_edges", "mesh", *map(str, flags)]
+    return ["mesh", *map(str, flags)]
 
 
 def test_two_runs_at_once_share_a_cache(small, reference, tmp_path, hash_output):
     outputs = [tmp_path / name for name in "ab"]
-    runs = [subprocess.Popen(command(small, o, tmp_path / "cache")) for o in outputs]
-    assert [process.wait(timeout=120) for process in runs] == [0, 0]
-    for output in outputs:
+    runs = [Forked(COMMAND, *command(small, o, tmp_path / "cache")) for o in outputs]
+    for output, process in zip(outputs, runs, strict=True):
+        process.communicate()
+        assert process.returncode == 0
         assert hash_output(output) == hash_output(reference)
 
 
 def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_output, caplog, soak):
     cache, rng = tmp_path / "cache", np.random.default_rng(0)
     for _ in range(20 if soak else 2):
-        process = subprocess.Popen(command(small, tmp_path / "killed", cache))
+        process = Forked(COMMAND, *command(small, tmp_path / "killed", cache))
         while process.poll() is None and not (cache / "edge_graphs").exists():
             time.sleep(0.002)
         time.sleep(rng.uniform(0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.wait(timeout=60)
+        process.kill()
+        process.communicate()
         left = len(list(cache.rglob("*.entry")))
         output, counts = mesh(small, tmp_path / "out", cache)
         assert "damaged" not in caplog.text
@@ -307,13 +306,8 @@ def test_killed_runs_leave_no_half_entries(small, reference, tmp_path, hash_outp
 
 def test_the_report_says_what_was_reused(small, tmp_path):
     for _ in range(2):
-        done = subprocess.run(
-            [*command(small, tmp_path / "out", tmp_path / "cache"), "--verbose"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=120,
-        )
+        done = call_forked([*command(small, tmp_path / "out", tmp_path / "cache"), "--verbose"])
+        assert done.returncode == 0
     assert "6 images reused" in done.stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["paths"]["cache_path"] == str(tmp_path / "cache")

@@ -16,12 +16,13 @@ from pathlib import Path
 
 COMMAND = "colmap-edges"
 SERVER = f"""
-import gc, json, os, resource, runpy, sys
+import contextlib, gc, importlib, json, os, pkgutil, resource, runpy, signal, sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command sets it, before numpy is loaded
-import colmap_edges.cli.run_commands, colmap_edges.pipeline.run, colmap_edges.evaluation.run
-import colmap_edges.edges3d.chains.tracing, colmap_edges.surfaces.mesher
-import colmap_edges.evaluation.benchmark, colmap_edges.export.dxf, plotly.offline, trimesh
+import colmap_edges, plotly.offline
 from colmap_edges.cli.main import main
+for module in pkgutil.walk_packages(colmap_edges.__path__, "colmap_edges."):
+    with contextlib.suppress(ImportError):  # of extras
+        module.name.endswith("__main__") or importlib.import_module(module.name)
 gc.freeze()
 for line in sys.stdin:
     request = json.loads(line)
@@ -38,8 +39,14 @@ for line in sys.stdin:
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["variables"])
+    ignored = request["hangup_ignored"]
+    signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
     if request["file_size"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (request["file_size"],) * 2)
+    if request["user"]:
+        os.setgroups([])
+        os.setresgid(*[request["user"][1]] * 3)
+        os.setresuid(*[request["user"][0]] * 3)
     program, *words = request["words"]
     if program == {COMMAND!r}:
         main(words)
@@ -73,8 +80,19 @@ def ask(request, timeout=120):
 class Forked:
     """A run of a program in a fork, used like `subprocess.Popen` with text captured."""
 
-    def __init__(self, program, *words, file_size=0, **environment):
-        """Start a script, or the command line as `COMMAND`, with files up to `file_size`."""
+    def __init__(
+        self, program, *words, file_size=0, user=None, hangup_ignored=False, **environment
+    ):
+        """Start a script, or the command line as `COMMAND`.
+
+        Args:
+            program: path of the script, or `COMMAND`.
+            words: its arguments.
+            file_size: limit of the size of files, bytes.
+            user: ids of another user and group.
+            hangup_ignored: whether SIGHUP is ignored, as nohup has it.
+            environment: further variables.
+        """
         self.folder = tempfile.TemporaryDirectory()
         files = [os.devnull, *(str(Path(self.folder.name, name)) for name in ("out", "err"))]
         for path in files[1:]:
@@ -82,7 +100,8 @@ class Forked:
         self.files, self.returncode = files, None
         request = {"words": [os.fspath(program), *map(str, words)], "files": files}
         request |= {"folder": str(Path.cwd()), "variables": dict(os.environ) | environment}
-        self.pid = ask(request | {"file_size": file_size})
+        how = {"file_size": file_size, "user": user, "hangup_ignored": hangup_ignored}
+        self.pid = ask(request | how)
 
     def poll(self, flags=os.WNOHANG, timeout=120):
         """The exit code, None while it runs."""

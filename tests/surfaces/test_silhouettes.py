@@ -1,6 +1,7 @@
 """Points on silhouettes lie on smooth bodies, and are seen from where nothing is in between."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pycolmap
@@ -35,12 +36,18 @@ def views_around(count=60, distance=4.0):
 
 def masked(view, is_hit):
     """The body that a view sees, by what every pixel's line of sight meets."""
-    x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-    undistorted = (
-        view.undistorted_from_image(np.column_stack([x.ravel(), y.ravel()])) / view.focal_px
-    )
-    directions = np.column_stack([undistorted, np.ones(len(undistorted))]) @ view.rotation
-    return Body(view, is_hit(view.center, directions).reshape(view.height, view.width))
+    camera = view.camera
+    local = lines_of_sight(camera.model.name, camera.width, camera.height, *camera.params)
+    return Body(view, is_hit(view.center, local @ view.rotation).reshape(view.height, view.width))
+
+
+@cache
+def lines_of_sight(model, width, height, *params):
+    """Directions of all pixels of a camera, row by row."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=params)
+    rays = camera.cam_from_img(np.column_stack([x.ravel(), y.ravel()]))
+    return np.column_stack([rays, np.ones(width * height)])
 
 
 def hits_ball(center, radius=RADIUS):
