@@ -225,7 +225,7 @@ def test_a_mesh_without_edges_needs_no_images(flags, tmp_path, scene_paths):
     assert "Missing --image_path;" in call("mesh", *flags[2:], code=2)
 
 
-def test_an_empty_mesh_is_told_with_its_reason(flags):
+def test_empty_mesh_is_reported_with_its_cause(flags):
     output = call("mesh", *flags, "--Meshing.long_facet_factor", "1e-9", "--use_edges", 0)
     assert "Note: the mesh is empty" in output
     assert "To change that: raise --Meshing.long_facet_factor, or set it to 0" in output
@@ -244,7 +244,7 @@ def test_bad_input_exits_1_in_one_line(flags, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_overwrite_is_asked_for(flags, tmp_path):
+def test_existing_output_needs_overwrite(flags, tmp_path):
     call("detect", *flags)
     assert "--overwrite" in call("detect", *flags, code=1)
     call("detect", *flags, "--overwrite")
@@ -264,7 +264,7 @@ def test_info_of_a_workspace(tmp_path, scene_paths):
     assert "images: 10 with poses" in output
 
 
-def test_reader_that_leaves_is_no_error(flags, tmp_path):
+def test_closed_pipe_is_not_an_error(flags, tmp_path):
     call("detect", *flags)
     with start("info", tmp_path / "out") as process:
         process.stdout.close()
@@ -272,7 +272,7 @@ def test_reader_that_leaves_is_no_error(flags, tmp_path):
     assert process.returncode == 1
 
 
-def test_full_disk_is_one_line_and_leaves_nothing(flags, tmp_path):
+def test_full_disk_is_one_line_and_leaves_no_files(flags, tmp_path):
     done = call_forked(["detect", *flags], file_size=50_000)
     assert done.returncode == 1
     assert done.stderr == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
@@ -297,7 +297,7 @@ def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay,
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 )
-def test_interruption_leaves_nothing(flags, tmp_path, number, code):
+def test_interruption_leaves_no_files(flags, tmp_path, number, code):
     process = Forked(COMMAND, "detect", *flags, "--num_threads", 1)
     deadline = time.monotonic() + 60
     while not any(tmp_path.glob(f"{WORK}/edge_graphs")) and time.monotonic() < deadline:
@@ -345,14 +345,14 @@ def test_workspace_gives_the_paths(scene_paths, tmp_path, model):
 @pytest.mark.parametrize(
     ("folder", "message"), [("images", "no model in"), ("x", "no folder images")]
 )
-def test_workspace_that_is_none(tmp_path, folder, message):
+def test_invalid_workspace_is_an_error(tmp_path, folder, message):
     (tmp_path / folder).mkdir()
     output = call("detect", "--workspace_path", tmp_path, code=1)
     assert message in output
     assert output.count("\n") == 1
 
 
-def test_the_paper_by_one_word(flags, tmp_path):
+def test_method_paper_sets_the_papers_options(flags, tmp_path):
     call("mesh", *flags, "--method", "PAPER", "--Meshing.vote_threshold", "2", "--report", "0")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     expected = asdict(preset("paper"))

@@ -33,7 +33,7 @@ def parse(*args):
     return command.main(args, standalone_mode=False)
 
 
-def test_nothing_given_is_the_defaults():
+def test_no_flags_give_the_defaults():
     assert parse() == OuterOptions()
 
 
@@ -144,7 +144,7 @@ def test_a_file_may_begin_with_a_mark_of_its_encoding(tmp_path):
         (b"\xff\xfe", "cannot read"),
     ],
 )
-def test_mistakes_in_a_file_are_told_in_one_line(tmp_path, text, message):
+def test_mistakes_in_a_file_are_one_line_errors(tmp_path, text, message):
     with pytest.raises(click.UsageError) as error:
         read(tmp_path, text)
     assert message in error.value.format_message()

@@ -73,7 +73,7 @@ def test_a_report_stage_by_stage():
     ]
 
 
-def test_counts_of_nothing():
+def test_info_without_counts():
     assert count_lines({}, "  ") == []
     assert count_lines({"a_b": {}}, "") == ["a b:"]
 
@@ -101,6 +101,6 @@ def test_a_damaged_report_is_one_line(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-def test_a_folder_of_neither_is_told(tmp_path):
+def test_folder_without_model_or_report_is_an_error(tmp_path):
     with pytest.raises(ColmapEdgesError, match="no readable COLMAP model"):
         describe(tmp_path)

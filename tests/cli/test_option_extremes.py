@@ -180,7 +180,7 @@ def near_zero(low, high):
     return [1e-300, 1e-9] if isinstance(low, float) and low <= 0 < high else []
 
 
-def test_runs_of_all_that_is_no_number(tiny, show):
+def test_runs_with_every_choice_and_truth_value(tiny, show):
     runs = 0
     for group, entry in OTHERS:
         if entry.name in ("use_edges", "masks_are_background"):  # need or contradict others

@@ -137,7 +137,7 @@ def test_groups_are_frozen_and_made_afresh():
     assert changed.refinement.noise_px == 1.0 != PipelineOptions().refinement.noise_px
 
 
-def test_the_paper_is_one_word():
+def test_preset_of_the_paper():
     paper = chosen_preset("paper", None)
     assert paper == preset("paper")
     assert paper.tracing.method == "paper"

@@ -37,14 +37,14 @@ def test_five_lines_in_a_users_words(output):
     assert "270 in 3D" in lines[1]
 
 
-def test_notes_come_before_what_came_out(output):
+def test_notes_precede_results(output):
     finding = {"text": "3 images have no pose", "remedy": "register them"}
     lines = summary(report_of(findings=[finding]), output, 1.0, verbose=False)
     assert lines[0] == "Note: 3 images have no pose. To change that: register them."
     assert len(lines) == 6
 
 
-def test_verbose_tells_stages_and_files_first(output):
+def test_verbose_lists_stages_and_files_first(output):
     lines = summary(report_of(), output, 8.6, verbose=True)
     assert lines[0].split()[:3] == ["read", "1.2", "s"]
     assert "1.2 s  270 edges, 10,756 edge points" in lines[2]
@@ -57,14 +57,14 @@ def test_verbose_tells_stages_and_files_first(output):
 
 
 @pytest.mark.parametrize("gone", [["report.html"], ["report.html", "mesh.ply"]])
-def test_where_to_look_is_what_there_is(output, gone):
+def test_file_to_open_exists(output, gone):
     for name in gone:
         (output / name).unlink()
     shown = "edges.ply" if len(gone) == 2 else "mesh.ply"
     assert str(output / shown) in summary(report_of(), output, 1.0, verbose=False)[-1]
 
 
-def test_verbose_logs_what_is_ours():
+def test_verbose_logs_only_this_package():
     script = (
         "import logging; from colmap_edges.cli.terminal import start_logging\n"
         "start_logging(True)\n"

@@ -69,7 +69,7 @@ def snapshot(reconstruction):
 
 
 @pytest.mark.parametrize("kind", ["BIN", "TXT", "memory"])
-def test_points_and_tracks_are_those_that_pycolmap_tells(scene, tmp_path, kind):
+def test_points_and_tracks_equal_pycolmaps(scene, tmp_path, kind):
     given = pycolmap.Reconstruction(scene.reconstruction)
     given.points3D[max(given.points3D)].color = (1, 2, 3)
     for image_id in list(given.images)[:2]:
@@ -279,7 +279,7 @@ def test_images_and_points_of_different_models(scene_paths, tmp_path):
         ("name", "two images of the model are named same.png"),
     ],
 )
-def test_values_that_are_none(scene, part, message):
+def test_invalid_values_are_errors(scene, part, message):
     reconstruction = pycolmap.Reconstruction(scene.reconstruction)
     image = reconstruction.images[1]
     if part in ("focal", "one focal", "negative focal", "params"):
@@ -351,7 +351,7 @@ def test_rows_by_view_are_those_of_each_view():
     assert [len(rows) for rows in rows_by_view(np.zeros(0, np.int32), 2)] == [0, 0]
 
 
-def test_an_image_holds_what_lies_on_it_and_ahead():
+def test_view_holds_points_in_front_and_inside():
     view = curves.make_view(np.eye(3), np.zeros(3))
     pixels = np.array([[0, 0], [639, 479], [640, 0], [0, 480], [-1e-9, 5], [5, 5], [np.nan, 5]])
     depths = np.array([1, 1, 1, 1, 1, -1, 1.0])

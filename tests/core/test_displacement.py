@@ -94,7 +94,7 @@ def test_between_two_falling_edges_both_count():
     assert moved == pytest.approx(seen, abs=1e-6) == MIDDLE
 
 
-def test_flat_places_borders_and_nothing():
+def test_flat_areas_borders_and_empty_input():
     flat = np.full((4, 4), 0.5, np.float32)
     points, normals = np.array([[0.0, 0], [3, 3], [1.5, 2]]), np.array([[1.0, 0], [0, 1], [0, 0]])
     np.testing.assert_array_equal(_kernels.undo_displacement(flat, points, normals, 1.0), points)

@@ -50,7 +50,7 @@ def test_among_equals_the_first_pair_wins():
     assert match(6, [(0, 4, True, 1), (0, 2, True, 1)]) == [4, -1, -1, -1, 0, -1]
 
 
-def test_nothing_to_match():
+def test_matching_without_points():
     none = np.zeros(0, np.int64)
     assert (
         match_best_first(4, none, none, none.astype(bool), none.astype(float)).tolist() == [-1] * 4

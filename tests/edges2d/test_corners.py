@@ -73,7 +73,7 @@ def test_both_pieces_lead_straight_to_the_corner_and_share_it(turn_deg):
         assert steps.max() < 1.8
 
 
-def test_what_is_far_from_corners_is_left_as_it_was():
+def test_chains_far_from_corners_are_unchanged():
     chains = make_chains(
         rounded(path((100, 50), (140, 50), (140, 90))), arc(60, 2.0), path((20, 20), (60, 40))
     )
@@ -163,7 +163,7 @@ def test_chains_too_short_for_corners_are_left_alone(lengths, closed):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_nothing_of_random_walks_is_lost(seed):
+def test_no_point_of_random_walks_is_lost(seed):
     """Every point is in a piece, corners in two; chains without corners stay closed."""
     random = np.random.default_rng(seed)
     parts = []
@@ -246,7 +246,7 @@ def test_kernel_finds_the_corners_that_a_search_by_hand_finds(seed):
     np.testing.assert_allclose(crossings, [crossing for _, crossing in expected], atol=1e-6)
 
 
-def test_kernel_refuses_what_does_not_fit_together():
+def test_kernel_refuses_inconsistent_arrays():
     limits = (3, 6, 0.8, 0.7, 0.35, 0.5, 4.0, 5.0)
     with pytest.raises(ValueError, match="offsets"):
         _kernels.find_corners(np.zeros((3, 2)), np.array([0, 4]), np.zeros(1, bool), *limits)

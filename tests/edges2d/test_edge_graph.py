@@ -147,7 +147,7 @@ def test_kernel_finds_the_chains_that_ends_touch(seed):
     assert 0 < np.mean(touched >= 0) < 1
 
 
-def test_ends_outside_the_image_touch_what_is_beside_them():
+def test_ends_outside_the_image_join_nearby_chains():
     points = np.array([[5, -0.4], [5, 4], [9, 9], [2, 7], [5, 0.2], [8, 7], [99.0, -50]])
     touched = _kernels.touched_chains(points, np.array([0, 3, 6, 7]), 30, 20)
     assert touched.tolist() == [1, -1, -1, -1, -1, -1]
@@ -223,7 +223,7 @@ def test_filter_keeps_whole_components_of_the_longest():
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.booleans(), min_size=6, max_size=6))
-def test_kept_polylines_are_what_they_were(mask):
+def test_kept_polylines_are_unchanged(mask):
     bar = straight((50, 100), (150, 100))
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     ring = np.array([300, 200]) + 20 * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -86,7 +86,7 @@ def test_edges_are_moved_to_where_the_photograph_has_them(kind, scale):
     assert np.einsum("ij,ij->i", chains.normals, outward).min() > 0.9
 
 
-def test_whether_edges_are_binary_is_told_by_the_grays():
+def test_intensities_decide_whether_an_edge_map_is_binary():
     told = {kind: decoded(picture).is_binary for kind, picture in KINDS.items()}
     soft = {"16 bit", "soft", "soft, black on white", "soft and noisy", "two strengths"}
     assert {kind for kind, is_binary in told.items() if not is_binary} == soft

@@ -49,7 +49,7 @@ def test_its_places_are_sub_pixel():
     assert np.median(np.abs(off[near])) < 0.3
 
 
-def test_finds_nothing_in_noise_and_rounding():
+def test_noise_and_rounding_give_no_faint_edges():
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     for image in (
         picture(np.full((HEIGHT, WIDTH), 120.0), noise=1.0),
@@ -59,7 +59,7 @@ def test_finds_nothing_in_noise_and_rounding():
         assert len(faint_pixel_chains(image, 1.0, NONE, NOISES)[0]) < 60
 
 
-def test_leaves_what_is_found_already():
+def test_edges_found_before_are_not_found_again():
     image = picture(half_plane(60.0))
     strong, _ = detect_pixel_chains(image, 12)
     assert len(strong) > 0.8 * HEIGHT

@@ -59,7 +59,7 @@ def test_one_graph_larger_than_the_memory_is_held():
     assert same(store.load(4), graphs_of_views()[4])
 
 
-def test_edges_do_not_depend_on_what_is_held():
+def test_edges_do_not_depend_on_the_memory_limit():
     graphs = graphs_of_views()
     model = known.model_of(VIEWS)
     expected, _ = trace_edges(model, Graphs.of(graphs), PipelineOptions(), 1)
@@ -70,7 +70,7 @@ def test_edges_do_not_depend_on_what_is_held():
         np.testing.assert_array_equal(value, arrays[name])
 
 
-def test_what_is_released_is_gone_from_memory_and_disk():
+def test_released_graphs_are_removed_from_memory_and_disk():
     store = Graphs.of(graphs_of_views(), 1.0)
     folder = store.backend.folder
     assert len(list(folder.iterdir())) == len(VIEWS) - 1
@@ -79,7 +79,7 @@ def test_what_is_released_is_gone_from_memory_and_disk():
     assert not folder.exists()
 
 
-def test_what_is_kept_is_not_made_again():
+def test_kept_graphs_are_not_recomputed():
     made = []
 
     def make(key: int) -> int:

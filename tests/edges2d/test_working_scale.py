@@ -65,7 +65,7 @@ def test_blur_under_noise(noise):
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (1, 1), (3, 50)])
-def test_what_shows_nothing_has_no_blur(shape):
+def test_blank_images_have_no_blur(shape):
     assert measure_blur(np.full(shape, 90, np.uint8), OPTIONS) == 0
 
 
@@ -133,7 +133,7 @@ def test_large_sharp_images_stay_as_they_are(scene_model, tmp_path):
     assert scale_of(replace(model, views=views), tmp_path) == 1  # the second is not even read
 
 
-def test_an_image_of_another_size_is_told(scene_model, tmp_path):
+def test_image_of_another_size_is_an_error(scene_model, tmp_path):
     model = scene_of(scene_model, tmp_path, [shapes(0.5)] * 2)
     views = (model.views[0], replace(model.views[1], width=SIZE[0] + 1))
     with pytest.raises(ColmapEdgesError, match="its camera 321x240"):

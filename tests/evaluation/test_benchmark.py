@@ -47,7 +47,7 @@ def test_sphere_against_its_sampling():
     assert clouds.score(1.0, 0.5, 1.0).f_score == pytest.approx(2 / 3)
 
 
-def test_depth_of_a_cloud_hides_what_lies_behind(sparse):
+def test_depth_of_a_cloud_excludes_occluded_points(sparse):
     view = depth.central_view(load_model(sparse))
     points = miniature.surface_points()
     below = points[np.abs(points[:, :2]).max(axis=1) < 9] - [0, 0, 6.0]
@@ -198,7 +198,7 @@ def test_average_variation_is_over_all_scenes_that_have_the_baseline():
     assert "| fountain (m) | edges | 5 | 1 |" in counted
 
 
-def test_a_baseline_or_method_that_is_no_row_is_named(tmp_path):
+def test_unknown_baselines_and_methods_are_named(tmp_path):
     listed = [fake_scene(tmp_path, "x")]
     with pytest.raises(ColmapEdgesError, match="unknown baseline LIMAP; choose from SfM, edges"):
         benchmark.run(listed, tmp_path / "out", baseline="LIMAP")
@@ -295,7 +295,7 @@ def test_from_dtu_images_to_the_table(root, tmp_path):
         ("ObsMask", set(), "No ObsMask of this scan"),
     ],
 )
-def test_what_needs_no_plane_or_mask_is_measured_without(
+def test_figures_without_plane_or_mask_are_computed(
     root, sparse, tmp_path, missing, measured, note
 ):
     shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns(f"{missing}*.mat"))
@@ -313,7 +313,7 @@ def test_what_needs_no_plane_or_mask_is_measured_without(
 
 
 @pytest.mark.usefixtures("mesher")
-def test_a_reference_that_is_missing_is_told_before_meshing(root, sparse, tmp_path, monkeypatch):
+def test_missing_reference_is_an_error_before_meshing(root, sparse, tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "mesh_own", lambda *_: pytest.fail("meshed"))
     shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns("Points"))
     (scene,) = scenes.dtu_scenes(tmp_path / "data", [6])
@@ -386,7 +386,7 @@ def test_images_of_one_frame_are_left_out_together():
     assert numbers_of(whole) == before
 
 
-def test_enlarged_images_show_more_of_what_is_there(root, sparse):
+def test_upsampled_images_give_more_edges(root, sparse):
     """Its faint texture is not detected in each image, so a left-out one shows less of it."""
     counts = []
     for min_blur_px in (0.0, 0.8):
@@ -486,7 +486,7 @@ def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, t
 
 
 @pytest.mark.usefixtures("mesher")
-def test_an_evaluation_that_fails_leaves_nothing(sparse, run_path, tmp_path):
+def test_failed_evaluation_leaves_no_files(sparse, run_path, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mesh.ply").write_bytes((run_path / "mesh.ply").read_bytes())
     with pytest.raises(ColmapEdgesError, match="does not exist"):

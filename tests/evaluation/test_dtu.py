@@ -149,7 +149,7 @@ def test_of_49_positions_25_are_odd():
 
 
 @pytest.mark.parametrize("text", ["", "even", "1,", "3-1", "0", "-3", "1.5", "1000"])
-def test_what_names_no_positions_is_refused(text):
+def test_invalid_positions_are_refused(text):
     with pytest.raises(ColmapEdgesError, match="give all, odd, or a list"):
         dtu.parse_positions(text)
 
@@ -180,7 +180,7 @@ def test_without_plane_the_accuracy_stays(root):
         (lambda root: dtu.scan_numbers(root / "Rectified"), "none of the scans"),
     ],
 )
-def test_what_is_missing_is_named(root, call, message):
+def test_missing_data_is_named(root, call, message):
     with pytest.raises(ColmapEdgesError, match=message):
         call(root)
 

@@ -53,7 +53,7 @@ def moved(points, up):
     return points + np.array([0, up, 0])
 
 
-def test_an_edge_that_came_twice_is_found_twice():
+def test_a_duplicate_edge_is_found_twice():
     twice = curves_of(LINE, moved(LINE, 0.001), moved(LINE, 5))
     true = curves_of(LINE, moved(LINE, 3))
     (row,) = edge_graphs.times_found(twice, true, [0.01])
@@ -69,7 +69,7 @@ def test_samples_without_segments_have_a_length_even_where_they_coincide():
     assert row.times == pytest.approx(1, rel=0.01)
 
 
-def test_twins_are_parallel_and_near_and_not_what_goes_on_at_the_end():
+def test_twins_are_parallel_and_near_but_not_consecutive():
     beside = polyline((0.5, 0.02, 0), (1.5, 0.02, 0))
     across = polyline((0.2, -0.5, 0), (0.2, 0.5, 0))
     onward = polyline((-1, 0, 0), (0, 0, 0))
@@ -82,7 +82,7 @@ def test_twins_are_parallel_and_near_and_not_what_goes_on_at_the_end():
     assert shares[2].share == shares[1].share
 
 
-def test_an_edge_that_runs_back_beside_itself_is_its_own_twin():
+def test_an_edge_parallel_to_itself_is_its_own_twin():
     there_and_back = polyline((0, 0, 0), (1, 0, 0), (1, 0.02, 0), (0, 0.02, 0))
     found = curves_of(there_and_back)
     (share,) = edge_graphs.twin_shares(found, np.full(len(found.points), 0.01), [3.0])
@@ -114,7 +114,7 @@ def test_of_two_corners_found_for_one_only_one_counts():
     assert row.recall == 0.5
 
 
-def test_without_corners_shares_are_none():
+def test_scores_without_corners_are_zero():
     none, one = np.zeros((0, 3)), np.zeros((1, 3))
     for found, true in ((none, one), (one, none), (none, none)):
         (row,) = edge_graphs.compare_corners(found, true, [0.01])

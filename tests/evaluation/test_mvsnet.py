@@ -26,7 +26,7 @@ def model(root, tmp_path_factory):
     return model_from_reconstruction(triangulate(images, folder, tmp_path_factory.mktemp("sparse")))
 
 
-def test_layouts_are_told_apart(root):
+def test_layouts_are_distinguished(root):
     assert mvsnet.is_layout(root)
     assert not mvsnet.is_layout(root.parent / "official")
     assert not mvsnet.is_layout(root / "Rectified")

@@ -47,7 +47,7 @@ def test_edges_are_found_behind_faces(tmp_path, content):
     assert elements["face"]["vertex_indices"][0].tolist() == [0, 1, 2]
 
 
-def test_what_was_read_outlives_the_file(tmp_path):
+def test_arrays_stay_valid_after_the_file_is_deleted(tmp_path):
     path = tmp_path / "edges.ply"
     path.write_bytes(big_endian())
     vertices = read_ply(path)["vertex"]

@@ -77,7 +77,7 @@ def test_tilted_plane_is_hit_through_the_centres_of_a_scaled_map(model_path):
     np.testing.assert_allclose(found, np.tile(expected, (30, 1)), rtol=1e-6)
 
 
-def test_coverage_counts_only_what_the_reference_knows(model_path):
+def test_coverage_counts_only_pixels_with_a_reference_depth(model_path):
     view = load_model(model_path).views[2]
     half = trimesh.Trimesh(
         [(0, -80, 2), (80, -80, 2), (80, 80, 2), (0, 80, 2)], [(0, 1, 2), (0, 2, 3)]
@@ -205,7 +205,7 @@ def test_hidden_curves_are_not_asked_for(model_path):
     assert everything.on_surface == []
 
 
-def test_marks_on_the_surface_are_told_from_points_off_it(model_path):
+def test_marks_on_the_surface_differ_from_points_off_it(model_path):
     views = load_model(model_path).views
     truth = Curves(points=np.array([(-10, 0, 0), (10, 0, 0.0)]), segments=np.array([(0, 1)]))
     # Of 60 units of length 20 are on the curve, 20 a mark, 20 at 1.5 pixels above the surface.

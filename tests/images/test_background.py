@@ -173,7 +173,7 @@ def before_white(small, folder):
     return folder, small[1]
 
 
-def test_a_run_tells_the_mesher(small, tmp_path):
+def test_background_reaches_the_mesher(small, tmp_path):
     """The same with and without a cache, from folders and in Python; none when not wanted."""
     (tmp_path / "images").mkdir()
     scene = before_white(small, tmp_path / "images")
@@ -196,7 +196,7 @@ def test_a_run_tells_the_mesher(small, tmp_path):
     assert "background" not in counts
 
 
-def test_what_masks_hide_may_be_background(small, tmp_path):
+def test_masked_pixels_may_be_background(small, tmp_path):
     mask = np.full((180, 240), 255, np.uint8)
     mask[:40] = 0
     masks = write_masks(tmp_path / "masks", small[0], mask)
@@ -252,7 +252,7 @@ def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):
 
 @pytest.mark.parametrize("are_background", [True, False])
 @pytest.mark.parametrize("left", ["nothing", "a blob"])
-def test_masks_that_leave_no_edge_are_told_of(small, tmp_path, left, are_background):
+def test_masks_without_visible_edges_are_reported(small, tmp_path, left, are_background):
     """Such as inverted ones, for which what there is gets meshed."""
     mask = np.zeros((180, 240), np.uint8)
     if left == "a blob":

@@ -124,7 +124,7 @@ def test_chains_are_cut_where_masked():
     np.testing.assert_array_equal(np.diff(outside_mask(chains, mask, 2.0, 12).offsets), [60, 60])
 
 
-def test_masks_that_hide_nothing_or_everything():
+def test_all_white_and_all_black_masks():
     chains = level([50, 50], [5, 6])
     same = outside_mask(chains, np.ones((10, 50), bool), 1.0, 12)
     np.testing.assert_array_equal(same.points, chains.points)

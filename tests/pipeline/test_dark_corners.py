@@ -135,7 +135,7 @@ def test_few_edges_but_none_far_off(name, method):
 @pytest.mark.parametrize("method", TRACERS)
 @pytest.mark.parametrize("name", HOPELESS)
 @pytest.mark.parametrize("with_points", [True, False])
-def test_no_edges_where_nothing_can_be_known(name, method, with_points):
+def test_no_edges_without_parallax(name, method, with_points):
     points = None if with_points else np.zeros((0, 3))
     model, edges = trace(HOPELESS[name], method, points)
     assert edges.num_edges == edges.num_points == 0

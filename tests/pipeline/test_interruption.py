@@ -184,7 +184,7 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_evaluation_leaves_nothing(undisturbed, small, tmp_path, number):
+def test_interrupted_evaluation_leaves_no_files(undisturbed, small, tmp_path, number):
     pytest.importorskip("embreex", reason="the extra for evaluation is not installed")
     shutil.copytree(undisturbed[0], tmp_path / "out")
     run = ["evaluate", "--run_path", tmp_path / "out", "--input_path", small[1]]

@@ -106,7 +106,7 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_others_put_into_an_output_is_named_and_kept(small, earlier, name):
+def test_foreign_files_in_an_output_are_named_and_kept(small, earlier, name):
     FOREIGN[name](earlier / name)
     before = tree(earlier.parent)
     check_refused(
@@ -119,7 +119,7 @@ def test_what_others_put_into_an_output_is_named_and_kept(small, earlier, name):
     "report",
     ["{}", "[]", "no json", '{"versions": 1}', '{"versions": {"colmap-edges": 1}}', "[" * 100_000],
 )
-def test_a_report_of_another_program_is_none(small, tmp_path, report):
+def test_report_of_another_program_is_not_ours(small, tmp_path, report):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.txt").write_text("x")
@@ -129,7 +129,7 @@ def test_a_report_of_another_program_is_none(small, tmp_path, report):
     assert tree(tmp_path) == before
 
 
-def test_an_output_of_before_files_were_listed(small, earlier):
+def test_outputs_of_versions_that_listed_no_files(small, earlier):
     report = json.loads((earlier / "report.json").read_text())
     del report["files"]
     (earlier / "report.json").write_text(json.dumps(report))
@@ -168,7 +168,7 @@ def test_notes_in_an_evaluation_are_named_and_kept(tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_what_comes_during_a_run_is_kept(tmp_path, caplog):
+def test_files_created_during_a_run_are_kept(tmp_path, caplog):
     output = tmp_path / "out"
     with new_folder(output) as folder:
         write_output(folder, ["a", "sparse/b", "only/old"])
@@ -303,7 +303,7 @@ def test_a_link_at_the_evaluation_is_refused(tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_folders_of_a_cache_are_no_links_and_hold_what_others_put_there(tmp_path, caplog):
+def test_cache_folders_are_not_links_and_keep_foreign_files(tmp_path, caplog):
     old = (1, 1)
     (tmp_path / "cache" / "unfinished").mkdir(parents=True)
     draft = tmp_path / "cache" / "unfinished" / "draft.txt"
@@ -356,7 +356,7 @@ def others(folder):
     )
 
 
-def test_nothing_is_lost_whatever_is_planted_whenever(tmp_path, soak, show):
+def test_random_foreign_files_are_never_lost(tmp_path, soak, show):
     """Before, during and after runs that end well or not, all of others' things stay somewhere."""
     refused = 0
     for seed in range(SOAK_ROUNDS if soak else ROUNDS):

@@ -381,7 +381,7 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, with_faces, tmp_path):
         colmap_edges.read_edges(tmp_path / "out")
 
 
-def test_reconstruct_takes_and_gives_pycolmaps_objects(meshed, scene, scene_paths):
+def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_paths):
     count = scene.reconstruction.num_points3D()
     result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
     assert scene.reconstruction.num_points3D() == count
@@ -454,7 +454,7 @@ def test_without_edges_before_a_backdrop_the_points_are_meshed(scene_paths, tmp_
     assert any("--Tracing.min_observations" in finding["remedy"] for finding in report["findings"])
 
 
-def test_threads_that_the_system_does_not_give_are_done_without():
+def test_meshing_works_when_threads_cannot_be_started():
     """Of thousands of threads a few get their stack in the memory that there is."""
     script = (
         "import resource, numpy as np\n"

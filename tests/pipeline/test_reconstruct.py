@@ -10,7 +10,7 @@ from colmap_edges.errors import ColmapEdgesError
 
 
 @pytest.mark.pipeline
-def test_paths_give_what_objects_give(small):
+def test_paths_and_objects_give_the_same_result(small):
     image_path, input_path = small
     by_paths = colmap_edges.reconstruct(str(input_path), str(image_path))
     by_objects = colmap_edges.reconstruct(pycolmap.Reconstruction(str(input_path)), image_path)
@@ -30,7 +30,7 @@ def test_paths_give_what_objects_give(small):
         (("no such folder", "images"), "no such folder"),
     ],
 )
-def test_other_types_are_told_in_one_line(arguments, message):
+def test_wrong_types_are_one_line_errors(arguments, message):
     with pytest.raises(ColmapEdgesError, match=message) as caught:
         colmap_edges.reconstruct(*arguments)
     assert "\n" not in str(caught.value)

@@ -167,7 +167,7 @@ def test_steps_lower_the_cost_to_the_noise():
     assert cost < 0.2 * cost_of(problem, state, noise)
 
 
-def test_points_that_nothing_determines_ask_for_damping():
+def test_undetermined_points_need_damping():
     problem, state = street(6, 2, 1)
     noise = noise_of(problem, state)
     problem.measured.pixels[:] = np.nan
@@ -175,7 +175,7 @@ def test_points_that_nothing_determines_ask_for_damping():
         solve_step(problem, state, noise, 0.0, shared_frames(problem))
 
 
-def test_wrong_arrays_are_told():
+def test_wrong_arrays_are_errors():
     problem, state = street(6, 2, 1)
     equations = ba.linearized(problem, state)
     none = np.zeros(7, np.int64), np.zeros(0, np.int32)

@@ -102,7 +102,7 @@ def test_flags_in_the_documents_exist():
                 assert flag in known, f"{page.name}: {flag}"
 
 
-def test_every_dependency_has_its_licence_told():
+def test_every_dependency_has_its_licence_listed():
     lines = PROJECT[
         PROJECT.index("\ndependencies") : PROJECT.index("[project.scripts]")
     ].splitlines()

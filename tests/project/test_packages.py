@@ -58,7 +58,7 @@ def test_wheels_of_all_systems_are_released_by_trusted_publishing():
     assert "password" not in release.split("#")[0]
 
 
-def test_conda_recipe_needs_what_the_project_needs():
+def test_conda_recipe_has_the_projects_dependencies():
     recipe = text_of("conda-recipe/meta.yaml")
     run = recipe[recipe.index("  run:") : recipe.index("\ntest:")]
     found = dict(re.findall(r"^    - ([\w-]+)(?: >=([\d.]+))?", run, re.MULTILINE))
@@ -80,7 +80,7 @@ def test_image_installs_as_the_readme_says():
     assert re.search(r"python3 -m venv \S+ && \S+/bin/pip install", dockerfile)
 
 
-def test_sdist_holds_what_the_build_needs():
+def test_sdist_contains_the_files_of_the_build():
     excluded = PROJECT["tool"]["scikit-build"]["sdist"]["exclude"]
     needed = {"CMakeLists.txt", "meshing", "colmap_edges", "README.md", "LICENSE"}
     assert not needed & set(excluded)

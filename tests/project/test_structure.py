@@ -101,7 +101,7 @@ def test_modules_that_text_names_exist(architecture):
     assert count > 500
 
 
-def test_first_line_tells_the_one_job(architecture):
+def test_first_line_of_a_module_describes_it(architecture):
     for path in architecture["module_paths"]().values():
         line = architecture["first_line"](path)
         assert re.fullmatch(r".{8,}[.:]", line), path

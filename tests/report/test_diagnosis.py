@@ -42,7 +42,7 @@ def stages(read=(), detect=(), trace=(), write=(), mesh=(), details=CHAINS, edge
 @pytest.mark.parametrize(
     ("options", "details"), [(PipelineOptions(), CHAINS), (PAPER_OPTIONS, PAPER)]
 )
-def test_nothing_to_say_when_all_went_well(options, details):
+def test_good_run_has_no_findings(options, details):
     assert diagnose(stages(details=details), options) == []
 
 
@@ -162,7 +162,7 @@ def test_an_empty_mesh_has_its_reason(meshing, counts, text, remedy):
     assert remedy in finding.remedy
 
 
-def test_two_images_are_not_advised_what_cannot_help():
+def test_two_images_get_no_useless_advice():
     options = PipelineOptions(tracing=TracingOptions(min_observations=5))
     for posed, remedy in ((2, "take more images"), (4, "or set --Tracing.min_observations 4")):
         (finding,) = diagnose(stages(read={"images_with_poses": posed}), options)

@@ -45,7 +45,7 @@ HOLE = [(1, 1), (1, 2.5), (3, 3), (2, 1)]
     ("outline", "holes"),
     [(SQUARE, ()), (L_SHAPE, ()), (SQUARE, (HOLE,)), ([(0, 0), (3, 1), (1, 5)], ())],
 )
-def test_triangles_cover_a_face_and_nothing_else(outline, holes):
+def test_triangles_cover_exactly_the_face(outline, holes):
     face = face_of(outline, holes)
     corners, triangles, _ = triangulated([face])
     assert area_of(corners, triangles) == pytest.approx(face.area, rel=0.005)

@@ -28,7 +28,7 @@ def test_outcome_of_each_command():
     assert list(outcome(record(read=READ, mesh=MESH))) == ["Images", "Points", "Mesh"]
 
 
-def test_faces_are_told_where_they_were_looked_for():
+def test_outcome_has_faces_if_they_were_detected():
     stages = {"read": READ, "write": WRITE, "faces": FACES, "mesh": MESH}
     assert outcome(record(**stages))["Faces"] == "46 planar, total area 82.97 square scene units"
     assert headline(record(**stages)) == (
@@ -40,7 +40,7 @@ def test_faces_are_told_where_they_were_looked_for():
     assert "face" not in headline(record(**stages))
 
 
-def test_outcome_says_what_did_not_come_out():
+def test_outcome_names_missing_results():
     read = {**READ, "images_without_poses": 3}
     nothing = {"edges": 0, "edge_points": 0, "length": 0.0, "median_residual_px": None}
     detect = {**DETECT, "images_without_edges": 2}

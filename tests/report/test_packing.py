@@ -52,6 +52,6 @@ def test_coordinates_without_extent(values):
     np.testing.assert_array_equal(back, values[np.isfinite(values)])
 
 
-def test_what_is_no_array_is_refused():
+def test_values_that_are_not_arrays_are_refused():
     with pytest.raises(TypeError, match="set cannot be packed"):
         pack({"a": set()})

@@ -274,7 +274,7 @@ def test_keys_turn_the_view_and_choose_edges(shown):
     assert chosen[:2] == ["id", "1"]
 
 
-def test_screen_readers_hear_what_there_is(shown):
+def test_page_is_accessible_to_screen_readers(shown):
     unnamed = """[...document.querySelectorAll('input, select, button, img, .chart svg, #view')]
       .filter((e) => !(e.labels?.length || e.textContent.trim() || e.hasAttribute('alt')
         || e.getAttribute('aria-label')) || (e.tagName === 'BUTTON' && !e.textContent.trim()))

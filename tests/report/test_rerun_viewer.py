@@ -54,7 +54,7 @@ def meshed(rerun, scene_paths, tmp_path_factory):
     return read_recording(rerun, target), report
 
 
-def test_recording_holds_what_the_run_made(meshed, scene_model):
+def test_recording_contains_the_results_of_the_run(meshed, scene_model):
     entities, report = meshed
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert len(entities["/points"]["Points3D:positions"][0]) == counts["read"]["points3D"]
@@ -97,7 +97,7 @@ def test_edges_are_labelled_with_their_views(meshed, scene_model):
     assert len({color for color, n in zip(colors, views, strict=True) if n == views[0]}) == 1
 
 
-def test_recorded_cameras_see_what_the_model_says(meshed, scene_model):
+def test_recorded_cameras_agree_with_the_model(meshed, scene_model):
     points = scene_model.points3D_xyz[:20]
     for view in scene_model.views:
         columns = meshed[0][camera_path(view)]

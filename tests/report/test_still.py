@@ -52,13 +52,13 @@ def test_edges_on_or_before_a_surface_are_seen_and_others_not(edge_depth, seen):
     assert (canvas[100, :, 0] < 255).sum() == pytest.approx(2 * focal / 2.0, abs=3)
 
 
-def test_nothing_behind_the_eye_is_drawn():
+def test_points_behind_the_eye_are_not_drawn():
     canvas = np.full((200, 320, 3), 255, np.uint8)
     draw_faces_and_edges(canvas, SimpleNamespace(mesh=wall(-2.0), edges=line(-1.0)), AHEAD)
     assert (canvas == 255).all()
 
 
-def test_fitted_view_holds_what_it_is_made_for():
+def test_fitted_view_contains_its_points():
     points = np.random.default_rng(0).normal((5, 2, 9), (3, 1, 0.5), (500, 3))
     found = fitted(points, AHEAD, 1.6)
     right, down, depth = ((points - found.eye) @ found.axes.T).T

@@ -138,7 +138,7 @@ def test_a_task_that_dies_with_its_worker_runs_again(cluster, tmp_path):
     assert (tmp_path / "marker").exists()
 
 
-def test_results_that_cross_a_cancellation_hold_up_nothing(cluster, tmp_path):
+def test_results_arriving_during_cancellation_do_not_block(cluster, tmp_path):
     with cluster_workers(cluster.scheduler_address, Cache(tmp_path / "cache")) as workers:
         for _ in range(40):
             with pytest.raises(ColmapEdgesError, match="the first"):

@@ -100,7 +100,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_readers_refuse_what_is_no_file(public, no_file, reader):
+def test_readers_refuse_folders_pipes_and_devices(public, no_file, reader):
     name, read = READERS[reader]
     path = no_file(public / name)
     with pytest.raises((ColmapEdgesError, OSError, click.UsageError)) as caught:

@@ -147,7 +147,7 @@ def test_output_appears_with_windows_locks(windows, tmp_path, monkeypatch):
     assert (tmp_path / "out" / "edges.ply").read_text() == "second"
 
 
-def test_what_a_killed_run_left_is_removed_on_windows(windows, tmp_path):
+def test_leftovers_of_a_killed_run_are_removed_on_windows(windows, tmp_path):
     left = tmp_path / f".out.colmap-edges-{'a' * 32}"
     (left / "new").mkdir(parents=True)
     (left / "lock").write_text(f"colmap-edges {'a' * 32}\n")
@@ -196,7 +196,7 @@ def test_package_starts_without_modules_of_posix():
     assert done.stdout == "None None\n", done.stderr
 
 
-def test_nothing_of_posix_is_elsewhere():
+def test_posix_calls_are_in_the_platform_module_only():
     posix = re.compile(
         r"^\s*import (fcntl|resource|pwd|grp)\b|O_NO\w+|/proc/|\bCDLL\b|geteuid", re.M
     )

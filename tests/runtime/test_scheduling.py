@@ -53,7 +53,7 @@ def test_views_that_share_edges_keep_their_turn(seed):
         np.testing.assert_array_equal(place[others] > place[view], rank[others] > rank[view])
 
 
-def test_several_at_once_have_nothing_in_common():
+def test_concurrent_tasks_share_no_items():
     needed = grid_neighbors(10, 1)
     schedule = Schedule(np.random.default_rng(0).permutation(100), needed, 10)
     running, done = [], set()

@@ -41,12 +41,12 @@ def test_two_settings_on_a_city(tmp_path):
     assert all(row.count("|") == 10 for row in rows)
 
 
-def test_scene_that_is_not_there(tmp_path):
+def test_missing_scene_is_an_error(tmp_path):
     done = run_script("benchmark.py", "--data_path", tmp_path, "--scene", "none", code=1)
     assert done.stderr.strip().splitlines()[-1].startswith("error: ")
 
 
-def test_flag_that_is_none():
+def test_unknown_flag_is_an_error():
     flags = ("--flags", "--no_such_flag 1")
     done = run_script("benchmark.py", "--synthetic", "4", "--runs", "1", *flags, code=1)
     assert "no_such_flag" in done.stderr

@@ -23,7 +23,7 @@ def lengths_of(points, edges):
     return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
 
 
-def test_curves_are_told_by_kind_and_radius():
+def test_curves_have_their_kind_and_radius():
     points, edges = sharp_curves(mesh_of("plate"))
     curves, kinds, radii = curves_by_kind(points, edges)
     assert curves.min() == 0 and curves.max() + 1 == len(kinds) == len(radii)

@@ -23,7 +23,7 @@ def test_every_script_is_run_by_a_test():
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_scripts_tell_what_they_are_for(path):
+def test_scripts_have_a_description(path):
     first, second, *_ = path.read_text(encoding="utf-8").splitlines()
     if path.suffix == ".py":
         assert first == "#!/usr/bin/env python3"

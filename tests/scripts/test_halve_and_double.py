@@ -25,7 +25,7 @@ def data(small, tmp_path_factory):
     return folder
 
 
-def test_what_a_constant_changes_is_printed(data):
+def test_effects_of_a_constant_are_printed(data):
     arguments = ("--scenes", "small", "--constants", "Refinement.max_tangent_angle_deg")
     lines = run_script("halve_and_double.py", data, *arguments).stdout.splitlines()
     assert lines[0] == "| constant | is | set to | small |"
@@ -59,7 +59,7 @@ def test_every_number_is_changed_within_its_range():
         (("--constants", "Refinement.none"), "there is no constant Refinement.none"),
     ],
 )
-def test_names_that_are_none(data, arguments, message):
+def test_unknown_names_are_errors(data, arguments, message):
     done = run_script("halve_and_double.py", data, *arguments, code=1)
     assert message in done.stderr
     assert done.stderr.count("\n") == 1

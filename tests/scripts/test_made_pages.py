@@ -47,7 +47,7 @@ def test_pages_are_written_anew(copy, script, page):
     assert path.read_text() == expected
 
 
-def test_a_page_that_is_not_as_the_code_is_told(copy, monkeypatch):
+def test_outdated_page_is_reported(copy, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["document_options.py", "--check"])
     script = str(copy / "scripts" / "document_options.py")
     runpy.run_path(script, run_name="__main__")

@@ -43,7 +43,7 @@ def test_scripts_parse(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_scripts_name_exists(name):
+def test_paths_in_scripts_exist(name):
     named = NAMED.findall(commands_of(name))
     assert [path for path in named if not (ROOT / path.rstrip(".")).exists()] == []
 
@@ -87,7 +87,7 @@ def test_lowest_versions_are_those_of_the_project():
     assert {"numpy==1.26.*", "rich==13.0.*", "nanobind==2.2.*"} <= set(lowest)
 
 
-def test_a_sanitizer_that_is_none_is_told():
+def test_unknown_sanitizer_is_an_error():
     done = run_script("sanitize", sys.executable, "none", code=2)
     assert done.stderr == "no such kind: none\n"
 
@@ -104,13 +104,13 @@ def test_memcheck_asks_for_valgrind(tmp_path):
     assert (done.returncode, done.stderr) == (1, "run: apt-get install valgrind\n")
 
 
-def test_reproduce_results_tells_its_arguments():
+def test_reproduce_results_prints_its_usage():
     done = run_script("reproduce_results", code=2)
     assert "scripts/reproduce_results DATA OUT [PYTHON]" in done.stderr
     assert "#" not in done.stderr
 
 
-def test_fetch_cgal_tells_its_argument():
+def test_fetch_cgal_prints_its_usage():
     done = run_script("fetch_cgal", code=2)
     assert done.stderr == "give the folder: scripts/fetch_cgal FOLDER\n"
 
