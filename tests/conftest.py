@@ -12,7 +12,6 @@ import scenes
 
 from colmap_edges.colmap.model import load_model
 
-
 # Files that take longest; they start first, so that at the end no process waits for one of them.
 LONGEST = (
     *("scripts/test_reproduce_results.py", "report/test_report.py", "evaluation/test_scripts.py"),

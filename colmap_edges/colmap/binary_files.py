@@ -22,13 +22,7 @@ from colmap_edges.runtime.input_files import open_file, read_bytes
 
 POINT2D = np.dtype([("xy", "<f8", 2), ("point3D_id", "<u8")])
 POINT3D = np.dtype(
-    [
-        ("id", "<u8"),
-        ("xyz", "<f8", 3),
-        ("rgb", "u1", 3),
-        ("error", "<f8"),
-        ("track_length", "<u8"),
-    ]
+    [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track_length", "<u8")]
 )
 TRACK_ELEMENT = np.dtype([("image_id", "<u4"), ("point2D_idx", "<u4")])
 IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera id
@@ -147,16 +141,21 @@ def damaged(path: Path, why: str) -> ColmapEdgesError:
 class Reader:
     """Reads consecutive little-endian fields and detects truncated files."""
 
-    def __init__(self, path: Path) -> None:
-        """Read the whole file."""
+    def __init__(self, path: Path, data: bytes | None = None) -> None:
+        """Read the whole file, unless its bytes are given."""
         self.path = path
-        self.data = read_bytes(path)
+        self.data = read_bytes(path) if data is None else data
         self.at = 0
 
     def take(self, layout: struct.Struct) -> tuple[int, ...]:
         """Unpack the next fields."""
         self.skip(layout.size)
         return layout.unpack_from(self.data, self.at - layout.size)
+
+    def skip_text(self) -> None:
+        """Move on behind the next zero byte."""
+        end = self.data.find(b"\0", self.at)
+        self.skip(end + 1 - self.at if end >= 0 else len(self.data) + 1)
 
     def skip(self, size: int) -> None:
         """Move on by `size` bytes."""
@@ -215,23 +214,16 @@ def image_records(data: bytes, path: Path) -> list[ImageSpan]:
     Raises:
         ColmapEdgesError: if the data is truncated or too long.
     """
-    records = []
-    at = COUNT.size
-    try:
-        for _ in range(COUNT.unpack_from(data)[0]):
-            start = at
-            image_id = IMAGE_HEAD.unpack_from(data, at)[0]
-            at = data.index(b"\0", at + IMAGE_HEAD.size) + 1
-            num_points2D = COUNT.unpack_from(data, at)[0]
-            points_start = at + COUNT.size
-            at = points_start + num_points2D * POINT2D.itemsize
-            records.append(ImageSpan(image_id, start, points_start, at, num_points2D))
-            if at > len(data):
-                raise ValueError
-    except (struct.error, ValueError):
-        raise damaged(path, f"it ends after {len(data)} bytes, within a record") from None
-    if at != len(data):
-        raise damaged(path, f"{len(data) - at} bytes follow its last record")
+    records, reader = [], Reader(path, data)
+    for _ in range(reader.take(COUNT)[0]):
+        start = reader.at
+        image_id = reader.take(IMAGE_HEAD)[0]
+        reader.skip_text()  # the name
+        num_points2D = reader.take(COUNT)[0]
+        points_start = reader.at
+        reader.skip(num_points2D * POINT2D.itemsize)
+        records.append(ImageSpan(image_id, start, points_start, reader.at, num_points2D))
+    reader.end()
     return records
 
 
@@ -271,19 +263,12 @@ def check_points3D(path: Path, images: list[ImageSpan]) -> None:
 
 def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
     """(N,) byte offsets of the points in points3D.bin, and their (N,) track lengths."""
-    if len(data) < COUNT.size:
-        raise damaged(path, f"it ends after {len(data)} bytes, within a record")
-    starts, lengths, at = _kernels.walk_records(
-        np.frombuffer(data, np.uint8),
-        COUNT.size,
-        COUNT.unpack_from(data)[0],
-        POINT3D.itemsize,
-        TRACK_ELEMENT.itemsize,
-    )
-    if at > len(data):
-        raise damaged(path, f"it ends after {len(data)} bytes, within a record")
-    if at != len(data):
-        raise damaged(path, f"{len(data) - at} bytes follow its last record")
+    reader = Reader(path, data)
+    count, sizes = reader.take(COUNT)[0], (POINT3D.itemsize, TRACK_ELEMENT.itemsize)
+    every = np.frombuffer(data, np.uint8)
+    starts, lengths, end = _kernels.walk_records(every, reader.at, count, *sizes)
+    reader.skip(end - reader.at)
+    reader.end()
     return starts, lengths
 
 

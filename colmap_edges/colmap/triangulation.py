@@ -40,8 +40,7 @@ class PosedImage:
     @property
     def center(self) -> FloatArray:
         """(3,) projection centre in world coordinates."""
-        center: FloatArray = -self.rotation.T @ self.translation
-        return center
+        return np.asarray(-self.rotation.T @ self.translation)
 
 
 def posed_image(

@@ -168,8 +168,7 @@ def new_points(
 
 def ids_of_edge_points(edges: Edges3D, points: NewPoints) -> IntArray:
     """(N,) ids of edge points among the new points."""
-    ids: IntArray = points.ids[edges.distinct()[1]]
-    return ids
+    return np.asarray(points.ids[edges.distinct()[1]])
 
 
 def with_edge_points(model: Model, edges: Edges3D, point3D_ids: IntArray) -> Model:

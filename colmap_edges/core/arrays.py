@@ -53,8 +53,7 @@ def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
 def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
     """The concatenated half-open ranges from (n,) starts to (n,) ends."""
     lengths = ends - starts
-    integers: IntArray = np.repeat(starts, lengths) + ranks_of(lengths)
-    return integers
+    return np.asarray(np.repeat(starts, lengths) + ranks_of(lengths))
 
 
 def ranks_of(lengths: IntArray) -> IntArray:

@@ -106,10 +106,7 @@ class Curves3D:
     def spline(self, curve: int) -> BSpline:
         """A spline curve as scipy's BSpline."""
         first, last = self.knot_offsets[curve : curve + 2]
-        before = DEGREE + 1
-        points = int(np.count_nonzero(np.diff(self.knot_offsets[: curve + 1])))
-        start = first - before * points
-        control = self.control_points[start : start + last - first - before]
+        control = self.control_points[self.control_rows(curve)]
         return BSpline(self.knots[first:last], control, DEGREE)
 
     def control_rows(self, curve: int) -> slice:
@@ -142,8 +139,7 @@ class Curves3D:
         counts = np.full(self.num_curves, 65)
         points = self.at(np.repeat(np.arange(self.num_curves), counts), ranks_of(counts) / 64)
         steps = np.diff(points.reshape(-1, 65, 3), axis=1)
-        lengths: FloatArray = np.linalg.norm(steps, axis=2).sum(axis=1)
-        return lengths
+        return np.asarray(np.linalg.norm(steps, axis=2).sum(axis=1))
 
     def sampled(self, spacing: float) -> tuple[FloatArray, IntArray]:
         """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each."""

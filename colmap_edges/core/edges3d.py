@@ -212,5 +212,4 @@ def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:
     counts = np.diff(offsets)
     points = owners_of(offsets)
     sums = np.column_stack([np.bincount(points, channel, len(counts)) for channel in values.T])
-    colors: ByteArray = np.rint(sums / np.maximum(counts, 1)[:, None]).astype(np.uint8)
-    return colors
+    return np.asarray(np.rint(sums / np.maximum(counts, 1)[:, None]).astype(np.uint8))

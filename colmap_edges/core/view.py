@@ -16,8 +16,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, order_of
 def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> FloatArray:
     """(N, 3) world points of (N, 2) undistorted pixels at (N,) inverse depths."""
     rays = np.column_stack([undistorted / view.focal_px, np.ones(len(undistorted))])
-    points: FloatArray = (rays / inverse_depths[:, None] - view.translation) @ view.rotation
-    return points
+    return np.asarray((rays / inverse_depths[:, None] - view.translation) @ view.rotation)
 
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
@@ -51,8 +50,7 @@ class View:
     @cached_property
     def center(self) -> FloatArray:
         """(3,) projection centre in world coordinates."""
-        center: FloatArray = -self.rotation.T @ self.translation
-        return center
+        return np.asarray(-self.rotation.T @ self.translation)
 
     def undistorted_from_image(self, points2D: FloatArray) -> FloatArray:
         """Undistort (N, 2) image pixels; NaN where the camera model cannot.
@@ -108,8 +106,7 @@ class View:
     def holds(self, pixels: FloatArray, depths: FloatArray) -> BoolArray:
         """(N,) whether (N, 2) projections with (N,) depths are in front and inside the image."""
         inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
-        held: BoolArray = inside & (depths > 0)
-        return held
+        return np.asarray(inside & (depths > 0))
 
 
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:

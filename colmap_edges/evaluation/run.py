@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import colmap_edges
+from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
-
-__all__ = ["run"]
+from colmap_edges.evaluation import held_out, pictures, tables
+from colmap_edges.evaluation.metrics import depth, edges
+from colmap_edges.evaluation.protocols import scene
+from colmap_edges.evaluation.readers import results
+from colmap_edges.export.meshes import MESH_FORMATS
+from colmap_edges.runtime.output import new_folder
+from colmap_edges.runtime.ownership import EVALUATION, PROGRAM, file_sizes
 
 
 def run(
@@ -41,12 +48,6 @@ def run(
     Raises:
         ColmapEdgesError: Something is missing; see its message.
     """
-    from dataclasses import asdict
-
-    from colmap_edges.evaluation import held_out, tables
-    from colmap_edges.runtime.output import new_folder
-    from colmap_edges.runtime.ownership import EVALUATION, PROGRAM, file_sizes
-
     output = run_path / "evaluation"
     find_mesh(run_path)
     if os.path.lexists(output) and not overwrite:
@@ -54,7 +55,7 @@ def run(
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     with new_folder(output, EVALUATION, overwrite) as folder:
-        record = judge(run_path, input_path, reference_path, curves_path, folder)
+        record = figures(run_path, input_path, reference_path, curves_path, folder)
         if image_path and reference_path and reference_path.is_dir():
             draw_edge_points(run_path, input_path, reference_path, image_path, folder)
         if held_out_views and image_path is not None:
@@ -69,7 +70,7 @@ def run(
     return record
 
 
-def judge(
+def figures(
     run_path: Path,
     input_path: Path,
     reference_path: Path | None,
@@ -77,9 +78,8 @@ def judge(
     pictures_path: Path,
 ) -> dict[str, Any]:
     """Figures of the mesh and edges of `run_path`; see `run`."""
-    from colmap_edges.evaluation.protocols import scene
-
     record: dict[str, Any] = {}
+    has_depths = reference_path is not None and reference_path.is_dir()
     if reference_path is not None:
         record["mesh"] = scene.evaluate_mesh(
             find_mesh(run_path), input_path, reference_path, pictures_path=pictures_path
@@ -92,7 +92,7 @@ def judge(
             run_path / "sparse",
             input_path,
             reference_path=curves_path,
-            reference_depth_path=reference_path if _is_folder(reference_path) else None,
+            reference_depth_path=reference_path if has_depths else None,
         )
     return record
 
@@ -101,10 +101,6 @@ def draw_edge_points(
     run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
 ) -> None:
     """Draw the run's edge points over the images with reference depth; see `pictures`."""
-    from colmap_edges.colmap.model import load_model
-    from colmap_edges.evaluation import pictures
-    from colmap_edges.evaluation.metrics import depth, edges
-
     if (run_path / "sparse").is_dir():
         model = load_model(run_path / "sparse")
         points = edges.edge_points(model, load_model(input_path))
@@ -118,8 +114,6 @@ def find_mesh(run_path: Path) -> Path:
     Raises:
         ColmapEdgesError: There is none.
     """
-    from colmap_edges.export.meshes import MESH_FORMATS
-
     for suffix in MESH_FORMATS:
         if (path := run_path / f"mesh{suffix}").is_file():
             return path
@@ -134,16 +128,8 @@ def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
 
     The edges were traced with all points; only the mesh is made without the held-out ones.
     """
-    from colmap_edges.colmap.model import load_model
-    from colmap_edges.evaluation import held_out
-    from colmap_edges.evaluation.readers import results
-
     record = {"SfM only": held_out.split_half_errors(input_path)}
     if (run_path / "edges.json").is_file():
         found = results.load_edges(run_path, load_model(input_path))
         record["with edges"] = held_out.split_half_errors(input_path, found)
     return record
-
-
-def _is_folder(path: Path | None) -> bool:
-    return path is not None and path.is_dir()

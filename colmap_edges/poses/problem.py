@@ -160,8 +160,7 @@ def depths_of(model: Model, views: Int32Array, points: FloatArray) -> FloatArray
     """(T,) depths of points, each in its view."""
     axes = np.array([view.rotation[2] for view in model.views])
     offsets = np.array([view.translation[2] for view in model.views])
-    depths: FloatArray = np.einsum("ij,ij->i", points, axes[views]) + offsets[views]
-    return depths
+    return np.asarray(np.einsum("ij,ij->i", points, axes[views]) + offsets[views])
 
 
 def problem_of(model: Model, edges: Edges3D, measured: Measurements, indices: IntArray) -> Problem:
@@ -210,8 +209,7 @@ def frame_centers(problem: Problem, state: State) -> FloatArray:
     centers = -np.einsum("vji,vj->vi", rotations, translations)
     sums = np.zeros((problem.num_frames, 3))
     np.add.at(sums, problem.frames, centers)
-    means: FloatArray = sums / np.bincount(problem.frames)[:, None]
-    return means
+    return np.asarray(sums / np.bincount(problem.frames)[:, None])
 
 
 def linearized(problem: Problem, state: State) -> _kernels.Adjustment:

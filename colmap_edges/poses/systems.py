@@ -43,19 +43,16 @@ class Prior:
     def diagonal(self) -> FloatArray:
         """(F, 6) diagonal of the information matrix."""
         held = np.einsum("ik,ik->i", self.held @ self.core, self.held).reshape(-1, 6)
-        diagonal: FloatArray = np.einsum("fii->fi", self.blocks) + held
-        return diagonal
+        return np.asarray(np.einsum("fii->fi", self.blocks) + held)
 
     def product(self, moved: FloatArray) -> FloatArray:
         """(6 F,) the information times (6 F,) moves."""
         alone = np.einsum("fij,fj->fi", self.blocks, moved.reshape(-1, 6)).ravel()
-        product: FloatArray = alone + self.product_held(moved)
-        return product
+        return np.asarray(alone + self.product_held(moved))
 
     def product_held(self, moved: FloatArray) -> FloatArray:
         """(6 F,) the common part, held core held^T, times (6 F,) moves."""
-        product: FloatArray = self.held @ (self.core @ (self.held.T @ moved))
-        return product
+        return np.asarray(self.held @ (self.core @ (self.held.T @ moved)))
 
 
 def shared_frames(problem: Problem) -> csr_array:
@@ -136,8 +133,7 @@ def band_solver(
     def solve(right: FloatArray) -> FloatArray:
         sorted_right = np.empty(size)
         sorted_right[places] = right
-        solution: FloatArray = cho_solve_banded((factor, True), sorted_right)[places]
-        return solution
+        return np.asarray(cho_solve_banded((factor, True), sorted_right)[places])
 
     return solve
 
@@ -149,7 +145,6 @@ def block_solver(diagonal: FloatArray, prior: Prior) -> Callable[[FloatArray], F
 
     def solve(right: FloatArray) -> FloatArray:
         scaled = np.einsum("fij,fj->fi", inverse, right.reshape(-1, 6))
-        solution: FloatArray = np.einsum("fij,fi->fj", inverse, scaled).ravel()
-        return solution
+        return np.asarray(np.einsum("fij,fi->fj", inverse, scaled).ravel())
 
     return solve

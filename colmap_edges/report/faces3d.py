@@ -68,8 +68,7 @@ def trapezoids(face: Face, step: float) -> FloatArray:
         y = np.broadcast_to([bottom, bottom, top, top], x.shape)
         found.append(np.stack([x, y], axis=2))
     flat = np.concatenate(found).reshape(-1, 2)
-    placed: FloatArray = flat @ basis + face.offset * face.normal
-    return placed
+    return np.asarray(flat @ basis + face.offset * face.normal)
 
 
 def color_of(plane: int) -> ByteArray:

@@ -54,11 +54,7 @@ def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) ->
         (H, W, 3) uint8 BGR.
     """
     canvas = darkened(image)
-    owners = edges.observations.points
-    observed = np.zeros(edges.num_points, bool)
-    observed[owners[edges.observations.views == view_index]] = True
-    segments = edges.segments
-    segments = segments[observed[segments].all(axis=1)]
+    segments = observed_segments(edges, view_index)
     pixels, _ = model.views[view_index].project(edges.points[segments.ravel()])
     lines = fixed_point(pixels).reshape(-1, 2, 1, 2)
     edge_of_segment = edges.edge_ids[segments[:, 0]]
@@ -66,6 +62,13 @@ def draw_edges(image: Picture, view_index: int, model: Model, edges: Edges3D) ->
         chosen = lines[edge_of_segment % len(COLORS) == index]
         cv2.polylines(canvas, list(chosen), False, color, 2, cv2.LINE_AA, SHIFT)
     return canvas
+
+
+def observed_segments(edges: Edges3D, view_index: int) -> Int32Array:
+    """(S, 2) points of the segments both of whose points a view observes."""
+    observed = np.zeros(edges.num_points, bool)
+    observed[edges.observations.points[edges.observations.views == view_index]] = True
+    return edges.segments[observed[edges.segments].all(axis=1)]
 
 
 def darkened(image: Picture) -> Picture:
@@ -86,5 +89,4 @@ def shared_nodes(graph: EdgeGraph) -> FloatArray:
         [graph.polyline_offsets[is_open], graph.polyline_offsets[is_open + 1] - 1]
     )
     _, first, counts = np.unique(ends, return_index=True, return_counts=True)
-    points: FloatArray = graph.points[rows[first[counts > 1]]]
-    return points
+    return np.asarray(graph.points[rows[first[counts > 1]]])

@@ -16,7 +16,7 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.image_graphs import DetectedEdges
 from colmap_edges.images.files import encoded
 from colmap_edges.report.contents import ImagePicture, evenly_spread
-from colmap_edges.report.overlay import SHIFT, fixed_point
+from colmap_edges.report.overlay import SHIFT, fixed_point, observed_segments
 
 MAX_BYTES = 3_500_000  # maximum size of all pictures, before base 64
 MAX_PICTURES = 120
@@ -83,7 +83,8 @@ def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None
     view = model.views[picture.view]
     lines: list[FloatArray] = []
     if edges is not None:
-        lines = [observed_segments(view, picture.view, edges)]
+        segments = observed_segments(edges, picture.view)
+        lines = [view.project(edges.points[segments.ravel()])[0].reshape(-1, 2, 2)]
     return layer(lines, picture.shape[1] / view.width, picture.shape, REPROJECTED_BGR)
 
 
@@ -96,16 +97,6 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     index = np.repeat(first, counts) + step * ranks_of(counts)
     index[ends - 1] = np.where(graph.closed, first, last - 1)
     return np.split(graph.points.take(index, axis=0), ends[:-1]) if len(ends) else []
-
-
-def observed_segments(view: View, index: int, edges: Edges3D) -> FloatArray:
-    """(S, 2, 2) projections of the segments both of whose points the view observes."""
-    owners = edges.observations.points
-    observed = np.zeros(edges.num_points, bool)
-    observed[owners[edges.observations.views == index]] = True
-    chosen = edges.segments[observed[edges.segments].all(axis=1)]
-    pixels, _ = view.project(edges.points[chosen.ravel()])
-    return pixels.reshape(-1, 2, 2)
 
 
 def layer(

@@ -111,5 +111,4 @@ def edge_segments(
 def in_sight(pixels: FloatArray, shape: tuple[int, ...]) -> BoolArray:
     """(N,) whether triangles or segments (N, K, 2) overlap a picture of `shape`."""
     low, high = pixels.min(axis=1), pixels.max(axis=1)
-    inside: BoolArray = ((high >= 0) & (low <= np.array([shape[1], shape[0]]))).all(axis=1)
-    return inside
+    return np.asarray(((high >= 0) & (low <= np.array([shape[1], shape[0]]))).all(axis=1))

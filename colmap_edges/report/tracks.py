@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.contents import Trace
@@ -19,9 +19,7 @@ FULL = 4096  # units of an image's width or height: a quarter of a pixel of its 
 
 def edge_of_observation(edges: Edges3D) -> IntArray:
     """(T,) edge of each observation."""
-    per_point = edges.observations.counts
-    edge_of_point = edges.edge_ids
-    return np.repeat(edge_of_point, per_point)
+    return edges.edge_ids[edges.observations.points]
 
 
 def views_per_edge(edges: Edges3D, num_views: int) -> IntArray:
@@ -35,8 +33,7 @@ def residual_per_edge(edges: Edges3D, residuals: FloatArray) -> FloatArray:
     owners, finite = edge_of_observation(edges), np.isfinite(residuals)
     sums = np.bincount(owners[finite], residuals[finite], edges.num_edges)
     counts = np.bincount(owners[finite], minlength=edges.num_edges)
-    means: FloatArray = sums / np.maximum(counts, 1)
-    return means
+    return np.asarray(sums / np.maximum(counts, 1))
 
 
 def edge_data(
@@ -55,20 +52,16 @@ def edge_data(
     place[list(pictured)] = np.arange(len(pictured))
     owners, pictures = edge_of_observation(edges)[chosen], place[edges.observations.views[chosen]]
     order = np.lexsort((chosen, pictures, owners))  # similar values are adjacent, for compression
+    counts = np.bincount(owners, minlength=edges.num_edges)
     return {
         "length": edge_lengths(edges).astype(np.float32),
-        "views": int32(views_per_edge(edges, len(model.views))),
+        "views": views_per_edge(edges, len(model.views)).astype(np.int32),
         "residual": residual_per_edge(edges, residuals).astype(np.float32),
-        "points": int32(np.diff(edges.edge_offsets)),
-        "track_offsets": int32(offsets_of(np.bincount(owners, minlength=edges.num_edges))),
+        "points": np.diff(edges.edge_offsets).astype(np.int32),
+        "track_offsets": offsets_of(counts).astype(np.int32),
         "track_pictures": pictures[order].astype(np.uint16),
         **{f"track_{axis}": pixels[order, i] for i, axis in enumerate("xy")},
     }
-
-
-def int32(values: IntArray) -> Int32Array:
-    """32-bit integers."""
-    return values.astype(np.int32)
 
 
 def reprojections(

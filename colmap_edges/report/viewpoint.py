@@ -44,8 +44,7 @@ class Viewpoint:
 
 def normalized(vector: FloatArray) -> FloatArray:
     """The vector normalised to length 1; (0, 0, 0) is unchanged."""
-    unit: FloatArray = vector / max(float(np.linalg.norm(vector)), 1e-300)
-    return unit
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-300))
 
 
 def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
@@ -126,5 +125,4 @@ def overview(model: Model, points: FloatArray) -> Viewpoint:
 
 def up_direction(model: Model) -> FloatArray:
     """(3,) mean upward direction of the images, in world coordinates."""
-    up: FloatArray = -np.array([view.rotation[1] for view in model.views]).mean(axis=0)
-    return up
+    return np.asarray(-np.array([view.rotation[1] for view in model.views]).mean(axis=0))

@@ -52,6 +52,12 @@ def test_no_test_imports_another():
         assert [name for name in imported if re.search(r"(^|\.)test_|^tests\b", name)] == [], path
 
 
+def test_longest_files_of_tests_exist():
+    conftest = runpy.run_path(str(ROOT / "tests" / "conftest.py"))
+    for name in conftest["LONGEST"]:
+        assert (ROOT / "tests" / name).is_file(), name
+
+
 def test_cores_know_no_python():
     cores = [
         path
