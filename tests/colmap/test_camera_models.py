@@ -69,11 +69,10 @@ def through(camera, scene):
     """The scene as another camera sees it from the same places."""
     reconstruction = pycolmap.Reconstruction(scene.reconstruction)
     reconstruction.cameras[1].params = camera.params
-    images = {}
+    images, rays = {}, scenes.supersampled_rays(camera)
     for image in reconstruction.images.values():
         matrix = image.cam_from_world().matrix()
         pose = (matrix[:, :3], matrix[:, 3])
-        rays = scenes.supersampled_rays(camera, pose)
         images[image.name], _ = scenes.render(camera, pose, scenes.solids(), rays)
         for point in image.points2D:
             if point.has_point3D():

@@ -12,7 +12,7 @@ panorama = pytest.importorskip("pycolmap.panorama", reason="pycolmap cuts no pan
 pytest.importorskip("PIL", reason="pycolmap.panorama needs pillow")
 pytestmark = pytest.mark.pipeline
 
-NUM_PANORAMAS, WIDTH, FINER = 7, 1600, 2
+NUM_PANORAMAS, WIDTH, FINER = 7, 2000, 2
 NEARER = 0.6  # of the distance at which the scene's cameras stand
 OPTIONS = panorama.PanoRenderOptions(
     num_steps_yaw=4, pitches_deg=(0.0,), hfov_deg=90.0, vfov_deg=90.0

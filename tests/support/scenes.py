@@ -180,14 +180,13 @@ def project(camera, pose, points):
     return np.asarray(camera.img_from_cam(points @ rotation.T + translation)).reshape(-1, 2)
 
 
-def supersampled_rays(camera, pose):
-    """World directions (H * S, W * S, 3) through the centres of the finer pixels."""
+def supersampled_rays(camera):
+    """Directions x, y (H * S, W * S) at z = 1 through the centres of the finer pixels."""
     shape = (camera.height * SUPERSAMPLING, camera.width * SUPERSAMPLING)
     rows, columns = np.indices(shape, np.float64)
     pixels = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1) / SUPERSAMPLING
-    x, y = np.asarray(camera.cam_from_img(pixels)).reshape(-1, 2).T[:, :, None]
-    right, down, forward = pose[0]
-    return (x * right + y * down + forward).reshape(*shape, 3)
+    x, y = np.asarray(camera.cam_from_img(pixels)).reshape(-1, 2).T.reshape(2, *shape)
+    return np.ascontiguousarray(x), np.ascontiguousarray(y)
 
 
 def dot(vectors, direction):
@@ -204,8 +203,15 @@ def window_of(camera, pose, corners):
 
 
 def render(camera, pose, bodies, rays):
-    """Image (H, W) uint8 and supersampled ids of faces, 0 for background, by ray casting."""
-    shape = rays.shape[:2]
+    """Image (H, W) uint8 and supersampled ids of faces, 0 for background, by ray casting.
+
+    `rays` are `supersampled_rays` of the camera.
+    """
+    x, y = rays
+    shape = x.shape
+    rays = np.empty((*shape, 3))
+    for axis, (right, down, forward) in enumerate(pose[0].T):
+        rays[..., axis] = x * right + y * down + forward
     image = np.full(shape, BACKGROUND, np.uint8)
     ids = np.zeros(shape, np.uint8)
     depths = np.full(shape, np.inf)
@@ -319,12 +325,12 @@ def make_scene(
     camera = make_camera(camera_model, width, height)
     reconstruction.add_camera_with_trivial_rig(camera)
     images, ids, views = {}, {}, {}
+    rays = supersampled_rays(camera)
     for image_id, pose in enumerate(poses(num_views), 1):
         name = f"view_{image_id:03d}.png"
         image = pycolmap.Image(name, [], 1, image_id)
         rigid = pycolmap.Rigid3d(np.column_stack(pose))
         reconstruction.add_image_with_trivial_frame(image, rigid)
-        rays = supersampled_rays(camera, pose)
         images[name], ids[image_id] = render(camera, pose, bodies, rays)
         views[image_id] = (camera, pose)
     add_points(reconstruction, bodies, ids, views, rng, noise_px)
