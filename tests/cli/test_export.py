@@ -1,4 +1,4 @@
-"""The command `export`, and what it wrote and the runs' outputs read back."""
+"""The command `export`: written files and outputs of runs are read back."""
 
 import shutil
 

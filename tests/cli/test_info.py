@@ -1,4 +1,4 @@
-"""What `colmap-edges info` says, of models and reports made by hand."""
+"""The command `info`, on hand-made models and reports."""
 
 import json
 

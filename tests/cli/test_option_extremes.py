@@ -1,4 +1,4 @@
-"""Every option at the ends of its range, inside and outside: runs end soon, or one line says why.
+"""Every option at and beyond the ends of its range: runs end soon, or give a one-line error.
 
 The long version runs more values of every option, and through the command line.
 """

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, signals that are ignored, names that are no plain text."""
+"""Closed standard streams, ignored signals, and names that are not plain text."""
 
 import io
 import logging

@@ -1,4 +1,4 @@
-"""Every camera model that pycolmap knows is worked with, or refused in one line that says why."""
+"""Every camera model of pycolmap is supported, or refused with a one-line error."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Values that are numbers and make no sense: points are left out, cameras and poses refused."""
+"""Implausible values: points are left out, cameras and poses refused."""
 
 import numpy as np
 import pycolmap

@@ -1,4 +1,4 @@
-"""Tracing looks at so many SfM points and no more, whatever their number."""
+"""The number of SfM points used for tracing is limited."""
 
 import resource
 import time

@@ -1,4 +1,4 @@
-"""Compression after pycolmap: its own symbols corrupt memory where zlib is loaded later."""
+"""zlib is loaded before pycolmap, whose own symbols would corrupt memory."""
 
 import os
 import subprocess

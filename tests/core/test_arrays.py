@@ -1,4 +1,4 @@
-"""Flat arrays of rows against lists of lists."""
+"""Flat arrays of rows (CSR), compared with lists of lists."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Edges of thin bars are put where they are, though blur shows them farther apart."""
+"""Edges of thin bars are at their true positions, although blur moves them apart."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The demo's photographs through lenses of other kinds: the same edges must come out."""
+"""The demo's images through other lenses give the same edges."""
 
 import copy
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Observations: gathered, thinned and put together by point; followed to the written model."""
+"""Observations: concatenated, selected and written to the model."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Pieces joined end to end: ends, pairs, paths and the points along them, by hand."""
+"""Joining of polylines end to end: ends, pairs, paths and points, on hand-made arrays."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Blur of edges: steps that a Gaussian of known width has blurred, exactly integrated."""
+"""Estimation of edge blur, on steps blurred by a Gaussian of known width."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Corners of chains: found where they are, not on bends; chains go through them and end there."""
+"""Corners of chains are found at corners and not on bends; chains end there."""
 
 import itertools
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Edge images of other detectors -> chains."""
+"""Conversion of edge images of other detectors to chains."""
 
 from itertools import pairwise
 from pathlib import Path

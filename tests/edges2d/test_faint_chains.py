@@ -1,4 +1,4 @@
-"""Faint chains: straight edges of a few gray levels, and nothing where there are none."""
+"""Faint chains: straight edges of a few intensity levels, and none in noise."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Edge graphs in bounded memory: what waits on disk comes back as it was."""
+"""Edge graphs in bounded memory: graphs read back from disk are unchanged."""
 
 from __future__ import annotations
 

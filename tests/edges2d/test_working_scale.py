@@ -1,4 +1,4 @@
-"""Images are enlarged or reduced as their sharpness asks for; what is found lies where it is."""
+"""Upsampling and downsampling of images by their blur; positions of edges are unchanged."""
 
 import json
 from dataclasses import asdict, replace

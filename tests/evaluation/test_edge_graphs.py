@@ -1,4 +1,4 @@
-"""How often edges come and how well corners are found, on hand-made curves."""
+"""Duplicates, parallel twins and corners of 3D edges, on hand-made curves."""
 
 from itertools import pairwise
 

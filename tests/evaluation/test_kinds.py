@@ -1,4 +1,4 @@
-"""How well kinds and radii are told: exact on curves made by hand."""
+"""Errors of the kinds and radii of curves, exact on hand-made curves."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""DTU as MVSNet repackages it, on the miniature."""
+"""DTU in MVSNet's layout, tested on the miniature."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""PLY files as other programs write them, and as damage leaves them."""
+"""PLY files of other programs, and damaged ones."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The scripts that make tables, from images on, on the miniature."""
+"""The scripts that make tables from images, run on the miniature."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Files nested deeper than a parser goes end in one clear line, as other damage does."""
+"""Files nested deeper than a parser's limit end in a one-line error."""
 
 import click
 import pytest

@@ -1,4 +1,4 @@
-"""The background: plain backdrops are told from all else, and lines of sight to it start right."""
+"""Detection of the background, and the directions of background rays."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Edge images: named as masks are, read, and never half."""
+"""Edge images are named like masks; damaged ones are errors."""
 
 from dataclasses import replace
 from pathlib import Path

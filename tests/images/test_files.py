@@ -1,4 +1,4 @@
-"""Pictures and names of pictures as the world has them."""
+"""Image files of all formats, and unusual image names."""
 
 from dataclasses import replace
 

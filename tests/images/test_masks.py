@@ -1,4 +1,4 @@
-"""Masks: named, read and used as COLMAP does, and never half."""
+"""Masks are named and read as in COLMAP; damaged ones are errors."""
 
 import shutil
 from dataclasses import replace

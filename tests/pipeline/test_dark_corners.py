@@ -1,4 +1,4 @@
-"""Cameras as nobody places them on purpose: true edges or none, and a mesh or one clear line."""
+"""Degenerate camera configurations give true edges or none, and a mesh or a one-line error."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The same input gives the same bytes, whatever the machine is doing and how it is set up."""
+"""The same input gives the same bytes for any threads, locale, file order and image order."""
 
 import os
 import shutil

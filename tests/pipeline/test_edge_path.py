@@ -1,4 +1,4 @@
-"""Edge images of other detectors, and our own, through the whole pipeline."""
+"""Edge images of other detectors, and of our own, through the whole pipeline."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Runs that end too early: by a signal, a full disk, a folder that cannot be written to."""
+"""Interrupted runs: signals, full disks, folders that are not writable."""
 
 import shutil
 import signal

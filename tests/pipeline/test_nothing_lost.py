@@ -1,4 +1,4 @@
-"""Files of others, planted links, folders of other users, pipes: kept, not followed, refused."""
+"""Foreign files, links, pipes and folders of other users are kept, not followed, or refused."""
 
 import json
 import os

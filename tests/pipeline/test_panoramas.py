@@ -1,4 +1,4 @@
-"""The recipe for panoramas: pycolmap cuts them into the images of a rig, edges on those."""
+"""The recipe for panoramas: pycolmap renders perspective images of a rig, then edges are traced."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""One random seed reaches everything that is random, and nothing else is."""
+"""One random seed reaches every random number generator."""
 
 import ast
 import re

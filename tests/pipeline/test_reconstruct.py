@@ -1,4 +1,4 @@
-"""The pipeline as a function: of paths, of objects, and of neither."""
+"""The pipeline as a function: of paths, of objects, and with wrong types."""
 
 import numpy as np
 import pycolmap

@@ -1,4 +1,4 @@
-"""The step of an adjustment against dense algebra, and on many views."""
+"""The step of the pose adjustment, against dense linear algebra and on many views."""
 
 import tracemalloc
 from dataclasses import replace

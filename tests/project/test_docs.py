@@ -1,4 +1,4 @@
-"""The documents tell the truth: their examples run, their links lead somewhere."""
+"""The documents are correct: examples run, links resolve, generated pages are current."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Files that make packages say what the project and its pages say; that they work, CI shows."""
+"""The packaging files agree with the project and its pages."""
 
 import re
 import sys

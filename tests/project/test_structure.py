@@ -1,4 +1,4 @@
-"""The structure that docs/architecture.md tells is that of the code."""
+"""The structure of the code agrees with docs/architecture.md."""
 
 import importlib
 import re

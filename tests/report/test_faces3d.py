@@ -1,4 +1,4 @@
-"""Faces as triangles: areas, holes, planes and colours."""
+"""Triangulation of planar faces: areas, holes, planes and colours."""
 
 import cv2
 import numpy as np

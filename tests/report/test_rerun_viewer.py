@@ -1,4 +1,4 @@
-"""Runs shown in rerun: what a recording holds, and what is said when there can be none."""
+"""Recordings for rerun: their contents, and errors when none can be made."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""The cache: what is found again is what was made, and only when nothing it depends on changed."""
+"""The cache returns what was saved, and only while its inputs are unchanged."""
 
 import json
 import os

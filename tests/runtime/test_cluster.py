@@ -1,4 +1,4 @@
-"""Work on a dask.distributed cluster: the same bytes, also when workers die."""
+"""Tracing on a dask.distributed cluster: identical output, also when workers die."""
 
 import os
 import signal

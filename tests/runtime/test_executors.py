@@ -1,4 +1,4 @@
-"""Work handed to threads: in order, bounded, stopped by the first error."""
+"""Thread pools: results in order, bounded queues, and a stop at the first error."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""What is in the place of a file and is none makes no reader wait, fill memory or crash."""
+"""Folders, pipes and devices in the place of input files are refused without delay."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Freed memory: kept for the next arrays where that is asked for, and given back when told."""
+"""Reuse of freed memory for large arrays, and its return to the system."""
 
 import subprocess
 import sys

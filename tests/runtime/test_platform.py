@@ -1,4 +1,4 @@
-"""Each path for systems that lack a function of this one, by taking that function away."""
+"""Fallbacks for platforms that lack a system call, tested by removing the call."""
 
 import os
 import re

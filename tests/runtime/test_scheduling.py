@@ -1,4 +1,4 @@
-"""Orders of views: near ones follow each other, and those that share edges keep their turn."""
+"""The order in which views are processed, and groups that may run concurrently."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The scripts that measure speed, on tiny made-up scenes; two settings in turns."""
+"""The scripts that measure speed, run on tiny synthetic scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CAD objects: their solids are closed, their sharp curves known, images show what cameras see."""
+"""The CAD objects: closed solids, known sharp curves, correct images."""
 
 from __future__ import annotations
 

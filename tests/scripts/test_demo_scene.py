@@ -1,4 +1,4 @@
-"""The demo scene that ships with the project: model, images and truth belong together."""
+"""The demo scene of the project: consistency of model, images and ground truth."""
 
 from __future__ import annotations
 

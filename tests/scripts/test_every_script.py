@@ -1,4 +1,4 @@
-"""Every script has a test that names it; those of the shell are checked together."""
+"""Every script is run by a test."""
 
 import ast
 import os

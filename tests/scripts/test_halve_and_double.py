@@ -1,4 +1,4 @@
-"""Constants halved and doubled on a small scene whose edges are known."""
+"""Halving and doubling of constants, on a small scene with known edges."""
 
 import re
 import shutil

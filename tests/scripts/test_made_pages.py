@@ -1,4 +1,4 @@
-"""The scripts that write pages from the code, and the one that counts it, on a copy or a toy."""
+"""The scripts that generate pages from the code, and the one that counts functions."""
 
 import os
 import re

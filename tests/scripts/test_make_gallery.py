@@ -1,4 +1,4 @@
-"""Pictures of the gallery: what there is of a run, drawn small."""
+"""Pictures for the gallery, drawn of a small run."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The scripts that make the demo scene and compare its meshes, on little of it."""
+"""The scripts that make the demo scene and compare its meshes, at reduced size."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""All tables of the results, of a miniature in place of the benchmarks' scenes."""
+"""All tables of the results, made of a miniature instead of the benchmarks' scenes."""
 
 import json
 import shutil

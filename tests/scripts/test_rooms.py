@@ -1,4 +1,4 @@
-"""Rooms: closed, cameras stand free inside, light is what it should be, images show the truth."""
+"""The synthetic rooms: closed surfaces, free cameras, correct light and images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What LIMAP is given to triangulate, and LIMAP itself where it is installed."""
+"""The input prepared for LIMAP, and LIMAP itself if it is installed."""
 
 import os
 import subprocess

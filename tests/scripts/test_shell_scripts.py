@@ -1,4 +1,4 @@
-"""Scripts of the shell: they parse, what they name exists, bad arguments are told.
+"""Shell scripts: syntax, paths in them, and errors for bad arguments.
 
 What installs packages or runs for minutes is not run here; continuous integration does that.
 """
@@ -64,7 +64,7 @@ def test_extras_that_are_installed_exist():
 
 def test_options_of_the_suite_exist(pytestconfig):
     found = [option for name in NAMES for option in PYTEST_OPTION.findall(commands_of(name))]
-    assert found == ["soak", "numprocesses"]
+    assert found == ["numprocesses", "soak", "numprocesses"]
     for option in found:
         pytestconfig.getoption(option)  # ValueError if it does not exist
 
