@@ -97,8 +97,8 @@ def section(title: str, body: str) -> list[str]:
     lines = textwrap.dedent(body).strip("\n").splitlines()
     if title == "Returns":
         return [f"{title}: {' '.join(line.strip() for line in lines)}", ""]
-    told = (entry.partition(": ") for entry in entries(lines))
-    return [f"{title}:", "", *(f"- `{name}`: {text}" for name, _, text in told), ""]
+    found = (entry.partition(": ") for entry in entries(lines))
+    return [f"{title}:", "", *(f"- `{name}`: {text}" for name, _, text in found), ""]
 
 
 def markdown(docstring: str) -> str:

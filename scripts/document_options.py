@@ -151,8 +151,8 @@ def constants_page() -> str:
     for name, entry in constants():
         within, choices = entry.metadata["within"], entry.metadata["choices"]
         values = range_text(within, "..") if within else r" \| ".join(choices)
-        told = (entry.default, values, entry.metadata["help"], entry.metadata["source"])
-        lines.append(f"| `{name}` | {' | '.join(map(str, told))} |")
+        listed = (entry.default, values, entry.metadata["help"], entry.metadata["source"])
+        lines.append(f"| `{name}` | {' | '.join(map(str, listed))} |")
     return CONSTANTS_HEAD + "\n".join(lines) + "\n" + MODULES_HEAD + module_tables() + "\n"
 
 

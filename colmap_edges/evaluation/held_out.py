@@ -76,7 +76,7 @@ def left_out_views(views: Sequence[View], every: int) -> list[View]:
     return list(views[every // 2 :: every])
 
 
-def unhidden_pixels(points: FloatArray, view: View, caster: RayCaster | None) -> FloatArray:
+def unoccluded_pixels(points: FloatArray, view: View, caster: RayCaster | None) -> FloatArray:
     """Projections (M, 2) of the points (N, 3) that are in the image and not occluded.
 
     Points more than three pixels (at their depth) behind the mesh of `caster` are occluded.
@@ -161,7 +161,7 @@ def left_out_view_errors(
     for view in unused:
         image = read_image(view, image_path)
         chains = detect_chains(gray_of(image), options.detection, scale).points / scale
-        pixels = unhidden_pixels(found.points, view, caster)
+        pixels = unoccluded_pixels(found.points, view, caster)
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:
             distances = _distances(pixels, chains)

@@ -97,7 +97,7 @@ def dtu_reference(root: Path, scan: int) -> Callable[[Model], Reference]:
         data = dtu.load_reference(root, scan)
         view = depth.central_view(model)
         depths = [depth.cloud_depth(data.points, view)]
-        notes = dtu_distances.what_is_missing(data)
+        notes = dtu_distances.missing_data_notes(data)
         return Reference(depths=depths, points=data.points, dtu=data, notes=notes)
 
     return read
@@ -141,7 +141,7 @@ def dtu_scene(
     read = mvsnet.posed_images if repackaged else dtu.posed_images
     image_path, posed = read(root, scan, light=light, positions=positions)
     holder = reference_root or root
-    has_cloud = dtu.find_if_there(holder, f"Points/stl/stl{scan:03d}_total.ply") is not None
+    has_cloud = dtu.find_optional(holder, f"Points/stl/stl{scan:03d}_total.ply") is not None
     depths_only = repackaged and not has_cloud and reference_root is None
     return Scene(
         name=name,
@@ -195,7 +195,7 @@ def repackaged_scene(
     image_path, posed = dtu.repackaged_images(folder)
     digits = "".join(c for c in folder.name if c.isdigit())
     reader = file_reference(reference_path)
-    if reference_path is not None and digits and dtu.find_if_there(reference_path, "Points"):
+    if reference_path is not None and digits and dtu.find_optional(reference_path, "Points"):
         reader = dtu_reference(reference_path, int(digits))
     return Scene(
         name=folder.name,

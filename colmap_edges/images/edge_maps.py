@@ -11,7 +11,7 @@ import numpy as np
 from colmap_edges.core.arrays import Float32Array
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images.files import CompanionFile, first_there, path_of_image
+from colmap_edges.images.files import CompanionFile, first_existing, path_of_image
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def path_of_edge_map(edge_path: Path, name: str) -> Path | None:
     Raises:
         ColmapEdgesError: if the name leads out of the folder.
     """
-    return first_there(edge_path, (f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))))
+    return first_existing(edge_path, (f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))))
 
 
 def check_edge_maps(views: Iterable[View], image_path: Path, edge_path: Path) -> None:

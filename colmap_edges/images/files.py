@@ -83,7 +83,7 @@ def path_of_image(image_path: Path, name: str) -> Path:
     return image_path / relative
 
 
-def first_there(folder: Path, names: Iterable[str]) -> Path | None:
+def first_existing(folder: Path, names: Iterable[str]) -> Path | None:
     """Path of the first of these names that exists below a folder; None if none does.
 
     It need not be a file; reading reports that as an error.

@@ -11,7 +11,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images.files import CompanionFile, first_there, square
+from colmap_edges.images.files import CompanionFile, first_existing, square
 
 # Margin around masks, since they are drawn roughly and edges at their border belong to the scene.
 MARGIN_PX = 3
@@ -31,7 +31,7 @@ def path_of_mask(mask_path: Path, name: str) -> Path | None:
     if not mask_path.is_dir():
         return mask_path
     names = [name + ".png", name] if name.lower().endswith(".png") else [name + ".png"]
-    return first_there(mask_path, names)
+    return first_existing(mask_path, names)
 
 
 def check_masks(views: Iterable[View], mask_path: Path) -> None:

@@ -41,19 +41,20 @@ def held_out_costs(
     """
     half = np.unique(problem.groups, return_inverse=True)[1] % 2 == 1
 
-    def costs_by(mine: BoolArray) -> tuple[float, float]:
-        moved = adjust(*part_of(problem, start, mine), options)
-        judges, before = part_of(problem, start, ~mine)
+    def costs_by(used: BoolArray) -> tuple[float, float]:
+        moved = adjust(*part_of(problem, start, used), options)
+        held_out, before = part_of(problem, start, ~used)
         noise = Noise(
-            sigmas_px=estimate_sigmas(judges, before),
+            sigmas_px=estimate_sigmas(held_out, before),
             robust_factor=options.robust_factor,
             prior=Prior.none(problem.num_frames),
         )
         after = replace(moved, points=before.points)
-        pair = [
-            minimize(judges, state, noise, options.max_steps, False)[1] for state in (before, after)
-        ]
-        return pair[0], pair[1]
+        cost, refined_cost = (
+            minimize(held_out, state, noise, options.max_steps, move_poses=False)[1]
+            for state in (before, after)
+        )
+        return cost, refined_cost
 
     with ThreadPoolExecutor(min(num_threads, 2)) as pool:
         return list(pool.map(costs_by, (half, ~half)))

@@ -87,12 +87,12 @@ def shortened(value: float) -> str:
     return f"{value:,.10g}" if abs(value) < 1e6 else f"{value / 1e6:,.10g} M"
 
 
-def chart(title: str, said: str, unit: str, parts: Sequence[str]) -> str:
-    """A figure with title, unit and chart; `said` describes it for screen readers."""
+def chart(title: str, description: str, unit: str, parts: Sequence[str]) -> str:
+    """A figure with title, unit and chart; `description` is for screen readers."""
     return (
         f'<figure class="chart"><figcaption>{html.escape(title)} '
         f'<span class="unit">({html.escape(unit)})</span></figcaption>'
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(said)}" '
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(description)}" '
         f'fill="{EDGE_COLOR}">{"".join(parts)}</svg></figure>'
     )
 
@@ -114,13 +114,13 @@ def decades(low: float, high: float) -> list[float]:
     return [value for value in found if low <= np.log10(value) <= high]
 
 
-def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, said: str) -> str:
+def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, description: str) -> str:
     """A table with a name, a bar and a text per row; bars are scaled to the largest value.
 
     Args:
         rows: name, value and text of each row.
         title: the heading over the rows, with the unit.
-        said: description of the table for screen readers.
+        description: text for screen readers.
     """
     most = max((value for _, value, _ in rows), default=0.0) or 1.0
     lines = [
@@ -129,8 +129,9 @@ def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, said: str) -> s
         f'<td class="number">{html.escape(text)}</td></tr>'
         for name, value, text in rows
     ]
-    caption = f'<caption>{html.escape(title)}<span class="heard">: {html.escape(said)}</span>'
-    return f'<table class="bars">{caption}</caption>{"".join(lines)}</table>'
+    hidden = f'<span class="heard">: {html.escape(description)}</span>'
+    caption = f"<caption>{html.escape(title)}{hidden}</caption>"
+    return f'<table class="bars">{caption}{"".join(lines)}</table>'
 
 
 def stage_chart(stages: Sequence[Mapping[str, Any]]) -> str:

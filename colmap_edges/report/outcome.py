@@ -45,21 +45,21 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     counts = counts_by_stage(record["stages"])
     read, detect = counts.get("read", {}), counts.get("detect", {})
     write, mesh = counts.get("write"), counts.get("mesh")
-    said = {"Images": images_text(read, detect)}
+    texts = {"Images": images_text(read, detect)}
     if write is not None:
-        said["Edges"] = edges_text(write)
+        texts["Edges"] = edges_text(write)
     elif detect:
-        said["Edges"] = f"{detect['polylines']:,} 2D polylines of {detect['edge_pixels']:,} pixels"
-    said["Points"] = f"{read['points3D']:,} SfM points"
+        texts["Edges"] = f"{detect['polylines']:,} 2D polylines of {detect['edge_pixels']:,} pixels"
+    texts["Points"] = f"{read['points3D']:,} SfM points"
     if write is not None:
-        said["Points"] += f" and {write['edge_points']:,} edge points in the written model"
+        texts["Points"] += f" and {write['edge_points']:,} edge points in the written model"
     if (faces := counts.get("faces")) is not None:
-        said["Faces"] = faces_text(faces)
+        texts["Faces"] = faces_text(faces)
     if mesh is not None:
-        said["Mesh"] = f"{mesh['faces']:,} triangles with {mesh['vertices']:,} corners"
+        texts["Mesh"] = f"{mesh['faces']:,} triangles with {mesh['vertices']:,} corners"
         if not mesh["faces"]:
-            said["Mesh"] = "empty"
-    return said
+            texts["Mesh"] = "empty"
+    return texts
 
 
 def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:

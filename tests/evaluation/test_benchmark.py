@@ -114,7 +114,7 @@ def test_reprojected_edges_in_an_unused_view(sparse):
     corners = [(x, y, miniature.HEIGHT) for x, y in ((-12, -12), (12, -12), (12, 12), (-12, 12))]
     caster = RayCaster(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)]))
     chains = view.project(np.repeat(border, 4, axis=0))[0] + [0, 1.5]
-    pixels = held_out.unhidden_pixels(np.concatenate([border, hidden]), view, caster)
+    pixels = held_out.unoccluded_pixels(np.concatenate([border, hidden]), view, caster)
     np.testing.assert_allclose(pixels, view.project(border)[0])
     errors = held_out.view_errors(pixels, view, chains)
     assert errors.points == 50

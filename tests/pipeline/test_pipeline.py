@@ -349,12 +349,12 @@ def test_faces_are_meshed_and_written_when_asked_for(with_faces, meshed):
         *(faces[f"cells{rest}"] for rest in ("", "_on_planes", "_believed")),
         faces["planar_faces"],
     ]
-    told = json.loads((output / "faces.json").read_text())["faces"]
-    assert len(told) == faces["planar_faces"]
-    assert sum(face["area"] for face in told) == pytest.approx(faces["area"])
+    listed = json.loads((output / "faces.json").read_text())["faces"]
+    assert len(listed) == faces["planar_faces"]
+    assert sum(face["area"] for face in listed) == pytest.approx(faces["area"])
     page = (output / "report.html").read_text(encoding="utf-8")
-    assert f"{len(told)} planar faces and a mesh of" in page
-    assert f"planar faces: {len(told)}" in describe(output)
+    assert f"{len(listed)} planar faces and a mesh of" in page
+    assert f"planar faces: {len(listed)}" in describe(output)
     assert not (meshed[0] / "faces.json").exists()
 
 
@@ -374,9 +374,9 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, with_faces, tmp_path):
     without = colmap_edges.mesh(scene_paths[1], result.edges, **curves)
     assert not np.array_equal(without.vertices, given.vertices)
     shutil.copytree(output, tmp_path / "out")
-    told = json.loads((output / "faces.json").read_text())
-    told["faces"][0]["image_ids"].append(999)
-    (tmp_path / "out" / "faces.json").write_text(json.dumps(told))
+    listed = json.loads((output / "faces.json").read_text())
+    listed["faces"][0]["image_ids"].append(999)
+    (tmp_path / "out" / "faces.json").write_text(json.dumps(listed))
     with pytest.raises(ColmapEdgesError, match=r"faces\.json holds no faces of its model: 999"):
         colmap_edges.read_edges(tmp_path / "out")
 

@@ -87,8 +87,8 @@ def test_made_pages_are_as_the_code(script, name):
 
 def test_interface_page_holds_every_public_name():
     page = (ROOT / "docs" / "api.md").read_text().partition("## colmap_edges.")[0]
-    told = re.findall(r"^### (\w+)$", page, re.MULTILINE)
-    assert sorted(told) == sorted(set(colmap_edges.__all__) - {"__version__"})
+    listed = re.findall(r"^### (\w+)$", page, re.MULTILINE)
+    assert sorted(listed) == sorted(set(colmap_edges.__all__) - {"__version__"})
 
 
 def test_flags_in_the_documents_exist():
@@ -110,5 +110,5 @@ def test_every_dependency_has_its_licence_listed():
     wanted = re.findall(r'"([a-z-]+)>=([0-9.]+)', "\n".join(lines))
     assert len(wanted) >= 13
     page = (ROOT / "docs" / "licences.md").read_text()
-    told = dict(re.findall(r"^\| ([a-z-]+)(?: \([^|]*\))? \| ([0-9.]+) \|", page, re.MULTILINE))
-    assert {name: told.get(name) for name, _ in wanted} == dict(wanted)
+    listed = dict(re.findall(r"^\| ([a-z-]+)(?: \([^|]*\))? \| ([0-9.]+) \|", page, re.MULTILINE))
+    assert {name: listed.get(name) for name, _ in wanted} == dict(wanted)

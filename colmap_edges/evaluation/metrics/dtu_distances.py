@@ -134,8 +134,8 @@ def evaluate_points(points: FloatArray, reference: DtuReference) -> DtuErrors:
     accuracy = _mean_and_median(cloud_to_cloud(inside, reference.points))
     if reference.plane is None:
         return DtuErrors(accuracy=accuracy[0], accuracy_median=accuracy[1], points=len(inside))
-    judged = reference.points[above_plane(reference.points, reference.plane, reference.mask.box)]
-    completeness = _mean_and_median(cloud_to_cloud(judged, points))
+    above = reference.points[above_plane(reference.points, reference.plane, reference.mask.box)]
+    completeness = _mean_and_median(cloud_to_cloud(above, points))
     return DtuErrors(
         accuracy=accuracy[0],
         completeness=completeness[0],
@@ -185,7 +185,7 @@ def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0)
     return evaluate_points(thin(samples, seed=seed), reference)
 
 
-def what_is_missing(reference: DtuReference) -> list[str]:
+def missing_data_notes(reference: DtuReference) -> list[str]:
     """Sentences on why figures of the benchmark are missing; empty if none is."""
     if reference.mask is None:
         return ["No ObsMask of this scan: DTU's accuracy and completeness are left empty."]

@@ -193,13 +193,13 @@ def find(root: Path, relative: str) -> Path:
     Raises:
         ColmapEdgesError: In neither place.
     """
-    path = find_if_there(root, relative)
+    path = find_optional(root, relative)
     if path is None:
         raise ColmapEdgesError(f"{root} holds no {relative}, nor does its 'SampleSet/MVS Data'")
     return path
 
 
-def find_if_there(root: Path, relative: str) -> Path | None:
+def find_optional(root: Path, relative: str) -> Path | None:
     """`relative` below `root`, or below its SampleSet; None if neither exists."""
     return next((root / p / relative for p in PARTS if (root / p / relative).exists()), None)
 
@@ -221,8 +221,8 @@ def load_reference(root: Path, scan: int) -> DtuReference:
         ColmapEdgesError: The cloud is missing, or a file holds something else.
     """
     points = load_points(find(root, f"Points/stl/stl{scan:03d}_total.ply"))
-    mask_path = find_if_there(root, f"ObsMask/ObsMask{scan}_10.mat")
-    plane_path = find_if_there(root, f"ObsMask/Plane{scan}.mat")
+    mask_path = find_optional(root, f"ObsMask/ObsMask{scan}_10.mat")
+    plane_path = find_optional(root, f"ObsMask/Plane{scan}.mat")
     return DtuReference(
         points=points,
         mask=None if mask_path is None else read_mask(mask_path),

@@ -51,7 +51,7 @@ def is_layout(root: Path) -> bool:
     """Whether `root` has MVSNet's layout: Cameras/ with *_cam.txt, and no official calibration."""
     cameras = root / "Cameras"
     found = any(cameras.glob("*_cam.txt")) or any((cameras / "train").glob("*_cam.txt"))
-    return found and dtu.find_if_there(root, "Calibration/cal18") is None
+    return found and dtu.find_optional(root, "Calibration/cal18") is None
 
 
 def find_layout(root: Path, scan: int) -> Layout:

@@ -259,12 +259,12 @@ def _points_against_depth(
     points: Model, input_path: Path | None, references: Sequence[depth.ReferenceDepth]
 ) -> Record:
     """Errors of edge points and, measured the same way, of SfM points."""
-    judged = {"edge_points": points}
+    models = {"edge_points": points}
     if input_path is not None:
-        judged["sfm_points"] = load_model(input_path)
+        models["sfm_points"] = load_model(input_path)
     return {
         name: asdict(edges.summarize_depth(edges.depth_window_errors(kind, references)))
-        for name, kind in judged.items()
+        for name, kind in models.items()
     }
 
 

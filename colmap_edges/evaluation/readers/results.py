@@ -123,8 +123,8 @@ def edges_of_run(
         ColmapEdgesError: they do not fit together.
     """
     try:
-        told = json.loads(read_text(run_path / "edges.json"))
-        records = told["edges"]
+        content = json.loads(read_text(run_path / "edges.json"))
+        records = content["edges"]
         ids = [np.array(record["point3D_ids"], dtype=np.int64) for record in records]
         lengths = np.array([len(i) for i in ids], np.int64)
         every = np.concatenate([*ids, np.empty(0, np.int64)])
@@ -132,7 +132,7 @@ def edges_of_run(
         names = {view.name: index for index, view in enumerate(model.views)}
         views = np.array([names[view.name] for view in written.views], dtype=np.int32)
         offsets, sigmas = offsets_of(lengths), sigmas_of(records, lengths)
-        nodes = read_nodes(told.get("nodes", []), written, views, offsets)
+        nodes = read_nodes(content.get("nodes", []), written, views, offsets)
         edges = Edges3D(
             points=written.points3D_xyz[rows],
             edge_offsets=offsets,
@@ -143,7 +143,7 @@ def edges_of_run(
             colors=written.points3D_rgb[rows],
             nodes=nodes,
         )
-        return edges, every, told.get("curves")
+        return edges, every, content.get("curves")
     except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{run_path} holds no edges that fit its model: {error}") from error
 
