@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    offsets_of,
     owners_of,
 )
 from colmap_edges.core.observations import Observations
@@ -77,14 +78,22 @@ class Edges3D:
     @classmethod
     def none(cls) -> Edges3D:
         """No edges."""
+        return cls.of_polylines(np.zeros((0, 3)), np.zeros(0, np.int64))
+
+    @classmethod
+    def of_polylines(
+        cls, points: FloatArray, lengths: IntArray, observations: Observations | None = None
+    ) -> Edges3D:
+        """Open edges of (E,) numbers of consecutive points, without nodes and deviations."""
+        unobserved = replace(Observations.none(), offsets=np.zeros(len(points) + 1, np.int64))
         return cls(
-            points=np.zeros((0, 3)),
-            edge_offsets=np.zeros(1, np.int64),
-            closed=np.zeros(0, bool),
-            observations=Observations.none(),
-            sigmas=np.zeros(0),
-            end_nodes=np.zeros((0, 2), np.int32),
-            colors=np.zeros((0, 3), np.uint8),
+            points=points,
+            edge_offsets=offsets_of(lengths),
+            closed=np.zeros(len(lengths), bool),
+            observations=unobserved if observations is None else observations,
+            sigmas=np.full(len(points), np.nan),
+            end_nodes=np.full((len(lengths), 2), -1, np.int32),
+            colors=np.zeros((len(points), 3), np.uint8),
         )
 
     @property

@@ -1,12 +1,12 @@
 """Duplicates, parallel twins and corners of 3D edges, on hand-made curves."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
 from colmap_edges.evaluation.metrics import edge_graphs
 from colmap_edges.evaluation.readers.curves import Curves
 
@@ -31,18 +31,9 @@ def curves_of(*polylines):
 
 
 def edges_of(*polylines, nodes):
-    points = np.concatenate(polylines)
-    return Edges3D(
-        points=points,
-        edge_offsets=np.cumsum([0, *map(len, polylines)]),
-        closed=np.zeros(len(polylines), bool),
-        observations=Observations.of_pixels(
-            np.zeros(len(points) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
-        ),
-        sigmas=np.full(len(points), np.nan),
-        end_nodes=np.array(nodes, np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
+    lengths = np.array([len(points) for points in polylines])
+    made = Edges3D.of_polylines(np.concatenate(polylines), lengths)
+    return replace(made, end_nodes=np.array(nodes, np.int32))
 
 
 LINE = polyline((0, 0, 0), (1, 0, 0))

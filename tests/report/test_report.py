@@ -92,19 +92,12 @@ def test_report_json_names_findings_and_funnel(report):
 
 
 def test_edge_figures_by_hand():
-    edges = Edges3D(
-        points=np.zeros((4, 3)),
-        edge_offsets=np.array([0, 2, 4]),
-        closed=np.zeros(2, bool),
-        observations=Observations.of_pixels(
-            offsets=np.array([0, 2, 4, 6, 7]),
-            views=np.array([0, 1, 1, 2, 0, 2, 2], np.int32),
-            pixels=np.zeros((7, 2)),
-        ),
-        sigmas=np.zeros(4),
-        end_nodes=np.zeros((2, 2), np.int32),
-        colors=np.zeros((4, 3), np.uint8),
+    observations = Observations.of_pixels(
+        offsets=np.array([0, 2, 4, 6, 7]),
+        views=np.array([0, 1, 1, 2, 0, 2, 2], np.int32),
+        pixels=np.zeros((7, 2)),
     )
+    edges = Edges3D.of_polylines(np.zeros((4, 3)), np.array([2, 2]), observations)
     assert views_per_edge(edges, 3).tolist() == [3, 2]
     residuals = np.array([1, 2, 3, 2, np.nan, 4, 6])
     assert residual_per_edge(edges, residuals).tolist() == [2, 5]
@@ -115,19 +108,13 @@ def many_edges(model, count, per_edge, views_each):
     rng = np.random.default_rng(0)
     tracks = count * per_edge * views_each
     first = rng.integers(0, len(model.views) - views_each, count * per_edge)
-    return Edges3D(
-        points=rng.normal(0, 0.3, (count * per_edge, 3)),
-        edge_offsets=np.arange(count + 1) * per_edge,
-        closed=np.zeros(count, bool),
-        observations=Observations.of_pixels(
-            offsets=np.arange(count * per_edge + 1) * views_each,
-            views=(first[:, None] + np.arange(views_each)).ravel().astype(np.int32),
-            pixels=rng.uniform(0, 300, (tracks, 2)),
-        ),
-        sigmas=np.zeros(count * per_edge),
-        end_nodes=np.full((count, 2), -1, np.int32),
-        colors=np.zeros((count * per_edge, 3), np.uint8),
+    points = rng.normal(0, 0.3, (count * per_edge, 3))
+    observations = Observations.of_pixels(
+        offsets=np.arange(count * per_edge + 1) * views_each,
+        views=(first[:, None] + np.arange(views_each)).ravel().astype(np.int32),
+        pixels=rng.uniform(0, 300, (tracks, 2)),
     )
+    return Edges3D.of_polylines(points, np.full(count, per_edge), observations)
 
 
 def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_path):
@@ -306,21 +293,7 @@ def test_title_names_scene_and_date(shown):
     assert "triangles, from 10 images" in shown.evaluate("document.body.innerText")
 
 
-def empty_edges():
-    return Edges3D(
-        points=np.zeros((0, 3)),
-        edge_offsets=np.zeros(1, np.int64),
-        closed=np.zeros(0, bool),
-        observations=Observations.of_pixels(
-            offsets=np.zeros(1, np.int64), views=np.zeros(0, np.int32), pixels=np.zeros((0, 2))
-        ),
-        sigmas=np.zeros(0),
-        end_nodes=np.zeros((0, 2), np.int32),
-        colors=np.zeros((0, 3), np.uint8),
-    )
-
-
-@pytest.mark.parametrize("edges", [None, empty_edges()], ids=["no edges wanted", "none found"])
+@pytest.mark.parametrize("edges", [None, Edges3D.none()], ids=["no edges wanted", "none found"])
 def test_page_without_edges(scene_model, tmp_path, page, edges):
     page.resize(1400, 1100)
     write_report(tmp_path / "report.html", Contents(model=scene_model, edges=edges), RECORD)

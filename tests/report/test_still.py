@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.still import EDGE_BGR, SIZE_PX, draw_faces_and_edges, still_picture
 from colmap_edges.report.viewpoint import FOV, Viewpoint, fitted, viewpoint
@@ -29,17 +28,7 @@ def wall(depth):
 def line(depth):
     """One edge from left to right."""
     points = np.array([[-0.5, 0, depth], [0.5, 0, depth]], float)
-    return Edges3D(
-        points=points,
-        edge_offsets=np.array([0, 2]),
-        closed=np.zeros(1, bool),
-        observations=Observations.of_pixels(
-            offsets=np.zeros(3, np.int64), views=np.zeros(0, np.int32), pixels=np.zeros((0, 2))
-        ),
-        sigmas=np.zeros(2),
-        end_nodes=np.full((1, 2), -1, np.int32),
-        colors=np.zeros((2, 3), np.uint8),
-    )
+    return Edges3D.of_polylines(points, np.array([2]))
 
 
 @pytest.mark.parametrize(("edge_depth", "seen"), [(1.5, True), (2.0, True), (2.5, False)])

@@ -1,9 +1,10 @@
 """Edges sampled from known curves, with noise."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
 
 
 def edges_of(polylines, closed=None, sigma=1e-3, seed=0):
@@ -12,15 +13,11 @@ def edges_of(polylines, closed=None, sigma=1e-3, seed=0):
     counts = [len(polyline) for polyline in polylines]
     points = np.concatenate(polylines)
     points = points + sigma * random.normal(size=points.shape)
-    return Edges3D(
-        points=points,
-        edge_offsets=np.concatenate([[0], np.cumsum(counts)]),
-        closed=np.array(closed if closed is not None else [False] * len(counts)),
-        observations=Observations.of_pixels(
-            np.zeros(len(points) + 1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2))
-        ),
+    edges = Edges3D.of_polylines(points, np.array(counts))
+    return replace(
+        edges,
+        closed=np.array(closed if closed is not None else edges.closed),
         sigmas=np.full(len(points), sigma if sigma else np.nan),
-        end_nodes=np.full((len(counts), 2), -1, np.int32),
         colors=np.full((len(points), 3), 128, np.uint8),
     )
 

@@ -108,17 +108,10 @@ def room_edges(views):
             tracks.append(tracks[-1] + len(rows[-1]))
     at = np.concatenate(points)
     seen_by = np.concatenate(rows).astype(np.int32)
-    return Edges3D(
-        points=at,
-        edge_offsets=np.array(offsets, np.int64),
-        closed=np.zeros(len(LINES), bool),
-        observations=Observations.of_pixels(
-            np.array(tracks, np.int64), seen_by, np.zeros((len(seen_by), 2))
-        ),
-        sigmas=np.full(len(at), np.nan),
-        end_nodes=np.full((len(LINES), 2), -1, np.int32),
-        colors=np.zeros((len(at), 3), np.uint8),
+    observations = Observations.of_pixels(
+        np.array(tracks, np.int64), seen_by, np.zeros((len(seen_by), 2))
     )
+    return Edges3D.of_polylines(at, np.diff(offsets), observations)
 
 
 def sees_points(view, points):

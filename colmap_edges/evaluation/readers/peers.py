@@ -296,37 +296,16 @@ def _on_segment(pixels: FloatArray, ends: FloatArray, margin_px: float = 2.0) ->
 
 
 def _as_edges(runs: list[_Run]) -> Edges3D:
-    counts = np.array([len(run.points) for run in runs], dtype=np.int64)
-    seen = [run.seen.sum(axis=1) for run in runs]
+    if not runs:
+        return Edges3D.none()
     views = [np.broadcast_to(run.views, run.seen.shape)[run.seen] for run in runs]
-    return _edges(
-        points=np.concatenate([run.points for run in runs]) if runs else np.empty((0, 3)),
-        edge_counts=counts,
-        track_counts=np.concatenate(seen) if runs else np.empty(0, dtype=np.int64),
-        views=np.concatenate(views) if runs else np.empty(0, dtype=np.int32),
-        pixels=np.concatenate([run.pixels[run.seen] for run in runs]) if runs else np.empty((0, 2)),
+    observations = Observations.of_pixels(
+        offsets=offsets_of(np.concatenate([run.seen.sum(axis=1) for run in runs])),
+        views=np.concatenate(views),
+        pixels=np.concatenate([run.pixels[run.seen] for run in runs]),
     )
-
-
-def _edges(
-    *,
-    points: FloatArray,
-    edge_counts: IntArray,
-    track_counts: IntArray,
-    views: Int32Array,
-    pixels: FloatArray,
-) -> Edges3D:
-    return Edges3D(
-        points=points,
-        edge_offsets=offsets_of(edge_counts),
-        closed=np.zeros(len(edge_counts), dtype=bool),
-        observations=Observations.of_pixels(
-            offsets=offsets_of(track_counts), views=views.astype(np.int32), pixels=pixels
-        ),
-        sigmas=np.full(len(points), np.nan),
-        end_nodes=np.full((len(edge_counts), 2), -1, dtype=np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
+    lengths = np.array([len(run.points) for run in runs], np.int64)
+    return Edges3D.of_polylines(np.concatenate([r.points for r in runs]), lengths, observations)
 
 
 def read_openmvg(path: Path, model: Model) -> Edges3D:
@@ -350,10 +329,10 @@ def read_openmvg(path: Path, model: Model) -> Edges3D:
         counts.append(len(observed))
         seen += [views[key] for key in observed]
         pixels += list(observed.values())
-    return _edges(
-        points=np.array(points, dtype=np.float64).reshape(-1, 3),
-        edge_counts=np.ones(len(points), dtype=np.int64),
-        track_counts=np.array(counts, dtype=np.int64),
-        views=np.array(seen, dtype=np.int32),
-        pixels=np.array(pixels, dtype=np.float64).reshape(-1, 2),
+    observations = Observations.of_pixels(
+        offsets=offsets_of(np.array(counts, np.int64)),
+        views=np.array(seen, np.int32),
+        pixels=np.array(pixels, np.float64).reshape(-1, 2),
     )
+    xyz = np.array(points, np.float64).reshape(-1, 3)
+    return Edges3D.of_polylines(xyz, np.ones(len(xyz), np.int64), observations)
