@@ -102,8 +102,9 @@ def run(
         progress(f"[{number}/{len(scenes)}] {scene.name}")
         folder = output_path / scene.name
         results[scene.name] = {"unit": scene.unit, "methods": {}}
+        shared = with_one_reference(scene)
         for method in [*methods, *scene.peers]:
-            record = _run_method(scene, method, folder, progress)
+            record = _run_method(shared, method, folder, progress)
             results[scene.name]["methods"][method] = record
         write_results(results, output_path, baseline or rows[0])
     return results
@@ -138,6 +139,18 @@ def keep_image_names(scene: Scene, folder: Path) -> None:
     if names:
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(names)
+
+
+def with_one_reference(scene: Scene) -> Scene:
+    """The scene with a reference that is read once for all methods."""
+    read: list[Reference] = []
+
+    def load_reference(model: Model) -> Reference:
+        if not read:
+            read.append(scene.load_reference(model))
+        return read[0]
+
+    return replace(scene, load_reference=load_reference)
 
 
 def write_results(results: Record, output_path: Path, baseline: str) -> None:

@@ -132,6 +132,25 @@ def fake_scene(tmp_path, name, problem=""):
     )
 
 
+def test_reference_is_read_once_for_all_methods(tmp_path, monkeypatch):
+    read = []
+
+    def evaluate(scene, *_):
+        assert scene.load_reference(None) is scene.load_reference(None)
+        return {"faces": 7, "points": {"count": 3}}
+
+    def load(model):
+        read.append(model)
+        return scenes.Reference()
+
+    monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
+    (tmp_path / "a").mkdir()
+    scene = replace(fake_scene(tmp_path, "a"), load_reference=load)
+    results = benchmark.run([scene], tmp_path, ("SfM", "edges"))
+    assert len(results["a"]["methods"]) == 2
+    assert len(read) == 1
+
+
 def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeypatch):
     calls = []
 
