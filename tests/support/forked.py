@@ -41,6 +41,7 @@ for line in sys.stdin:
     os.environ.update(request["variables"])
     ignored = request["hangup_ignored"]
     signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also where jobs ignore it
     if request["file_size"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (request["file_size"],) * 2)
     if request["user"]:
@@ -67,7 +68,7 @@ def server():
 
 
 def ask(request, timeout=120):
-    """The number that the server answers, or None."""
+    """Ask the server to start a program or to wait for one; the id, exit code or None."""
     server().stdin.write(json.dumps(request) + "\n")
     server().stdin.flush()
     if not select.select([server().stdout], [], [], timeout)[0]:
@@ -120,8 +121,9 @@ class Forked:
             return tuple(Path(path).read_text() for path in self.files[1:])
 
     def send_signal(self, number):
-        """Send a signal; one that has ended keeps its number until it is waited for."""
-        os.kill(self.pid, number)
+        """Send a signal unless it has ended; its id stays taken until it is waited for."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
 
     def kill(self):
         """End it at once."""
