@@ -85,19 +85,13 @@ def writers() -> dict[str, Callable[[Any, Path, str | None], None]]:
     from colmap_edges.export.glb import write_glb
     from colmap_edges.export.step import write_step
 
-    def of_curves(write: Callable[[Any, Path], None]) -> Callable[[Any, Path, str | None], None]:
-        return lambda written, path, _: write(written.curves, path)
-
-    def of_edges(write: Callable[[Any, Path], None]) -> Callable[[Any, Path, str | None], None]:
-        return lambda written, path, _: write(written.edges, path)
-
     return {
-        ".step": of_curves(write_step),
-        ".stp": of_curves(write_step),
-        ".dxf": of_curves(write_dxf),
-        ".glb": of_edges(write_glb),
-        ".obj": of_edges(write_obj),
-        ".ply": of_edges(write_ply),
+        ".step": lambda written, path, _: write_step(written.curves, path),
+        ".stp": lambda written, path, _: write_step(written.curves, path),
+        ".dxf": lambda written, path, _: write_dxf(written.curves, path),
+        ".glb": lambda written, path, _: write_glb(written.edges, path),
+        ".obj": lambda written, path, _: write_obj(written.edges, path),
+        ".ply": lambda written, path, _: write_ply(written.edges, path),
         ".svg": write_view,
     }
 

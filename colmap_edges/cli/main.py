@@ -100,26 +100,18 @@ def cli() -> None:
 
 
 cli.params.append(full_help_flag("Show this help; after a command, all of its options, and exit"))
-cli.add_command(
-    make_run_command(
-        "detect", "Detect 2D edge graphs: one .npz and one overlay per image.", DETECT_FLAGS
-    )
-)
-cli.add_command(
-    make_run_command(
+for name, help, names in (
+    ("detect", "Detect 2D edge graphs: one .npz and one overlay per image.", DETECT_FLAGS),
+    (
         "reconstruct",
         "Reconstruct 3D edges and write them into the COLMAP model.",
         RECONSTRUCT_FLAGS,
-    )
-)
-cli.add_command(
-    make_run_command(
-        "mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS
-    )
-)
-cli.add_command(info)
-cli.add_command(evaluate)
-cli.add_command(export)
+    ),
+    ("mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS),
+):
+    cli.add_command(make_run_command(name, help, names))
+for command in (info, evaluate, export):
+    cli.add_command(command)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:

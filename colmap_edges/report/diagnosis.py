@@ -344,7 +344,7 @@ def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> lis
     if trace is None:
         return []
     steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0), unit=PIXELS)]
-    for key, before, unit, name in FUNNELS[options.tracing.method]:
+    for key, before, unit, name in CHAIN_FUNNEL if options.tracing.method == "chains" else ():
         if key in trace:
             part = trace[key] / trace[before] if before and trace.get(before) else None
             steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
@@ -371,23 +371,15 @@ def face_steps(faces: Counts) -> list[Step]:
 
 CELLS, FACE_CELLS = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
 PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
-FUNNELS = {
-    "chains": (
-        ("samples", "", SAMPLES, "samples"),
-        ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
-        ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
-        ("samples_in_runs", "samples_confirmed", SAMPLES, "in reliable runs"),
-        ("points_traced", "", POINTS, "traced along new stretches of chains"),
-        ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
-        (
-            "points_of_curves",
-            "points_observed_enough",
-            POINTS,
-            "kept by the a-contrario test",
-        ),
-    ),
-    "paper": (),
-}
+CHAIN_FUNNEL = (
+    ("samples", "", SAMPLES, "samples"),
+    ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
+    ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
+    ("samples_in_runs", "samples_confirmed", SAMPLES, "in reliable runs"),
+    ("points_traced", "", POINTS, "traced along new stretches of chains"),
+    ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
+    ("points_of_curves", "points_observed_enough", POINTS, "kept by the a-contrario test"),
+)
 
 
 def share(part: float, whole: float) -> str:
