@@ -123,7 +123,10 @@ def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntA
     c, d, _ = near_pairs(ends, options.node_radius_spacings)
     met = np.bincount(np.concatenate([c, d]), minlength=len(ends.positions))
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
-    own = np.linalg.norm(gap, axis=1) <= options.node_radius_spacings * spacing
+    lengths = np.linalg.norm(gap, axis=1)
+    own = lengths <= options.node_radius_spacings * spacing
+    ahead = [np.einsum("ni,ni->n", ends.outward[of], gap * way) for of, way in ((a, 1), (b, -1))]
+    keep &= (lengths <= (REACH + SHORT_GAP) * spacing) | (np.minimum(*ahead) > 0)
     keep &= (met[a] <= own) & (met[b] <= own)
     return np.column_stack([a, b])[keep]
 
@@ -138,27 +141,33 @@ def sagittas(edges: Edges3D) -> FloatArray:
 
 def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Circles, BoolArray]:
     """Circles through (n, 2) pairs of edges, and (n,) whether a pair is one circle, by BIC."""
-    first, end = edges.edge_offsets[pairs.ravel()], edges.edge_offsets[pairs.ravel() + 1]
-    points = ranges_of(first, end)
-    single = Stack(
-        points=edges.points[points],
-        weights=noise.weights[points],
-        offsets=offsets_of(end - first),
-    )
-    both = replace(single, offsets=single.offsets[::2])
-    fits, logs = fit_circles(both), log_counts(np.diff(both.offsets), noise.correlation)
-    joint = costs(both, fits.squares, noise) + (ARC_FREEDOM + 1) * logs
-    straight = costs(single, fit_lines(single).squares, noise) + LINE_FREEDOM * logs.repeat(2)
-    round_ = costs(single, fit_circles(single).squares, noise) + ARC_FREEDOM * logs.repeat(2)
-    apart = np.minimum(straight, round_).reshape(-1, 2).sum(axis=1)
+    each, place = np.unique(pairs, return_inverse=True)
+    single = stack_of(edges, noise, each)
+    fits_apart = ((fit_lines(single), LINE_FREEDOM), (fit_circles(single), ARC_FREEDOM))
+    both = stack_of(edges, noise, pairs.ravel())
     steps = np.linalg.norm(np.diff(both.points, axis=0), axis=1)
-    steps[single.offsets[1:-1] - 1] = 0
-    lengths = both.sums(np.append(steps, 0))
-    return fits, (joint < apart) & (lengths >= MIN_TURN * fits.radii)
+    steps[both.offsets[1:-1] - 1] = 0
+    both = replace(both, offsets=both.offsets[::2])
+    fits = fit_circles(both)
+    turns = both.sums(np.append(steps, 0)) / fits.radii
+    logs = log_counts(np.diff(both.offsets), noise.correlation)
+    apart = [
+        costs(single, fit.squares, noise)[place.reshape(-1, 2)] + freedom * logs[:, None]
+        for fit, freedom in fits_apart
+    ]
+    joint = costs(both, fits.squares, noise) + (ARC_FREEDOM + 1) * logs
+    return fits, (joint < np.minimum(*apart).sum(axis=1)) & (turns >= MIN_TURN)
+
+
+def stack_of(edges: Edges3D, noise: Noise, which: IntArray) -> Stack:
+    """Stack of the points of (n,) edges."""
+    first, end = edges.edge_offsets[which], edges.edge_offsets[which + 1]
+    rows, offsets = ranges_of(first, end), offsets_of(end - first)
+    return Stack(points=edges.points[rows], weights=noise.weights[rows], offsets=offsets)
 
 
 def costs(stack: Stack, squares: FloatArray, noise: Noise) -> FloatArray:
-    """(S,) costs of the squared distances of a stack's points."""
+    """(S,) costs of the (N,) squared distances of a stack's points."""
     shares = noise.shares(np.diff(stack.offsets))[stack.owners]
     return stack.sums(costs_of(stack.weights * squares, shares, noise.correlation))
 
