@@ -101,9 +101,8 @@ def join_circles(
     seen = observed.counts >= options.tracing.min_observations
     everywhere = np.bincount(gaps.owners[~seen], minlength=len(pairs)) == 0
     near = lengths <= options.linking.max_gap_spacings
-    partner = match_best_first(
-        len(ends.positions), *pairs.T, same & facing & (near | everywhere), lengths
-    )
+    allowed = same & facing & (near | everywhere)
+    partner = match_best_first(len(ends.positions), pairs[:, 0], pairs[:, 1], allowed, lengths)
     used = partner[pairs[:, 0]] == pairs[:, 1]
     skip = np.zeros(len(partner), np.int64)
     skip[pairs[used]] = strays[used]
@@ -128,7 +127,7 @@ def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntA
     ahead = [np.einsum("ni,ni->n", ends.outward[of], gap * way) for of, way in ((a, 1), (b, -1))]
     keep &= (lengths <= (REACH + SHORT_GAP) * spacing) | (np.minimum(*ahead) > 0)
     keep &= (met[a] <= own) & (met[b] <= own)
-    return np.column_stack([a, b])[keep]
+    return np.asarray(np.column_stack([a, b])[keep], np.int64)
 
 
 def sagittas(edges: Edges3D) -> FloatArray:
