@@ -97,11 +97,13 @@ def join_circles(
     strays = np.column_stack([num_strays(edges, noise, fits, of) for of in pairs.T])
     spacings = ends.spacings[pairs].min(axis=1)
     gaps, lengths, facing = gaps_on(edges, fits, pairs, strays, spacings)
+    facing &= same
+    gaps = gaps.select(np.flatnonzero(facing[gaps.owners]))
     observed = observe(edges, gaps, given, options, num_threads)
     seen = observed.counts >= options.tracing.min_observations
     everywhere = np.bincount(gaps.owners[~seen], minlength=len(pairs)) == 0
     near = lengths <= options.linking.max_gap_spacings
-    allowed = same & facing & (near | everywhere)
+    allowed = facing & (near | everywhere)
     partner = match_best_first(len(ends.positions), pairs[:, 0], pairs[:, 1], allowed, lengths)
     used = partner[pairs[:, 0]] == pairs[:, 1]
     skip = np.zeros(len(partner), np.int64)
