@@ -15,6 +15,7 @@ from colmap_edges.edges3d.chains.filtering import Sorted, Traced
 from colmap_edges.edges3d.chains.merging import merge_traced
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.bends import cut_at_bends
+from colmap_edges.edges3d.linking.circles import join_circles
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
@@ -47,6 +48,7 @@ def link(
     once, merged = merge_traced(given, kept, options, num_threads)
     pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
     whole = linked(linked(pieces))  # twice, since longer pieces have more accurate directions
+    whole = join_circles(whole, given, options, num_threads)
     edges = meet_at_corners(cut_at_bends(whole), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {

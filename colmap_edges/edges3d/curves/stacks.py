@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class Stack:
         """Number of sequences."""
         return len(self.offsets) - 1
 
-    @property
+    @cached_property
     def owners(self) -> IntArray:
         """(N,) sequence of each point."""
         return owners_of(self.offsets)

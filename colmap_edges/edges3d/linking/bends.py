@@ -137,18 +137,39 @@ def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
     sides = np.abs(inner - tips) + 1
     steps = np.sign(inner - tips)[:, None] * np.minimum(np.arange(most), sides[:, None] - 1)
     rows, given = tips[:, None] + steps, np.arange(most) < sides[:, None]
-    points = edges.points[np.concatenate([rows[a, ::-1], rows[b]], axis=1)]
-    weights = np.concatenate([given[a, ::-1], given[b]], axis=1).astype(np.float64)
-    along, _ = lengths_along(points)
-    cubic, quintic = (polynomials(along, points, degree, weights)[1] for degree in (3, 5))
-    lines, parabolas = (
-        polynomials(along[:, :most], points[:, :most], degree, weights[:, :most])[1]
-        + polynomials(along[:, most:], points[:, most:], degree, weights[:, most:])[1]
-        for degree in (1, 2)
-    )
     counts, least = sides[a] + sides[b], np.minimum(sides[a], sides[b])
-    bent = (quintic > by_chance(counts, 6) * parabolas) & (least >= fewest)
-    return np.asarray((by_chance(counts, 4) * cubic < lines) & ~bent & (least >= FEWEST))
+
+    def squares(pairs: IntArray, degree: int) -> tuple[FloatArray, FloatArray]:
+        points = edges.points[np.concatenate([rows[a[pairs], ::-1], rows[b[pairs]]], axis=1)]
+        weights = np.concatenate([given[a[pairs], ::-1], given[b[pairs]]], axis=1)
+        return one_and_two(points, weights.astype(np.float64), degree)
+
+    smooth = np.zeros(len(a), bool)
+    left = np.flatnonzero(least >= FEWEST)
+    cubic, lines = squares(left, 1)
+    left = left[by_chance(counts[left], 4) * cubic < lines]
+    quintic, parabolas = squares(left, 2)
+    bent = quintic > by_chance(counts[left], 6) * parabolas
+    smooth[left] = ~(bent & (least[left] >= fewest))
+    return smooth
+
+
+def one_and_two(
+    points: FloatArray, weights: FloatArray, degree: int
+) -> tuple[FloatArray, FloatArray]:
+    """Squared residuals of one polynomial, and of one of lower degree for each half of the points.
+
+    Args:
+        points: (n, 2k, 3) sequences of points.
+        weights: (n, 2k) their weights.
+        degree: degree of the two polynomials; the one has as many parameters as both.
+    """
+    along, _ = lengths_along(points)
+    half = points.shape[1] // 2
+    two = np.zeros(len(points))
+    for of in (slice(0, half), slice(half, None)):
+        two += polynomials(along[:, of], points[:, of], degree, weights[:, of])[1]
+    return polynomials(along, points, 2 * degree + 1, weights)[1], two
 
 
 def by_chance(num_points: IntArray, num_parameters: int) -> FloatArray:
@@ -172,7 +193,8 @@ def polynomials(
     `weights` (n, k) of the points are optional. Returns (n, degree + 1, 3) coefficients and (n,)
     sums of squared residuals.
     """
-    powers = along[:, :, None] ** np.arange(degree + 1)
+    powers = np.ones((*along.shape, degree + 1))
+    np.cumprod(np.broadcast_to(along[:, :, None], powers[:, :, 1:].shape), 2, out=powers[:, :, 1:])
     rows = (powers if weights is None else powers * weights[:, :, None]).swapaxes(1, 2)
     normal = rows @ powers
     normal += 1e-13 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(degree + 1)

@@ -60,14 +60,18 @@ def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edge
     if edges.num_edges == 0:
         return edges
     ends = find_ends(edges)
-    partner = match_ends(edges, ends, options, goes_on)
+    return with_nodes(joined(edges, ends, match_ends(edges, ends, options, goes_on)), options)
+
+
+def joined(edges: Edges3D, ends: Ends, partner: IntArray) -> Edges3D:
+    """Join each of 2E ends to its partner, -1 for none; where they overlap, points are left out."""
     skip = overlaps(edges, ends, partner)
     begin, stop = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     paths = walk_joined(partner)
     order, lengths = points_along(paths, begin, stop)
     loops = np.array([closed for _, closed in paths], bool)
     none = np.full((len(paths), 2), -1, np.int32)
-    return with_nodes(edges.reordered(order, offsets_of(lengths), loops, none), options)
+    return edges.reordered(order, offsets_of(lengths), loops, none)
 
 
 def find_ends(edges: Edges3D) -> Ends:

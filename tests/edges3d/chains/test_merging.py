@@ -66,7 +66,9 @@ def test_the_number_of_threads_changes_nothing():
     np.testing.assert_array_equal(one.observations.positions, two.observations.positions)
 
 
-@pytest.mark.parametrize(("width_px", "turns"), [(2.0, False), (3.0, False), (3.0, True)])
+@pytest.mark.parametrize(
+    ("width_px", "turns"), [(2.0, False), (2.5, True), (3.0, False), (3.0, True)]
+)
 def test_the_two_edges_of_a_bar_stay_two(width_px, turns):
     offsets = [sign * width_px / 2 * PIXEL * ACROSS for sign in (-1, 1)]
     sides = [known.line(START + offset, END + offset) for offset in offsets]
