@@ -172,7 +172,7 @@ def pictures_html(contents: Contents) -> str:
             "reprojected": reprojected,
         }
         images = "".join(
-            f'<img class="layer {kind}" alt="" src="{data_uri("webp", data)}">'
+            f'<img class="layer {kind}" alt="" src="{data_uri("png", data)}">'
             for kind, data in layers.items()
             if data
         )

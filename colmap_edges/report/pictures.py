@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +25,7 @@ MAX_PICTURES = 120
 BYTES_PER_PIXEL = 0.35  # approximate size of a picture with its layers
 MIN_SIDE_PX, MAX_SIDE_PX = 240, 960
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 75, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-LOSSLESS = [cv2.IMWRITE_WEBP_QUALITY, 101]  # for lines on transparency a third of PNG's size
+OPACITY_BITS = 2  # fewer shades of a line compress better
 DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
 
 
@@ -79,7 +81,7 @@ def reduced(image: Picture, size: tuple[int, int]) -> Picture:
 
 
 def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None) -> bytes:
-    """The 3D edges that the view of a picture observes, transparent WebP of its size."""
+    """The 3D edges that the view of a picture observes, transparent PNG of its size."""
     view = model.views[picture.view]
     lines: list[FloatArray] = []
     if edges is not None:
@@ -102,7 +104,7 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
 def layer(
     lines: list[FloatArray], scale: float, shape: tuple[int, ...], color: tuple[int, int, int]
 ) -> bytes:
-    """Lines, image pixels, drawn in one colour on a transparent WebP of `shape`."""
+    """Lines, image pixels, drawn in one colour on a transparent PNG of `shape`."""
     mask = np.zeros(shape, np.uint8)
     pairs = lines and lines[0].ndim == 3
     drawn: list[Any] = []
@@ -110,8 +112,30 @@ def layer(
         fixed = fixed_point(np.concatenate(lines) * scale)
         drawn = list(fixed) if pairs else np.split(fixed, np.cumsum([len(p) for p in lines])[:-1])
     cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
-    mask &= 0xE0  # fewer shades compress better
-    shades = np.zeros((256, 4), np.uint8)
-    shades[1:, :3], shades[:, 3] = color, np.arange(256)
-    bgra = shades.view(np.uint32)[:, 0][mask].view(np.uint8).reshape(*shape, 4)
-    return encoded(".webp", bgra, LOSSLESS)
+    return one_colored_png(mask >> (8 - OPACITY_BITS), OPACITY_BITS, color)
+
+
+def one_colored_png(opacity: Picture, bits: int, color: tuple[int, int, int]) -> bytes:
+    """A PNG of one colour (BGR) with (H, W) `opacity`, of `bits` (1, 2 or 4) a pixel.
+
+    Its pixels are indices into a palette: a seventh of the time of an image with an alpha channel.
+    """
+    height, width = opacity.shape
+    per_byte, most = 8 // bits, (1 << bits) - 1
+    padded = np.pad(opacity, ((0, 0), (0, -width % per_byte)))
+    rows = np.zeros((height, 1 + padded.shape[1] // per_byte), np.uint8)  # 0 first: not filtered
+    for place in range(per_byte):
+        rows[:, 1:] |= padded[:, place::per_byte] << (8 - bits * (place + 1))
+    alphas = bytes(255 * index // most for index in range(most + 1))
+    parts = {
+        b"IHDR": struct.pack(">IIBBBBB", width, height, bits, 3, 0, 0, 0),
+        b"PLTE": bytes(color[::-1]) * (most + 1),
+        b"tRNS": alphas,
+        b"IDAT": zlib.compress(rows.tobytes()),
+        b"IEND": b"",
+    }
+    chunks = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts.items()
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
