@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture, offsets_of, ranges_of
+from colmap_edges.core.arrays import FloatArray, IntArray, Picture, offsets_of, ranges_of
 from colmap_edges.edges2d.edge_maps import BRANCH_PX, rescaled
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
@@ -43,41 +43,47 @@ def faint_pixel_chains(
         None where noise and texture are as strong as the detector's threshold.
     """
     edges = faint_pixels(image, noises)
+    if edges is None:
+        return np.zeros((0, 2)), np.zeros(1, np.int64)
     taken = np.rint(pixels / scale).astype(np.int64)
     found = np.zeros_like(edges)
     height, width = edges.shape
     found[np.clip(taken[:, 1], 0, height - 1), np.clip(taken[:, 0], 0, width - 1)] = 1
     radius = round(TAKEN_PX / scale)
     edges[cv2.dilate(found, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0] = 0
-    chains = _kernels.link_pixels(without_stairs(edges > 0), BRANCH_PX)
+    chains = _kernels.link_pixels(without_stairs(edges), BRANCH_PX)
     return rescaled(*straight_stretches(*chains), scale)
 
 
-def faint_pixels(image: Picture, noises: float) -> Picture:
-    """(H, W) uint8, not 0 where gray changes most and by more than noise and texture do."""
+def faint_pixels(image: Picture, noises: float) -> Picture | None:
+    """(H, W) uint8, not 0 where gray changes most and by more than noise and texture do.
+
+    None where these are as strong as the detector's threshold.
+    """
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
     sample = np.abs([slope[::SAMPLE, ::SAMPLE] for slope in slopes])
     noise = float(np.median(sample)) / MAD
     limit = STEPS * max(noises * noise, MIN_SLOPE)
     if limit >= STEPS * MAX_SLOPE:
-        return np.zeros(image.shape, np.uint8)
-    limits = np.iinfo(np.int16)
+        return None
     across, down = (
-        np.clip(np.rint(STEPS * slope), limits.min, limits.max).astype(np.int16) for slope in slopes
+        cv2.addWeighted(slope, STEPS, slope, 0, 0, dtype=cv2.CV_16S) for slope in slopes
     )
     return np.asarray(cv2.Canny(across, down, HYSTERESIS * limit, limit, L2gradient=True), np.uint8)
 
 
-def without_stairs(edges: BoolArray) -> Picture:
+def without_stairs(edges: Picture) -> Picture:
     """(H, W) uint8 of lines (H, W) without the corners of their steps, which would be junctions."""
-    padded = np.pad(edges, 1)
-    inner = padded[1:-1, 1:-1]
-    rows, columns = padded[:, 1:-1], padded[1:-1]
-    for above, below in ((rows[:-2], rows[2:]), (rows[2:], rows[:-2])):
-        for left, right in ((columns[:, :-2], columns[:, 2:]), (columns[:, 2:], columns[:, :-2])):
-            inner &= ~(above & left & ~below & ~right)
-    return inner.astype(np.uint8)
+    padded = np.pad((edges > 0).astype(np.uint8), 1)
+    flat, width = padded.reshape(-1), padded.shape[1]
+    places = np.flatnonzero(flat)
+    for above, below in ((-width, width), (width, -width)):
+        for left, right in ((-1, 1), (1, -1)):
+            corner = (flat[places + above] & flat[places + left]) > 0
+            corner &= (flat[places + below] | flat[places + right]) == 0
+            flat[places[corner]] = 0
+    return np.ascontiguousarray(padded[1:-1, 1:-1])
 
 
 def straight_stretches(points: FloatArray, offsets: IntArray) -> tuple[FloatArray, IntArray]:
