@@ -105,14 +105,14 @@ def layer(
     lines: list[FloatArray], scale: float, shape: tuple[int, ...], color: tuple[int, int, int]
 ) -> bytes:
     """Lines, image pixels, drawn in one colour on a transparent PNG of `shape`."""
-    mask = np.zeros(shape, np.uint8)
+    mask: Picture = np.zeros(shape, np.uint8)
     pairs = lines and lines[0].ndim == 3
     drawn: list[Any] = []
     if lines:
         fixed = fixed_point(np.concatenate(lines) * scale)
         drawn = list(fixed) if pairs else np.split(fixed, np.cumsum([len(p) for p in lines])[:-1])
     cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
-    return one_colored_png(mask >> (8 - OPACITY_BITS), OPACITY_BITS, color)
+    return one_colored_png(mask // (256 >> OPACITY_BITS), OPACITY_BITS, color)
 
 
 def one_colored_png(opacity: Picture, bits: int, color: tuple[int, int, int]) -> bytes:
