@@ -68,7 +68,7 @@ def face_stage(
             "cells_believed": faces.num_believed,
             "planar_faces": len(faces.faces),
             "area": faces.area,
-            "face_points": len(faces.points.points),
+            "face_points": len(faces.points.planes),
         }
     return faces
 

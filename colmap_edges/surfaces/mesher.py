@@ -14,7 +14,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
-from colmap_edges.surfaces.faces.decision import lacking_points
+from colmap_edges.surfaces.faces.decision import NO_FACE_POINTS, FacePoints, lacking_points
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
@@ -74,8 +74,8 @@ def mesh(
     if method is not None:
         options = replace(options, method=method)
     curves = [of for of in (edges, contours) if of is not None]
-    on_faces = faces.points if faces else NO_POINTS
-    found = mesh_with_faces(model, curves, options, num_threads, background, on_faces)
+    points = faces.points if faces else NO_FACE_POINTS
+    found = mesh_with_faces(model, curves, options, num_threads, background, points)
     return finished(found, model, options)
 
 
@@ -85,10 +85,15 @@ def mesh_with_faces(
     options: MeshingOptions,
     num_threads: int,
     background: Background | None,
-    faces: SeenPoints,
+    faces: FacePoints,
 ) -> Mesh:
-    """Mesh points of a model, curves and silhouettes; of faces where the mesh lacks these."""
+    """Mesh points of a model, curves and silhouettes, and of the planes that the mesh lacks.
+
+    With a background, silhouettes already bound the bodies, and no points of faces are added.
+    """
     found = mesh_with_curves(model, curves, options, num_threads, background)
+    if background and options.background_weight:
+        return found
     added = lacking_points(faces, model.views, found)
     if not len(added.points):
         return found

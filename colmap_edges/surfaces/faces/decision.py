@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,21 @@ from colmap_edges.core.arrays import (
     IntArray,
     entries_of,
     offsets_of,
+    owners_of,
 )
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.silhouettes import SeenPoints
+from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
-AGREEING_SHARE = 2 / 3  # minimum share of agreeing views among those that contain the position
+AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
-MAX_HIDDEN = 0.0  # maximum number of views that see a plane in front of it, per agreeing view
-NEAR_CELLS = 3.0  # radius in which two other points of the mesher suppress a face point
+MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
+# Minimum share that the mesh lacks, of the area of a plane and of the cells of all: one in ten to
+# five accepted cells is wrong, so where the mesh has more, the rest is likely an error of faces.
+MIN_LACKING = 0.2
+EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
 NUM_NEAR = 8  # nearest samples of triangles that a face point is compared with
 MAX_SPREAD = 300_000  # number of samples of triangles, in addition to one for each triangle
@@ -103,65 +107,108 @@ def are_believed(samples: Samples) -> BoolArray:
     return believed
 
 
-def are_alone(samples: Samples, known: FloatArray) -> BoolArray:
-    """(S,) whether no two of the mesher's own (N, 3) points are near: there faces add nothing."""
-    if len(known) < 2:
-        return np.ones(len(samples.points), bool)
-    distances, _ = cKDTree(known).query(samples.points, 2)
-    alone: BoolArray = distances[:, 1] > NEAR_CELLS * samples.sizes
-    return alone
+def thinned(samples: Samples, accepted: IntArray) -> tuple[IntArray, IntArray]:
+    """One sample of each plane in every cube of about a cell: the one that most views agree on.
 
+    Args:
+        samples: all samples.
+        accepted: indices of those to choose from.
 
-def thinned(samples: Samples, chosen: IntArray) -> IntArray:
-    """Of the chosen samples one of each plane in every cube of about a cell: what most agree on."""
-    if not len(chosen):
-        return chosen
-    order = chosen[np.argsort(-samples.agreeing[chosen], kind="stable")]
+    Returns:
+        (P,) chosen samples, and (P,) how many each stands for.
+    """
+    if not len(accepted):
+        return accepted, accepted
+    order = accepted[np.argsort(-samples.agreeing[accepted], kind="stable")]
     side = SPACING_CELLS * np.median(samples.sizes[order])
     cubes = np.floor(samples.points[order] / side).astype(np.int64)
     cubes = np.column_stack([cubes, samples.planes[order]])
-    return np.sort(order[np.unique(cubes, axis=0, return_index=True)[1]])
+    _, first, counts = np.unique(cubes, axis=0, return_index=True, return_counts=True)
+    ascending = np.argsort(order[first])
+    return order[first][ascending], counts[ascending]
 
 
-def seen_points(samples: Samples, chosen: IntArray) -> SeenPoints:
-    """The chosen samples as points that the agreeing views see."""
-    return SeenPoints(
-        samples.points[chosen],
-        offsets_of(np.diff(samples.offsets)[chosen]),
-        samples.views[entries_of(samples.offsets, chosen)],
+@dataclass(frozen=True, kw_only=True)
+class FacePoints:
+    """Points on faces for the mesher.
+
+    Attributes:
+        seen: P points; the first view of each is the one in which it is sampled.
+        planes: (P,) int32 planes that they lie on.
+        num_cells: (P,) number of accepted cells, of all views, that each stands for.
+    """
+
+    seen: SeenPoints
+    planes: Int32Array
+    num_cells: IntArray
+
+    def take(self, chosen: IntArray) -> FacePoints:
+        """The chosen points."""
+        seen = SeenPoints(
+            self.seen.points[chosen],
+            offsets_of(np.diff(self.seen.track_offsets)[chosen]),
+            self.seen.track_views[entries_of(self.seen.track_offsets, chosen)],
+        )
+        return FacePoints(seen=seen, planes=self.planes[chosen], num_cells=self.num_cells[chosen])
+
+
+NO_FACE_POINTS = FacePoints(
+    seen=NO_POINTS, planes=np.zeros(0, np.int32), num_cells=np.zeros(0, np.int64)
+)
+
+
+def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
+    """Accepted samples, thinned, as points that some of the agreeing views see."""
+    chosen, num_cells = thinned(samples, accepted)
+    owners = owners_of(samples.offsets)
+    rank = np.arange(len(owners)) - samples.offsets[owners]
+    kept = rank % EACH_VIEW == 0
+    seen = SeenPoints(
+        samples.points,
+        offsets_of(np.bincount(owners[kept], minlength=len(samples.points))),
+        samples.views[kept],
     )
+    every = FacePoints(seen=seen, planes=samples.planes, num_cells=np.ones_like(samples.planes))
+    return replace(every.take(chosen), num_cells=num_cells)
 
 
-def lacking_points(faces: SeenPoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
-    """The points of faces at which a mesh has no triangle that faces the view.
+def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
+    """All points of those planes of which a mesh lacks at least `MIN_LACKING` of the area.
 
-    Where the mesh of points and edges is as the faces are, points on these only disturb it: a plate
-    that gets points on one side alone is pierced by their cells.
+    None, if it lacks less of the accepted cells of all views. Points on faces that a mesh already has disturb
+    it: a plate that gets points on one side alone is pierced by their cells.
 
     Args:
-        faces: points, each with the view in which it is a cell's place first.
+        faces: points on faces.
         views: all views.
         surface: mesh of points and edges without faces.
     """
-    if not len(faces.points) or not len(surface.faces):
-        return faces
-    first = faces.track_views[faces.track_offsets[:-1]]
-    sights = faces.points - np.array([view.center for view in views])[first]
+    if not len(faces.planes):
+        return faces.seen
+    lacking = ~are_meshed(faces.seen, views, surface)
+    if faces.num_cells[lacking].sum() < MIN_LACKING * faces.num_cells.sum():
+        return NO_POINTS
+    share = np.bincount(faces.planes, lacking) / np.maximum(np.bincount(faces.planes), 1)
+    return faces.take(np.flatnonzero(share[faces.planes] >= MIN_LACKING)).seen
+
+
+def are_meshed(points: SeenPoints, views: Sequence[View], surface: Mesh) -> BoolArray:
+    """(P,) whether a mesh has a triangle at a point that faces the point's first view."""
+    if not len(surface.faces):
+        return np.zeros(len(points.points), bool)
+    first = points.track_views[points.track_offsets[:-1]]
+    sights = points.points - np.array([view.center for view in views])[first]
     angles = np.array([CELL_PX / blank_grid(view).focal_px for view in views])
     sizes = np.linalg.norm(sights, axis=1) * angles[first]
     spread, normals = spread_points(surface, float(np.quantile(sizes, 0.25)))
     near = min(NUM_NEAR, len(spread))
-    distances, rows = cKDTree(spread).query(faces.points, near)
+    distances, rows = cKDTree(spread).query(points.points, near)
     distances, rows = distances.reshape(-1, near), rows.reshape(-1, near)
-    off = np.abs(np.einsum("ijk,ijk->ij", faces.points[:, None] - spread[rows], normals[rows]))
+    off = np.abs(np.einsum("ijk,ijk->ij", points.points[:, None] - spread[rows], normals[rows]))
     facing = np.einsum("ijk,ik->ij", normals[rows], sights) < 0
     here = facing & (off <= SAME_CELLS * sizes[:, None]) & (distances <= 2 * sizes[:, None])
-    lacking = np.flatnonzero(~here.any(axis=1))
-    return SeenPoints(
-        faces.points[lacking],
-        offsets_of(np.diff(faces.track_offsets)[lacking]),
-        faces.track_views[entries_of(faces.track_offsets, lacking)],
-    )
+    meshed: BoolArray = here.any(axis=1)
+    return meshed
 
 
 def spread_points(surface: Mesh, spacing: float) -> tuple[FloatArray, FloatArray]:

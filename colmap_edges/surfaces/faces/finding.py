@@ -10,11 +10,11 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.surfaces.faces.decision import (
-    are_alone,
+    NO_FACE_POINTS,
+    FacePoints,
     are_believed,
+    points_of_samples,
     sample_cells,
-    seen_points,
-    thinned,
 )
 from colmap_edges.surfaces.faces.enclosure import are_enclosed
 from colmap_edges.surfaces.faces.evidence import gather_evidence, joined
@@ -28,7 +28,7 @@ from colmap_edges.surfaces.faces.labelling import (
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Body, SeenPoints, within
+from colmap_edges.surfaces.silhouettes import Body, within
 
 NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
 
@@ -39,7 +39,7 @@ class Faces:
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
-        points: points on them with observing views, where the mesher has none of its own.
+        points: points on them with observing views.
         num_planes: number of plane hypotheses.
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
@@ -47,7 +47,7 @@ class Faces:
     """
 
     faces: list[Face]
-    points: SeenPoints
+    points: FacePoints
     num_planes: int
     num_cells: int
     num_labelled: int
@@ -60,7 +60,7 @@ class Faces:
 
 
 NO_FACES = Faces(
-    faces=[], points=NO_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
+    faces=[], points=NO_FACE_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
 )
 
 
@@ -99,13 +99,12 @@ def find_faces(
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
     believed = are_believed(samples) & within(bodies, samples.points)
     believed &= are_enclosed(samples, labels, model, pictures, evidence, planes)
-    known = np.concatenate([model.points3D_xyz, edges.points])
-    added = thinned(samples, np.flatnonzero(believed & are_alone(samples, known)))
+    accepted = np.flatnonzero(believed)
     return Faces(
-        faces=outline_faces(samples, np.flatnonzero(believed), planes, model.camera_centers),
-        points=seen_points(samples, added),
+        faces=outline_faces(samples, accepted, planes, model.camera_centers),
+        points=points_of_samples(samples, accepted),
         num_planes=len(planes.offsets),
         num_cells=labels.size,
         num_labelled=int(np.sum(labels >= 0)),
-        num_believed=int(np.sum(believed)),
+        num_believed=len(accepted),
     )

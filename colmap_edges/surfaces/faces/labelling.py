@@ -56,7 +56,7 @@ class EvidenceWeights(NamedTuple):
 class BorderCosts(NamedTuple):
     """What a border between the planes of two cells costs; set by trial, as above."""
 
-    weight: float = 2.0  # where the picture is plain
+    weight: float = 3.0  # where the picture is plain
     least: float = 0.06  # part of it that is left where gray changes much
     slope_scale: float = 2.0  # gray levels a pixel at which a third of it is left
     crossing_factor: float = 0.35  # part of it where the two planes meet

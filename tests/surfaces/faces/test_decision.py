@@ -7,7 +7,16 @@ import pycolmap
 import pytest
 
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.decision import are_believed, lacking_points, sample_cells
+from colmap_edges.surfaces.faces.decision import (
+    EACH_VIEW,
+    FacePoints,
+    are_believed,
+    are_meshed,
+    lacking_points,
+    points_of_samples,
+    sample_cells,
+    thinned,
+)
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import blank_grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
@@ -99,8 +108,14 @@ def square():
 
 def missing(square, point, view):
     """Whether a square lacks a place that a view sees in cells of 0.04."""
-    seen = SeenPoints(np.array([point], float), np.array([0, 1]), np.array([view], np.int32))
-    return len(lacking_points(seen, four_views(), square).points) == 1
+    return not are_meshed(points_seen([point], view), four_views(), square)[0]
+
+
+def points_seen(points, view):
+    """Points that one view sees."""
+    count = len(points)
+    views = np.full(count, view, np.int32)
+    return SeenPoints(np.array(points, float), np.arange(count + 1), views)
 
 
 def test_places_on_a_triangle_that_faces_the_view_are_not_missing(square):
@@ -122,3 +137,61 @@ def test_nothing_is_there_of_an_empty_mesh(square):
         colors=np.zeros((0, 3), np.uint8),
     )
     assert missing(empty, [0.3, 0.2, 0], 0)
+
+
+def lacking_planes(square, counts):
+    """Planes of the points taken, where a square has some of each plane's points and lacks others.
+
+    Args:
+        square: the mesh.
+        counts: of each plane, how many of its points the mesh has, and how many it lacks.
+    """
+    has, lacks = [0.3, 0.2, 0.0], [0.3, 0.2, 0.5]
+    points = [place for had, lacked in counts for place in [has] * had + [lacks] * lacked]
+    planes = np.repeat(np.arange(len(counts), dtype=np.int32), [sum(pair) for pair in counts])
+    num_cells = np.ones(len(planes), np.int64)
+    faces = FacePoints(seen=points_seen(points, 0), planes=planes, num_cells=num_cells)
+    return lacking_points(faces, four_views(), square)
+
+
+def test_all_points_of_planes_that_a_mesh_lacks_are_taken(square):
+    taken = lacking_planes(square, [(9, 1), (2, 8)])
+    assert len(taken.points) == 10  # of the second plane, also those that the mesh has
+    assert np.sum(taken.points[:, 2] == 0) == 2
+
+
+def test_nothing_is_taken_where_a_mesh_lacks_little_of_all_planes(square):
+    assert len(lacking_planes(square, [(95, 1), (2, 2)]).points) == 0
+
+
+def test_everything_is_taken_without_a_mesh(square):
+    empty = Mesh(
+        vertices=np.zeros((0, 3)),
+        faces=np.zeros((0, 3), np.int32),
+        point3D_ids=np.zeros(0, np.int64),
+        colors=np.zeros((0, 3), np.uint8),
+    )
+    assert len(lacking_planes(empty, [(2, 1)]).points) == 3
+
+
+def test_points_count_as_many_cells_as_they_stand_for(square):
+    seen = points_seen([[0.3, 0.2, 0.0], [0.3, 0.2, 0.5]], 0)
+    planes = np.zeros(2, np.int32)
+    for cells, taken in (([30, 1], 0), ([1, 1], 2)):
+        faces = FacePoints(seen=seen, planes=planes, num_cells=np.array(cells))
+        assert len(lacking_points(faces, four_views(), square).points) == taken
+
+
+def test_samples_are_thinned_to_points_of_every_third_view():
+    samples, _ = support([1, 1])
+    accepted = np.arange(len(samples.points))
+    chosen, counts = thinned(samples, accepted)
+    assert counts.sum() == len(accepted) > len(chosen)
+    made = points_of_samples(samples, accepted)
+    assert np.array_equal(made.num_cells, counts)
+    assert np.array_equal(made.planes, samples.planes[chosen])
+    assert np.array_equal(made.seen.points, samples.points[chosen])
+    for row, sample in enumerate(chosen):
+        views = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]
+        first, last = made.seen.track_offsets[row : row + 2]
+        assert made.seen.track_views[first:last].tolist() == views[::EACH_VIEW].tolist()

@@ -25,7 +25,7 @@ def room():
 
 
 def test_points_lie_on_the_walls(room):
-    points = room.faces.points.points
+    points = room.faces.points.seen.points
     assert len(points) > 500
     off = distance_to_room(points)
     assert np.median(off) < 0.01
@@ -33,13 +33,13 @@ def test_points_lie_on_the_walls(room):
 
 
 def test_every_side_of_the_room_has_points(room):
-    x, y, z = room.faces.points.points.T
+    x, y, z = room.faces.points.seen.points.T
     sides = [abs(z), abs(z - 2.5), abs(x), abs(x - 4), abs(y), abs(y - 3)]
     assert min(np.sum((side < 0.02) & (y < 3.1)) for side in sides) > 30
 
 
 def test_no_point_bridges_the_door(room):
-    x, y, z = room.faces.points.points.T
+    x, y, z = room.faces.points.seen.points.T
     margin = 0.3  # about five cells as they are seen from the middle of the room
     inside = (x > DOOR[0] + margin) & (x < DOOR[1] - margin) & (z > margin) & (z < DOOR[2] - margin)
     assert not (inside & (abs(y - 3) < 0.3)).any()
@@ -47,7 +47,7 @@ def test_no_point_bridges_the_door(room):
 
 
 def test_points_are_seen_by_views_that_hold_them(room):
-    seen = room.faces.points
+    seen = room.faces.points.seen
     assert np.diff(seen.track_offsets).min() >= 1
     for point in range(0, len(seen.points), 50):
         at = seen.points[point : point + 1]
@@ -59,16 +59,16 @@ def test_points_are_seen_by_views_that_hold_them(room):
 
 def test_threads_and_views_without_images_change_nothing_else(room):
     again = find_faces(room.model, room.edges, room.grids, 0, 3)
-    assert np.array_equal(again.points.points, room.faces.points.points)
-    assert np.array_equal(again.points.track_views, room.faces.points.track_views)
+    assert np.array_equal(again.points.seen.points, room.faces.points.seen.points)
+    assert np.array_equal(again.points.seen.track_views, room.faces.points.seen.track_views)
     fewer = {i: grid for i, grid in room.grids.items() if i != 5}
-    assert len(find_faces(room.model, room.edges, fewer, 0, 1).points.points) > 400
+    assert len(find_faces(room.model, room.edges, fewer, 0, 1).points.planes) > 400
 
 
 def test_nothing_without_edges(room):
     found = find_faces(room.model, Edges3D.none(), room.grids, 0, 1)
     assert found.faces == []
-    assert len(found.points.points) == 0
+    assert len(found.points.planes) == 0
 
 
 def test_faces_are_told_with_their_outlines(room, tmp_path):
@@ -88,8 +88,8 @@ def test_faces_are_told_with_their_outlines(room, tmp_path):
 
 def test_no_point_lies_where_a_view_sees_the_background(room):
     bodies = [Body(room.model.views[0], np.zeros((12, 16), bool))]
-    points = room.faces.points.points
+    points = room.faces.points.seen.points
     assert not bodies[0].holds(points).all()
-    found = find_faces(room.model, room.edges, room.grids, 0, 1, bodies).points.points
+    found = find_faces(room.model, room.edges, room.grids, 0, 1, bodies).points.seen.points
     assert 100 < len(found) < len(points)
     assert bodies[0].holds(found).all()
