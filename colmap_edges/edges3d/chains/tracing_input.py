@@ -20,9 +20,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.executors import Workers
 
 T = TypeVar("T")
-ByView = (
-    Sequence[T] | Mapping[int, T]
-)  # one item per view: of all views, or of the views that a task needs
+ByView = Sequence[T] | Mapping[int, T]  # an item per view, of all or of those used by a task
 
 NUM_KEPT = 64  # search indices that a worker keeps, more than a view has neighbours
 # On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
