@@ -359,10 +359,10 @@ def point_steps(trace: Counts) -> Iterator[Step]:
     if not before:
         yield Step(name="3D edge points", count=points, unit=POINTS)
         return
-    left = max(before - trace.get("points_of_contours", 0), 1)
+    left = before - trace.get("points_of_contours", 0)
     yield Step(name="not on view-dependent contours", count=left, unit=POINTS, share=left / before)
     name = "3D edge points, after copies from other views are merged"
-    yield Step(name=name, count=points, unit=POINTS, share=points / left)
+    yield Step(name=name, count=points, unit=POINTS, share=points / max(left, 1))
 
 
 def face_steps(faces: Counts) -> list[Step]:
