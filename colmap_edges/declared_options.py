@@ -55,7 +55,7 @@ def option(
 
 
 def constant(default: Any, meaning: str, source: str, **declared: Any) -> Any:
-    """Declare a constant of the method: a field as of `option`, without flag and TOML key.
+    """Declare a constant of the method: a field like that of `option`, without flag and TOML key.
 
     Tests and scripts/halve_and_double.py set it from Python, within its range. docs/constants.md
     lists it with its meaning and its source, the origin of its value.

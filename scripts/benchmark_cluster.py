@@ -38,7 +38,7 @@ SENT = ("tasks", "MB sent", "MB back")
 
 
 class Measured(Executor):
-    """Hands calls to another executor; counts their CPU seconds and the bytes that they take."""
+    """Passes calls to another executor; counts their CPU seconds and transferred bytes."""
 
     def __init__(self, executor: Executor) -> None:
         """Nothing yet."""
@@ -46,7 +46,7 @@ class Measured(Executor):
         self.count, self.sent, self.received, self.seconds = 0, 0, 0, 0.0
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Run a call; arguments go, and results come, as bytes that are pickled once."""
+        """Run a call; arguments and results are transferred as bytes, pickled once."""
         call = pickle.dumps((function, args, kwargs), protocol=5)
         self.count, self.sent = self.count + 1, self.sent + len(call)
         result: Future[Any] = Future()
@@ -99,7 +99,7 @@ def trace_timed(
 
 
 def ready() -> float:
-    """Load in a worker what its tasks run; its CPU seconds then."""
+    """Import the code of the tasks in a worker; its CPU seconds afterwards."""
     import colmap_edges.edges3d.chains.tracing  # noqa: F401
 
     return time.process_time()
@@ -150,7 +150,7 @@ def main(num_views: int, counts: tuple[int, ...]) -> None:
 
 
 def written(row: list[Any], work: float) -> list[str]:
-    """A row of the table; no work are the CPU seconds beyond those of one thread of one process."""
+    """A row of the table; overhead is the CPU seconds beyond those of one thread of one process."""
     name, wall, cpu, around, edges, measured = row
     total = measured.seconds + around + cpu
     return [

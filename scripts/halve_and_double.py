@@ -126,7 +126,7 @@ def numbers(with_options: bool) -> list[Constant]:
 
 
 def find_scenes(data: Path, names: tuple[str, ...], cache_path: Path) -> list[Scene]:
-    """The named scenes of a folder, or all that there are.
+    """The named scenes of a folder; all if no name is given.
 
     Raises:
         ColmapEdgesError: if one is missing, or there is none.

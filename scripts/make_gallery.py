@@ -56,7 +56,7 @@ def contents_of(run_path: Path) -> dict[str, Contents]:
 
 
 def mesh_of(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> Mesh:
-    """A mesh to look at."""
+    """A mesh without tracks, for drawing."""
     ids = np.full(len(vertices), -1)
     return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=colors)
 

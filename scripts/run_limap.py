@@ -27,7 +27,7 @@ def detect(path: Path, count: int) -> np.ndarray:
 
 
 def neighbors(reconstruction: pycolmap.Reconstruction, count: int) -> dict[int, list[int]]:
-    """Views that share most points; among equals the nearest."""
+    """Views that share most points; the nearer one if equal."""
     images = reconstruction.images
     seen = {
         i: {p.point3D_id for p in image.points2D if p.has_point3D()} for i, image in images.items()

@@ -83,7 +83,7 @@ class City:
 
     @cached_property
     def places(self) -> cKDTree:
-        """The middles of the curves as seen from above, to be searched."""
+        """A search tree of the midpoints of the curves seen from above."""
         return cKDTree((self.curves[:, 0] + self.curves[:, 1] / 2)[:, :2])
 
 
@@ -194,7 +194,7 @@ def points_on(
 
 
 def flight(num_views: int, side: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Poses (V, 3, 4) on a grid, looking in four directions, and (V, 2) the places looked at."""
+    """Poses (V, 3, 4) on a grid, looking in four directions, and (V, 2) points in their centres."""
     poses, targets = [], []
     for index in range(num_views):
         row, column = divmod(index, side)

@@ -150,7 +150,7 @@ def run_stages(
     options: PipelineOptions,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Import what the stages need, run them, and return the report."""
+    """Import the stages, run them, and return the report."""
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run
     from colmap_edges.report.rerun_viewer import open_viewer

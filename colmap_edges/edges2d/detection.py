@@ -116,7 +116,7 @@ def followed_further(
 def resized(picture: _Picture, scale: float) -> _Picture:
     """The picture (H, W) resized: pixel (x, y) moves to `scale` times (x, y).
 
-    Pixels of a downsampled picture are means of those that they cover, which reduces noise.
+    Pixels of a downsampled picture are means over their area, which reduces noise.
     """
     if scale == 1:
         return picture

@@ -1,8 +1,8 @@
-"""Finds faint edges: straight lines of less contrast than the detector asks for.
+"""Detection of faint straight edges, whose contrast is below EdgeDrawing's threshold.
 
-Walls meet walls and ceilings at a few gray levels, which EdgeDrawing takes for nothing. A faint
-chain tells by its length what its contrast does not: noise and texture of that strength do not
-run straight (as in a-contrario detection of segments; Grompone von Gioi et al. 2010).
+Walls and ceilings often differ by a few intensity levels only. Noise and texture of that contrast
+form no long straight chains, so faint chains are accepted where they are straight (as in
+a-contrario detection of segments; Grompone von Gioi et al. 2010).
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 SIGMA_PX = 1.0  # blur under which noise of pixels averages out
 MIN_SLOPE = 0.6  # gray levels a pixel: rounding to whole levels makes steps of 0.4
 MAX_SLOPE = 1.8  # EdgeDrawing's own threshold: 11 of Prewitt's sums, which are 6 times the slope
-SAMPLE = 4  # pixels between those that noise is measured at
+SAMPLE = 4  # spacing of the pixels at which noise is measured
 HYSTERESIS = 0.5  # of the slope for pixels linked to one above it; Canny: a half to a third
 STEPS = 256  # of a gray level a pixel, in 16 bits
-STRAIGHT_PX = 24.0  # length of a straight stretch
-TOLERANCE_PX = 1.0  # from it: its pixels are rounded, and noise moves them
-TAKEN_PX = 3.0  # around the detector's chains, in pixels of the upsampled image
+STRAIGHT_PX = 24.0  # minimum length of a straight stretch
+TOLERANCE_PX = 1.0  # distance of its pixels from a line: they are rounded, and noise moves them
+TAKEN_PX = 3.0  # radius around EdgeDrawing's chains, in pixels of the upsampled image
 MAD = 0.6745  # median absolute deviation of a normal distribution, in standard deviations
 
 
 def faint_pixel_chains(
     image: Picture, scale: float, pixels: FloatArray, noises: float
 ) -> tuple[FloatArray, IntArray]:
-    """Pixel chains of faint straight edges away from those that are found already.
+    """Pixel chains of faint straight edges that are not near the given chains.
 
     Args:
         image: (H, W) uint8 grayscale, as given.
-        scale: how many times the image is upsampled where the chains are used.
-        pixels: (N, 2) of the chains found already, in pixels of the upsampled image.
-        noises: slope of a faint edge, in standard deviations of the image's slopes.
+        scale: upsampling factor of the images in which the chains are used.
+        pixels: (N, 2) pixels of EdgeDrawing's chains, in the upsampled image.
+        noises: minimum slope of a faint edge, in standard deviations of the image's slopes.
 
     Returns:
         (M, 2) points in pixels of the upsampled image (OpenCV's origin), and (C + 1,) offsets.
-        None where noise and texture are as strong as the detector's threshold.
+        Empty if noise and texture are as strong as EdgeDrawing's threshold.
     """
     edges = faint_pixels(image, noises)
     if edges is None:
@@ -56,9 +56,9 @@ def faint_pixel_chains(
 
 
 def faint_pixels(image: Picture, noises: float) -> Picture | None:
-    """(H, W) uint8, not 0 where gray changes most and by more than noise and texture do.
+    """(H, W) uint8, nonzero at crests of the gradient above the level of noise and texture.
 
-    None where these are as strong as the detector's threshold.
+    None if noise and texture are as strong as EdgeDrawing's threshold.
     """
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
@@ -74,7 +74,7 @@ def faint_pixels(image: Picture, noises: float) -> Picture | None:
 
 
 def without_stairs(edges: Picture) -> Picture:
-    """(H, W) uint8 of lines (H, W) without the corners of their steps, which would be junctions."""
+    """The lines (H, W) without the corner pixels of their steps, which would become junctions."""
     padded = np.pad((edges > 0).astype(np.uint8), 1)
     flat, width = padded.reshape(-1), padded.shape[1]
     places = np.flatnonzero(flat)

@@ -34,9 +34,11 @@ def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray)
     logs = np.logspace(np.log10(low) - 0.01, np.log10(high) + 0.01, 41)
     pixels = "reprojection error, px"
     return [
-        histogram("Views per edge", "views", "edges", num_views, views),
-        histogram("Residuals", pixels, "observations", finite, np.linspace(0, limit, 51)),
-        histogram("Lengths of edges", "length, scene units", "edges", lengths, logs, log=True),
+        histogram("Edges by number of views", "views", "edges", num_views, views),
+        histogram(
+            "Observations by residual", pixels, "observations", finite, np.linspace(0, limit, 51)
+        ),
+        histogram("Edges by length", "length, scene units", "edges", lengths, logs, log=True),
     ]
 
 
@@ -56,7 +58,12 @@ def histogram(
     right = LEFT + (scale(bins) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
     base = HEIGHT - BOTTOM
     heights = counts / top * (base - TOP)
-    parts = [
+    parts = []
+    for value in nice_ticks(0, top):
+        at = base - value / top * (base - TOP)
+        parts.append(f'<path d="M{LEFT - 4} {at:.1f}H{WIDTH - RIGHT}"/>')
+        parts.append(label(LEFT - 8, at + 4, shortened(value), "end"))
+    parts += [
         f'<rect x="{x:.1f}" y="{base - height:.1f}" width="{max(end - x - 0.5, 0.5):.1f}" '
         f'height="{height:.1f}"><title>{first:.4g} to {last:.4g}: {count:,} {y_title}</title>'
         "</rect>"
@@ -68,13 +75,9 @@ def histogram(
     for value in decades(low, high) if log else nice_ticks(low, high):
         at = LEFT + (float(scale(value)) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
         parts.append(label(at, base + 16, shortened(value), "middle"))
-    for value in nice_ticks(0, top):
-        at = base - value / top * (base - TOP)
-        parts.append(f'<path d="M{LEFT - 4} {at:.1f}H{WIDTH - RIGHT}"/>')
-        parts.append(label(LEFT - 8, at + 4, shortened(value), "end"))
     parts.append(label((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_title, "middle"))
     middle = f"median {np.median(values):.4g}" if len(values) else "none"
-    return chart(title, f"{title}: {len(values):,} {y_title}, {x_title}, {middle}", y_title, parts)
+    return chart(title, f"{title}: {len(values):,} {y_title}, {x_title}, {middle}", parts)
 
 
 def label(x: float, y: float, text: str, anchor: str) -> str:
@@ -87,11 +90,11 @@ def shortened(value: float) -> str:
     return f"{value:,.10g}" if abs(value) < 1e6 else f"{value / 1e6:,.10g} M"
 
 
-def chart(title: str, description: str, unit: str, parts: Sequence[str]) -> str:
-    """A figure with title, unit and chart; `description` is for screen readers."""
+def chart(title: str, description: str, parts: Sequence[str]) -> str:
+    """A figure with title and chart of counts; `description` is for screen readers."""
     return (
         f'<figure class="chart"><figcaption>{html.escape(title)} '
-        f'<span class="unit">({html.escape(unit)})</span></figcaption>'
+        '<span class="unit">(count)</span></figcaption>'
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(description)}" '
         f'fill="{EDGE_COLOR}">{"".join(parts)}</svg></figure>'
     )
@@ -144,12 +147,12 @@ def funnel_charts(funnel: Sequence[Mapping[str, Any]]) -> str:
     """Charts of the numbers left after each step of tracing, one per unit."""
     groups: dict[str, list[tuple[str, float, str]]] = {}
     for step in funnel:
-        part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of previous)"
+        part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of the line above)"
         row = (step["name"], float(step["count"]), f"{step['count']:,}{part}")
         groups.setdefault(step["unit"], []).append(row)
     ends = [f"{text} {name}" for ((name, _, text), *more) in groups.values() if not more]
     tables = [
-        bar_rows(rows, f"Counted in {unit}", "numbers left after each step")
+        bar_rows(rows, f"Number of {unit}", "numbers left after each step")
         for unit, rows in groups.items()
         if len(rows) > 1
     ]

@@ -26,7 +26,7 @@ class ImagePicture:
     Attributes:
         view: index of the view.
         photo: the reduced image, JPEG.
-        detected: its 2D edge graph, transparent PNG of the same size.
+        detected: its 2D edge graph, transparent PNG of the same size; empty if it has no lines.
         dropped: detected edges that are not in the graph, or None.
         shape: height and width, pixels.
     """

@@ -348,9 +348,21 @@ def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> lis
         if key in trace:
             part = trace[key] / trace[before] if before and trace.get(before) else None
             steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
-    steps.append(Step(name="3D edge points", count=trace.get("edge_points", 0), unit=POINTS))
+    steps += point_steps(trace)
     steps.append(Step(name="3D edges", count=trace.get("edges", 0), unit="edges"))
     return steps + face_steps(counts["faces"]) if "faces" in counts else steps
+
+
+def point_steps(trace: Counts) -> Iterator[Step]:
+    """The last steps of tracing, which keep of each edge one copy and separate contours."""
+    points, before = trace.get("edge_points", 0), trace.get("points_of_curves", 0)
+    if not before:
+        yield Step(name="3D edge points", count=points, unit=POINTS)
+        return
+    left = before - trace.get("points_of_contours", 0)
+    yield Step(name="not on view-dependent contours", count=left, unit=POINTS, share=left / before)
+    name = "3D edge points, after copies from other views are merged"
+    yield Step(name=name, count=points, unit=POINTS, share=points / max(left, 1))
 
 
 def face_steps(faces: Counts) -> list[Step]:
@@ -372,11 +384,11 @@ def face_steps(faces: Counts) -> list[Step]:
 CELLS, FACE_CELLS = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
 PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
 CHAIN_FUNNEL = (
-    ("samples", "", SAMPLES, "samples"),
+    ("samples", "", SAMPLES, "placed on 2D edges"),
     ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
     ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
-    ("samples_in_runs", "samples_confirmed", SAMPLES, "in reliable runs"),
-    ("points_traced", "", POINTS, "traced along new stretches of chains"),
+    ("samples_in_runs", "samples_confirmed", SAMPLES, "in runs of confirmed depths"),
+    ("points_traced", "", POINTS, "traced from each view"),
     ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
     ("points_of_curves", "points_observed_enough", POINTS, "kept by the a-contrario test"),
 )

@@ -11,19 +11,19 @@ from colmap_edges.report.diagnosis import counts_by_stage
 # Descriptions of output files, with programs that open them.
 VIEWERS = {
     "sparse": "COLMAP model: colmap gui, or any program that reads COLMAP models",
-    "edges.ply": "3D edges: MeshLab, Blender",
+    "edges.ply": "3D edges as points and segments: MeshLab, Blender",
     "edges.obj": "3D edges as polylines: Blender, CloudCompare",
     "edges.glb": "3D edges: glTF viewers, Blender, game engines",
     "edges.dxf": "3D edges as lines, arcs, circles, ellipses, splines: CAD programs",
-    "edges.json": "edges as data: points in the model, length, views, residual, curves",
-    "mesh.ply": "mesh: MeshLab, Blender, CloudCompare",
-    "mesh.obj": "mesh: MeshLab, Blender, CloudCompare",
-    "mesh.glb": "mesh: Blender, any glTF viewer",
+    "edges.json": "3D edges as data: IDs of points in sparse/, length, views, residual, curves",
+    "mesh.ply": "triangle mesh: MeshLab, Blender, CloudCompare",
+    "mesh.obj": "triangle mesh: MeshLab, Blender, CloudCompare",
+    "mesh.glb": "triangle mesh: Blender, any glTF viewer",
     "faces.json": "planar faces between the edges: plane, outline, holes, area, views",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs",
     "report.html": "report with all results: a web browser, no network needed",
-    "report.json": "options, versions, counts, times and memory of every stage",
+    "report.json": "options, versions, counts, times and memory of each stage",
 }
 # Generic folder names, unsuitable as a scene's name.
 COMMON_NAMES = {
@@ -56,7 +56,7 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     if (faces := counts.get("faces")) is not None:
         texts["Faces"] = faces_text(faces)
     if mesh is not None:
-        texts["Mesh"] = f"{mesh['faces']:,} triangles with {mesh['vertices']:,} corners"
+        texts["Mesh"] = f"{mesh['faces']:,} triangles, {mesh['vertices']:,} vertices"
         if not mesh["faces"]:
             texts["Mesh"] = "empty"
     return texts
@@ -97,7 +97,7 @@ def headline(record: Mapping[str, Any]) -> str:
         parts.append(
             f"{write['edges']:,} 3D edges, total length {write['length']:,.4g} scene units"
             if write["edges"]
-            else "No 3D edge"
+            else "no 3D edge"
         )
     if (faces := counts.get("faces")) and faces["planar_faces"]:
         parts.append(f"{faces['planar_faces']:,} planar faces")

@@ -12,6 +12,7 @@ const TURN = Math.PI / 24;
 const KEYS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]};
 const PARTS = {faces: ["outlines"]};  // traces that one switch shows with another
 const INSTEAD_OF = {faces: "mesh", mesh: "faces"};  // they lie in one place and would flicker
+const UNITS = {views: "views", residual: "px", length: "scene units"};
 const NEARER = {"+": 0.85, "=": 0.85, "-": 1 / 0.85};
 
 const byId = (id) => document.getElementById(id);
@@ -101,7 +102,7 @@ function colourEdges() {
   const [cmin, cmax] = colourRange(by, values);
   byId("scale").hidden = by === "edge";
   byId("least").textContent = Number(cmin.toPrecision(3));
-  byId("most").textContent = `${Number(cmax.toPrecision(3))}`;
+  byId("most").textContent = `${Number(cmax.toPrecision(3))} ${UNITS[by] ?? ""}`;
   return Plotly.restyle(scene, {
     "line.color": [Array.from(lineEdges, (edge) => values[edge])],
     "line.cmin": cmin, "line.cmax": cmax,
@@ -115,7 +116,7 @@ function chooseEdge(edge) {
   const part = (axis) => Array.from(line[axis].subarray(first, last - 1));
   Plotly.restyle(scene, {x: [part("x")], y: [part("y")], z: [part("z")]}, [traceOf("chosen")]);
   const facts = [
-    ["id", edge], ["edge points", edges.points[edge]], ["views", edges.views[edge]],
+    ["number", edge], ["points", edges.points[edge]], ["views", edges.views[edge]],
     ["length, scene units", edges.length[edge].toPrecision(4)],
     ["mean residual, px", edges.residual[edge].toFixed(3)],
   ];

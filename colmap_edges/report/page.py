@@ -38,7 +38,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
 
     pictures = contents.pictures
     name = scene_name(record["paths"])
-    made = f"{record['date'][:10]}, {record['date'][11:16]}"
+    made = f"{record['date'][:10]} at {record['date'][11:16]} UTC"
     what = {"3D edges": contents.edges, "mesh": contents.mesh}
     kinds = " and ".join(kind for kind, there in what.items() if there is not None) or "model"
     template = Template(resource("page.html"))
@@ -47,7 +47,8 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         scene=html.escape(name),
         headline=html.escape(headline(record)),
         made=html.escape(
-            f"{made} by colmap-edges {record['versions']['colmap-edges']}, {record['command']}"
+            f"Made by colmap-edges {record['command']} "
+            f"(version {record['versions']['colmap-edges']}) on {made}."
         ),
         facts=table_html(list(outcome(record).items())),
         findings=findings_html(record["findings"]),
@@ -56,7 +57,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         charts="".join(charts(contents)),
         seconds=stage_chart(record["stages"]),
         stages=stages_html(record["stages"]),
-        files=table_html(file_rows(path.parent)),
+        files=files_html(path.parent),
         versions=html.escape(", ".join(f"{k} {v}" for k, v in record["versions"].items())),
         paths=table_html([(key, str(value)) for key, value in record["paths"].items()]),
         options=table_html(option_rows(record["options"])),
@@ -123,16 +124,25 @@ def sentence(text: str) -> str:
 
 def funnel_html(funnel: Sequence[Mapping[str, Any]]) -> str:
     """The section with the numbers left after each step, and their shares."""
-    if not funnel:
+    if not any(step["count"] for step in funnel):
         return ""
     title = "Where edges were lost: numbers left after each step"
     return f'<section id="funnel"><h2>{title}</h2>{funnel_charts(funnel)}</section>'
 
 
-def file_rows(folder: Path) -> list[tuple[str, ...]]:
-    """The files next to the page and programs that open them; report.json is written later."""
+def files_html(folder: Path) -> str:
+    """Links to the files next to the page, with programs that open them.
+
+    report.json is written later.
+    """
     made = [name for name in VIEWERS if (folder / name).exists() or name == "report.json"]
-    return [(name, VIEWERS[name]) for name in made if name != "report.html"]
+    lines = (
+        f'<tr><th scope="row"><a href="{name}">{name}</a></th>'
+        f"<td>{html.escape(VIEWERS[name])}</td></tr>"
+        for name in made
+        if name != "report.html"
+    )
+    return f"<table>{''.join(lines)}</table>"
 
 
 def stages_html(stages: Sequence[Mapping[str, Any]]) -> str:
@@ -140,13 +150,21 @@ def stages_html(stages: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for stage in stages:
         counts = {k: v for k, v in stage["counts"].items() if isinstance(v, int | float)}
-        texts = (html.escape(f"{v:,} {k.replace('_', ' ')}") for k, v in counts.items())
+        texts = (html.escape(count_text(k, v)) for k, v in counts.items())
         cells = " ".join(f'<span class="count">{text}</span>' for text in texts)
         name, memory = html.escape(stage["name"]), f"{stage['peak_mb']:.0f} MB"
         rows.append(
             f'<tr><th scope="row">{name}</th><td class="number">{memory}</td><td>{cells}</td></tr>'
         )
     return f"<table>{''.join(rows)}</table>"
+
+
+def count_text(name: str, value: float) -> str:
+    """A count as "24 images", any other figure as "length 273.4"."""
+    words = name.replace("_", " ")
+    if words.endswith(" px"):
+        return f"{words.removesuffix(' px')} {value:,} px"
+    return f"{words} {value:,}" if isinstance(value, float) else f"{value:,} {words}"
 
 
 def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str, ...]]:
@@ -163,13 +181,13 @@ def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
 def pictures_html(contents: Contents) -> str:
     """One figure per image: the photograph under its layers, and its name."""
     figures = []
+    edges = contents.edges if contents.edges and contents.edges.num_edges else None
     for number, picture in enumerate(contents.pictures):
         name = html.escape(contents.model.views[picture.view].name)
-        reprojected = reprojected_layer(picture, contents.model, contents.edges)
         layers = {
             "detected": picture.detected,
             "dropped": picture.dropped,
-            "reprojected": reprojected,
+            "reprojected": reprojected_layer(picture, contents.model, edges) if edges else None,
         }
         images = "".join(
             f'<img class="layer {kind}" alt="" src="{data_uri("png", data)}">'

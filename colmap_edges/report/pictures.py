@@ -50,11 +50,12 @@ class PictureTaker:
         scale = min(self.side_px / max(width, height), 1.0)
         size = max(round(width * scale), 1), max(round(height * scale), 1)
         photo = reduced(image, size)
+        lines = graph_lines(found.graph, scale)
         dots, shape = np.repeat(found.dropped[:, None], 2, axis=1), (size[1], size[0])
         return ImagePicture(
             view=index,
             photo=encoded(".jpg", photo, JPEG),
-            detected=layer(graph_lines(found.graph, scale), scale, shape, DETECTED_BGR),
+            detected=layer(lines, scale, shape, DETECTED_BGR) if lines else b"",
             dropped=layer([dots], scale, shape, DROPPED_BGR) if len(dots) else None,
             shape=shape,
         )

@@ -14,7 +14,9 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.contents import Contents
 
 FOV = np.pi / 4  # vertical field of view of plotly.js
-SHOWN_SHARE = 98  # percentage of the observed points shown by a viewpoint outside the scene
+SHOWN_SHARE = 98  # percentile of the coordinates of points that bounds the scene
+SHOWN_MARGIN = 0.15  # of that extent, beyond which points are outliers, as in `bounds`
+BACK = 1.05  # factor of the distance, for a border around the scene
 MAX_BEHIND = 0.1  # share of the scene behind a camera above which the camera is inside
 
 
@@ -53,7 +55,7 @@ def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]
     for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
         if len(points):
             low, high = np.percentile(points, [2, 98], axis=0)
-            margin = 0.15 * (high - low)
+            margin = SHOWN_MARGIN * (high - low)
             parts.append(np.stack([low - margin, high + margin]))
     corners = np.concatenate(parts)
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -105,11 +107,13 @@ def fitted(points: FloatArray, view: Viewpoint, aspect: float) -> Viewpoint:
     """The viewpoint moved along its direction so that the picture holds all but outliers."""
     local = (points - view.focus) @ view.axes.T
     low, high = np.percentile(local, [100 - SHOWN_SHARE, SHOWN_SHARE], axis=0)
+    margin = SHOWN_MARGIN * (high - low)
+    inliers = ((local >= low - margin) & (local <= high + margin)).all(axis=1)
     middle = (low + high) / 2 * np.array([1, 1, 0])
-    right, down, forward = (local - middle).T
+    right, down, forward = (local[inliers] - middle).T
     half = np.tan(FOV / 2) * np.array([aspect, 1.0])
     needed = np.maximum(np.abs(right) / half[0], np.abs(down) / half[1]) - forward
-    distance = 1.1 * max(float(np.percentile(needed, SHOWN_SHARE)), 1e-9)
+    distance = BACK * max(float(needed.max(initial=0.0)), 1e-9)
     focus = view.focus + middle @ view.axes
     return Viewpoint(eye=focus - distance * view.axes[2], focus=focus, up=view.up)
 

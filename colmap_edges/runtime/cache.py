@@ -132,10 +132,10 @@ def seal(kind: str, key: str, packed: memoryview) -> bytes:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder of the cache; a link at its place may lead to what is not the cache's.
+    """Make a folder of the cache; links are rejected, since they may lead to other folders.
 
     Raises:
-        OSError: when that cannot be done.
+        OSError: if the folder cannot be made or is a link.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if folder.is_symlink():
@@ -143,7 +143,7 @@ def make_own_folder(folder: Path) -> None:
 
 
 def remove_forgotten(folder: Path) -> None:
-    """Remove what killed runs left unfinished; nothing of another name than theirs."""
+    """Remove unfinished entries of killed runs; files with other names stay."""
     for path in folder.iterdir():
         try:
             status = path.lstat()
@@ -155,10 +155,10 @@ def remove_forgotten(folder: Path) -> None:
 
 
 def key_of(*parts: Any) -> str:
-    """The key of what is made from `parts` by this version of the code.
+    """The key of a result computed from `parts` by this version of the code.
 
     Args:
-        parts: bytes, arrays, dataclasses of options, and what JSON can hold.
+        parts: bytes, arrays, dataclasses of options, and values that JSON can hold.
     """
     found = hashlib.sha256(code_version().encode())
     for part in parts:
@@ -169,7 +169,7 @@ def key_of(*parts: Any) -> str:
 
 
 def described(part: Any) -> tuple[str, bytes]:
-    """What kind of thing a part of a key is, and its bytes."""
+    """Type and bytes of a part of a key."""
     if isinstance(part, bytes):
         return "bytes", part
     if isinstance(part, np.ndarray):
@@ -180,7 +180,7 @@ def described(part: Any) -> tuple[str, bytes]:
 
 @cache
 def code_version() -> str:
-    """Digest of this package's code and the versions of what it computes with.
+    """Digest of this package's code and the versions of its numerical libraries.
 
     Any change of the code changes the digest, since its effect on results is unknown.
     """
@@ -195,7 +195,7 @@ def code_version() -> str:
 
 
 def library_version(name: str) -> str:
-    """Version of a library, or nothing when it is not there."""
+    """Version of a library; empty if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -47,7 +47,7 @@ class Workers:
 
 @contextmanager
 def local_workers(num_threads: int, cache: Cache | None = None) -> Iterator[Workers]:
-    """Threads of this process: one per image, but all together on one view at a time.
+    """Threads of this process: one per image; views are traced one by one, each by all threads.
 
     This keeps few views in memory, and no thread idles while the last view is processed.
     """

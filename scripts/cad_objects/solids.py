@@ -51,7 +51,7 @@ def tray() -> Manifold:
 
 
 def elbow() -> Manifold:
-    """A bent pipe with two flanges, bored wider there: mostly smooth."""
+    """A bent pipe with two counterbored flanges: mostly smooth."""
     flanges = cylinder(0.08, 0.22).rotate((90, 0, 0)).translate((0.4, 0.06, 0))
     flanges += cylinder(0.08, 0.22).rotate((0, 90, 0)).translate((-0.04, 0.4, 0))
     circles = (arc(radius, 0, 360, SEGMENTS + 1)[:-1] for radius in (0.12, 0.08))
@@ -65,7 +65,7 @@ def elbow() -> Manifold:
 
 
 def plate() -> Manifold:
-    """Rows of square and round holes: much that lies on one line."""
+    """Rows of square and round holes, with many collinear edges."""
     solid = box((0, 1), (0, 0.7), (0, 0.06))
     for i in range(6):
         for j in range(4):

@@ -36,7 +36,7 @@ def curves_by_kind(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, .
 
 
 def chains(points: np.ndarray, edges: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and edges of each chain between vertices where curves meet; closed ones repeat."""
+    """Vertices and edges of each chain between junctions; closed chains repeat the first vertex."""
     neighbors: dict[int, list[tuple[int, int]]] = {}
     for index, (a, b) in enumerate(edges.tolist()):
         neighbors.setdefault(a, []).append((b, index))
@@ -67,7 +67,7 @@ def walk(
     passed: set[int],
     used: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Follow edges from a vertex to where curves meet, or round to it again."""
+    """Follow edges from a vertex to the next junction, or around a closed curve."""
     chain, members = [start], []
     while True:
         vertex, edge = step
@@ -81,7 +81,7 @@ def walk(
 
 
 def pieces(points: np.ndarray) -> list[tuple[int, int]]:
-    """Ends (first, last) of the stretches of a chain (n, 3) that are bent, or straight, throughout.
+    """First and last points of the entirely bent or entirely straight stretches of a chain (n, 3).
 
     A straight stretch within a curve is one edge of the mesh that is much longer than its
     neighbours, or successive edges on one line.
@@ -117,7 +117,7 @@ def kind_of(points: np.ndarray) -> tuple[int, tuple[float, float]]:
 
 
 def conic_radii(plane: np.ndarray) -> tuple[float, float] | None:
-    """Larger and smaller radius of the circle, or ellipse, of (n, 2) points; None of neither."""
+    """Radii, larger first, of the circle or ellipse through (n, 2) points; None if neither fits."""
     rows = np.column_stack([2 * plane, np.ones(len(plane))])
     found = np.linalg.lstsq(rows, (plane**2).sum(axis=1), rcond=None)[0]
     radius = np.sqrt(found[2] + found[:2] @ found[:2])

@@ -9,7 +9,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 from numpy.typing import NDArray
 
-SINK = 0.1  # how deep a body stands in the plinth, so that no two faces coincide
+SINK = 0.1  # depth by which a body enters the plinth, so that no two faces coincide
 SEGMENTS = 96  # around a full turn; chord error under 0.001 of the radius
 
 
@@ -181,7 +181,7 @@ def curved_wall() -> Iterator[Body]:
 
 
 def pear() -> Iterator[Body]:
-    """Yield a matte smooth body: its outline is no edge."""
+    """Yield a matte smooth body, whose silhouette is view-dependent."""
     t = np.linspace(0, np.pi, 49)
     radius = np.sin(t) * (0.42 - 0.13 * np.cos(t + np.pi)) + 0.05 * np.sin(t) * np.sin(3 * t)
     profile = np.column_stack([radius, -0.7 * np.cos(t) + 0.62])
@@ -190,7 +190,7 @@ def pear() -> Iterator[Body]:
 
 
 def glossy_sphere() -> Iterator[Body]:
-    """Yield a glossy ball: its outline, highlights and reflections are no edges."""
+    """Yield a glossy ball, whose silhouette, highlights and reflections are view-dependent."""
     profile = arc(0.5, -90, 90, 49)
     profile[[0, -1], 0] = 0.0
     yield Body(

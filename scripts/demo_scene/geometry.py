@@ -120,7 +120,7 @@ def continues(
     kind: NDArray[np.int32],
     ends: NDArray[np.int64],
 ) -> bool:
-    """Tell whether two edges, given by the ends that touch, belong to one curve."""
+    """Return whether two edges that touch, given by their touching ends, belong to one curve."""
     i, j = ends // 2
     near, far = edges[i][ends[0] % 2], (edges[i][1 - ends[0] % 2], edges[j][1 - ends[1] % 2])
     a, b = vertices[near] - vertices[far[0]], vertices[far[1]] - vertices[near]

@@ -6,7 +6,7 @@ import numpy as np
 from demo_scene.bodies import box, lathe
 from manifold3d import Manifold, OpType
 
-SINK = 0.02  # how deep a piece stands in the floor, so that no two faces coincide
+SINK = 0.02  # depth by which a piece enters the floor, so that no two faces coincide
 
 
 def table(length: float, width: float, height: float) -> Manifold:
@@ -115,7 +115,7 @@ def picture_frame(width: float, height: float) -> Manifold:
 
 
 def canvas(width: float, height: float) -> Manifold:
-    """What fills such a frame."""
+    """The picture inside such a frame."""
     x, z, t = width / 2 - 0.03, height / 2 - 0.03, 0.0
     return box((-x, x), (-0.015, 0.015), (-z + t, z - t))
 

@@ -27,7 +27,7 @@ CLEAR = 1e-4  # metres that rays start above a surface
 
 @dataclass(frozen=True, kw_only=True)
 class Caster:
-    """Triangles that rays hit; `origin` is taken off to keep single precision fine."""
+    """Triangles for ray casting; `origin` is subtracted to keep precision in float32."""
 
     corners: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -57,7 +57,7 @@ class Caster:
 
 @dataclass(frozen=True, kw_only=True)
 class LitSurface:
-    """A finely cut surface with its light.
+    """A finely subdivided surface with its light.
 
     Attributes:
         caster: Its triangles.
@@ -101,7 +101,7 @@ def barycentric(corners: NDArray, places: NDArray) -> NDArray[np.float64]:
 
 
 def illuminate(surface: Surface, room: Room, seed: int = 0, bounces: int = BOUNCES) -> LitSurface:
-    """The light in a room whose surface is cut finely (see `unite`)."""
+    """The light in a room whose surface is finely subdivided (see `unite`)."""
     caster = Caster.of(surface)
     materials = [body.material for body in room.bodies]
     random = np.random.default_rng(seed)
@@ -129,7 +129,7 @@ def illuminate(surface: Surface, room: Room, seed: int = 0, bounces: int = BOUNC
 
 
 def smooth_faces(surface: Surface, bodies: list[Body]) -> NDArray[np.int32]:
-    """(F,) number of the smooth face that each triangle is of."""
+    """(F,) smooth face of each triangle."""
     _, pairs = paired_faces(surface.faces)
     normals = face_normals(surface)
     cosine = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]])
@@ -142,7 +142,7 @@ def smooth_faces(surface: Surface, bodies: list[Body]) -> NDArray[np.int32]:
 
 
 def corner_averages(surface: Surface, group: NDArray) -> tuple[NDArray[np.int64], csr_matrix]:
-    """(F, 3) numbers of the corners of smooth faces, and the averages of triangles there."""
+    """(F, 3) indices of the corners of smooth faces, and averages over the triangles there."""
     whole = surface.faces.astype(np.int64) + group[:, None] * np.int64(len(surface.vertices))
     found, keys = np.unique(whole, return_inverse=True)
     keys = keys.reshape(whole.shape)
@@ -160,7 +160,7 @@ def in_chunks(count: int, rays_each: int) -> Iterator[slice]:
 
 
 def lamp_light(caster: Caster, lamp: Lamp, random: np.random.Generator) -> NDArray[np.float64]:
-    """(F,) light of a lamp on each triangle, over pi, by shadow rays to places spread over it."""
+    """(F,) light of a lamp on each triangle, over pi, by shadow rays to points on the lamp."""
     u, v = np.array(lamp.half_u), np.array(lamp.half_v)
     towards = np.array(lamp.towards, float)
     area = 4 * np.linalg.norm(u) * np.linalg.norm(v)
@@ -182,7 +182,7 @@ def lamp_light(caster: Caster, lamp: Lamp, random: np.random.Generator) -> NDArr
 
 
 def gather(caster: Caster, random: np.random.Generator) -> csr_matrix:
-    """(F, F) share of each triangle in what another sees, by rays spread by the cosine."""
+    """(F, F) form factors between triangles, by rays with cosine-weighted directions."""
     count, rays_each = len(caster.corners), GATHER**2
     cells = (np.indices((GATHER, GATHER)).reshape(2, -1).T)[None]
     found = np.empty((count, rays_each), np.int32)

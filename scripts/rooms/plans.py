@@ -1,4 +1,4 @@
-"""The rooms: their bodies, their lamps, and where the cameras stand."""
+"""The rooms: bodies, lamps, and positions of the cameras."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Lamp:
-    """A glowing rectangle: middle, halves of its sides, which way it shines, and its strength."""
+    """A luminous rectangle: centre, half sides, direction of its light, and radiance."""
 
     center: Point
     half_u: Point
@@ -29,7 +29,7 @@ class Lamp:
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """A room with all that is in it; lengths in metres, z up."""
+    """A room with its bodies, lamps and cameras; lengths in metres, z up."""
 
     bodies: list[Body]
     lamps: list[Lamp]
@@ -76,7 +76,7 @@ def around(
 
 
 def posed(views: list[tuple[Point, Point]]) -> list[TrueCamera]:
-    """Views with small rolls, as of a hand-held camera."""
+    """Views with small rolls, like those of a hand-held camera."""
     return [looking(i, *view, 2.5 * np.sin(1.3 * i)) for i, view in enumerate(views)]
 
 
@@ -202,7 +202,7 @@ def attic() -> Room:
 
 
 def gable(thickness: float, length: float) -> Manifold:
-    """All below a roof with its ridge along x at y = 2.3, moved outwards by `thickness`."""
+    """The volume below a roof with its ridge along x at y = 2.3, moved outwards by `thickness`."""
     low, high = 1.2 + thickness / np.cos(np.radians(38)), 3.0 + thickness
     outline = np.array(
         [(-1.0, -0.3), (5.6, -0.3), (5.6, low - 0.78), (2.3, high), (-1.0, low - 0.78)]
@@ -211,7 +211,7 @@ def gable(thickness: float, length: float) -> Manifold:
 
 
 def corridor() -> Room:
-    """A corridor that turns, with doors, a rail, a bench and coffers; the camera walks ahead."""
+    """A corridor that turns, with doors, a rail, a bench and coffers; the camera moves forward."""
     long, side = ((0.0, 11.0), (0.0, 1.9)), ((9.1, 11.0), (0.0, 5.0))
     cavities = box(*long, (-1, 4)) + box(*side, (-1, 4))
     walls = box((-0.2, 11.3), (-0.4, 5.2), (-0.1, 2.5)) - cavities
@@ -301,5 +301,5 @@ ROOMS: dict[str, Callable[[], Room]] = {"living": living, "attic": attic, "corri
 
 
 def camera_centers(room: Room) -> NDArray[np.float64]:
-    """(V, 3) where the cameras stand."""
+    """(V, 3) positions of the cameras."""
     return np.array([camera.centre() for camera in room.cameras])

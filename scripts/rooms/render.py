@@ -61,7 +61,7 @@ def write_images(
 
 
 def exposure(surface: LitSurface, cameras: list[TrueCamera], pinhole: Pinhole) -> float:
-    """Light that is exposed to `MIDDLE`: one for all views, as of a locked camera."""
+    """Light that is exposed to `MIDDLE`; the same for all views, as with a locked exposure."""
     seen = []
     pixels = pinhole.centers(step=max(1, pinhole.width // 32))
     for camera in cameras:
@@ -98,7 +98,7 @@ def trace(
     pixels: NDArray[np.float64],
     white: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Light (N, 3) through pixels, and what (N,) they show: smooth face and body; -1: the sky."""
+    """Light (N, 3) through pixels, and smooth face and body (N,) shown by them; -1: the sky."""
     rays = pinhole.rays(camera, pixels)
     starts = np.broadcast_to(camera.centre(), rays.shape)
     faces, distance = surface.caster.hits(starts, rays)

@@ -29,7 +29,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Lead links to where files are on the site, and let mkdocstrings write the interface."""
+    """Convert links for the site, and let mkdocstrings write the Python interface."""
     source = FROM_OUTSIDE.get(page.file.src_uri, f"docs/{page.file.src_uri}")
     if page.file.src_uri == "api.md":
         markdown = interface()
@@ -39,7 +39,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def link(found: re.Match[str], source: str) -> str:
-    """A link of a file of the repository as it is on the site."""
+    """The link on the site for a link to a file of the repository."""
     mark, text, target, anchor = found.group(1), found.group(2), found.group(3), found.group(4)
     path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
     outside = {name: place for place, name in FROM_OUTSIDE.items()}

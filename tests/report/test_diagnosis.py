@@ -237,6 +237,16 @@ def test_funnel_gives_shares_of_like_counts():
     assert steps["3D edges"].count == 40
 
 
+def test_funnel_ends_with_contours_and_copies():
+    found = funnel(stages(trace={"points_of_contours": 50}), PipelineOptions())
+    steps = {step.name: (step.count, step.share) for step in found}
+    assert steps["not on view-dependent contours"] == (200, pytest.approx(0.8))
+    merged = "3D edge points, after copies from other views are merged"
+    assert steps[merged] == (200, pytest.approx(1.0))
+    only_contours = funnel(stages(trace={"points_of_contours": 250}, edges=0), PipelineOptions())
+    assert [step.count for step in only_contours[-3:]] == [0, 0, 0]
+
+
 def test_shares_are_of_steps_with_the_same_unit():
     steps = funnel(stages(), PipelineOptions())
     for before, step in itertools.pairwise(steps):

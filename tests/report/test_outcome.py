@@ -20,7 +20,7 @@ def test_outcome_of_each_command():
         "Images": "24 with poses",
         "Edges": "270 in 3D, total length 285.1 scene units, median reprojection error 0.064 px",
         "Points": "11,878 SfM points and 10,756 edge points in the written model",
-        "Mesh": "54,309 triangles with 27,207 corners",
+        "Mesh": "54,309 triangles, 27,207 vertices",
     }
     detected = outcome(record(read=READ, detect=DETECT))
     assert detected["Edges"] == "8,018 2D polylines of 673,074 pixels"

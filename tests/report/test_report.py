@@ -258,7 +258,7 @@ def test_keys_turn_the_view_and_choose_edges(shown):
         " n.dispatchEvent(new Event('change')); 1}"
     )
     chosen = shown.evaluate("document.getElementById('chosen').innerText").split()
-    assert chosen[:2] == ["id", "1"]
+    assert chosen[:2] == ["number", "1"]
 
 
 def test_page_is_accessible_to_screen_readers(shown):
@@ -380,7 +380,7 @@ def check_click(page):
     chosen = page.evaluate("document.getElementById('chosen').innerText")
     assert "mean residual, px" in chosen
     edge = page.evaluate("lineEdges[window.under.pointNumber]")
-    assert chosen.split()[:2] == ["id", str(edge)]
+    assert chosen.split()[:2] == ["number", str(edge)]
     assert page.evaluate("document.querySelectorAll('#chosen-pictures canvas').length") >= 2
 
 

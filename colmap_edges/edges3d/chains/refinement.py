@@ -145,7 +145,7 @@ def refine_curves(
         for _ in range(2):
             changes = depth_step(curves, observers.sums(curves, positions), options)
             curves = replace_depths(curves, curves.inverse_depths + changes)
-    # Last, once observations are reliable: before, wrong ones would move points off the chain.
+    # In the last step only: wrong observations of earlier steps would move points off the chain.
     normals = curves.normals
     changes, shifts = joint_step(curves, observers.sums(curves, positions, normals), options)
     curves = replace(curves, undistorted=curves.undistorted + shifts[:, None] * normals)

@@ -20,7 +20,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.executors import Workers
 
 T = TypeVar("T")
-ByView = Sequence[T] | Mapping[int, T]  # of all views, or of those that a task needs
+ByView = Sequence[T] | Mapping[int, T]  # an item per view, of all or of those used by a task
 
 NUM_KEPT = 64  # search indices that a worker keeps, more than a view has neighbours
 # On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
@@ -29,7 +29,7 @@ KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
 
 @dataclass(frozen=True, kw_only=True)
 class TracingInput:
-    """The views with their edge graphs, whole or what remains of them, and the selected views.
+    """The views with their edge graphs, whole or remaining parts, and the selected views.
 
     Attributes:
         views: the posed views.

@@ -56,7 +56,7 @@ class DtuReference:
 class DtuErrors:
     """The benchmark's figures in mm, over distances below 20 mm; None if not computable.
 
-    Accuracy needs the mask. Completeness needs the plane, and the mask for its box.
+    Accuracy needs the mask. Completeness needs the plane and the box of the mask.
 
     Attributes:
         accuracy: Mean distance of the result inside the mask to the reference.

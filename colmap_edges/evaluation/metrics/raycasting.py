@@ -50,7 +50,7 @@ def load_geometry(path: Path) -> Any:
         raise ColmapEdgesError(f"{path} does not exist; give a mesh or point cloud")
     try:
         loaded = trimesh.load(path, process=False, maintain_order=True)
-        if isinstance(loaded, trimesh.Scene):  # such as of GLB
+        if isinstance(loaded, trimesh.Scene):  # for example from GLB
             loaded = trimesh.util.concatenate(loaded.dump())
     except Exception as error:
         reason = " ".join(str(error).split())[:200]

@@ -266,7 +266,7 @@ def read_plane(path: Path) -> FloatArray:
 def _matlab_errors(path: Path) -> Iterator[None]:
     try:
         yield
-    except Exception as error:  # SciPy's reader has no list of what it raises
+    except Exception as error:  # the exceptions of SciPy's reader are not documented
         reason = " ".join(str(error).split())[:200]
         raise ColmapEdgesError(f"{path} is not DTU's: {reason}") from error
 

@@ -21,6 +21,6 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with open_file(path) as file, np.load(file, allow_pickle=False) as data:
             return dict(data)
-    except Exception as error:  # NumPy's reader has no list of what it raises
+    except Exception as error:  # the exceptions of NumPy's reader are not documented
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ColmapEdgesError(f"{path} is not a readable .npz of arrays: {reason}") from error

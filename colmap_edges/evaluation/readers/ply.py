@@ -31,7 +31,7 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of NaN, which readers check
             elements = PlyData.read(BytesIO(content)).elements
-    except Exception as error:  # plyfile's parser has no list of what it raises
+    except Exception as error:  # the exceptions of plyfile's parser are not documented
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ColmapEdgesError(f"{path} is not a readable PLY file: {reason}") from error
     return {element.name: np.array(element.data) for element in elements}

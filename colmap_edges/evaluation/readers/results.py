@@ -166,7 +166,7 @@ def read_nodes(
 
 
 def tracks_of(written: Model, rows: IntArray, views: Int32Array) -> Observations:
-    """The tracks of some points of a model, by views that are called so."""
+    """The tracks of some points of a model, with `views` as the index of each of its images."""
     taken = entries_of(written.track_offsets, rows)
     return Observations.of_pixels(
         offsets=offsets_of(np.diff(written.track_offsets)[rows]),
