@@ -151,6 +151,7 @@ class Graphs:
         with self.lock:
             self.kept.clear()
             self.num_bytes, self.backend = 0, DiskBackend()
+        return_freed_memory()
 
     def _keep(self, view: int, graph: EdgeGraph) -> None:
         # The least recently used are dropped; the last stays, whatever its size.
@@ -187,6 +188,10 @@ class Kept(Generic[T]):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
         return Kept, (self.num_kept,)
+
+    def clear(self) -> None:
+        """Drop all values."""
+        self.things.clear()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """The value of `key`, made by `make` if it is not kept."""

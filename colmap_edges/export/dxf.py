@@ -109,8 +109,8 @@ def ellipse_tags(curves: Curves3D, curve: int, normal: FloatArray) -> Tags:
 
 def axes_of_planes(normals: FloatArray) -> FloatArray:
     """(C, 3, 3) rows: x, y and normal of a plane's coordinates (DXF: arbitrary axis algorithm)."""
-    steep = (np.abs(normals[:, :2]) < NEAR_AXIS).all(axis=1)
-    x = np.cross(np.where(steep[:, None], (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), normals)
+    steep = np.abs(normals[:, :2]).max(axis=1, initial=0) < NEAR_AXIS
+    x = np.cross(np.where(np.asarray(steep)[:, None], (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), normals)
     with np.errstate(invalid="ignore", divide="ignore"):
         x /= np.linalg.norm(x, axis=1, keepdims=True)
     y = np.cross(normals, x)
