@@ -48,7 +48,6 @@ from colmap_edges.edges3d.chains.tracing_input import NUM_KEPT, TracingInput, ma
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
-from colmap_edges.runtime.memory import return_freed_memory
 from colmap_edges.runtime.scheduling import Schedule, local_order
 
 
@@ -80,7 +79,7 @@ def trace_edges(
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
     kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
     kept, repeated = without_repeats(whole, kept, options.tracing)
-    return_freed_memory()
+    graphs.trim()
     result, linked = link(whole, kept, options, num_threads)
     about = {
         "views": len(model.views),
@@ -117,7 +116,7 @@ def trace_rounds(
     for _ in range(1, options.tracing.num_rounds):
         # Made again at the end in a hundredth of a round's time, they take half of its memory.
         whole.indexes.clear()
-        return_freed_memory()
+        whole.graphs.trim()
         rest = what_remains(whole, kept, options.tracing)
         # Limits come from the first round, whose curves are the most reliable.
         limits = kept.limits if traced else None
