@@ -201,6 +201,8 @@ def run_once(scene: Scene, variant: Variant, command: str, folder: Path) -> Stag
             arguments += [f"--{name}", str(path)]
         whole = execute([*arguments, *variant.flags], variant.tree)
     records = json.loads(report.read_text(encoding="utf-8"))["stages"]
+    # Each stage resets the process's peak, so that its own is that since the last stage began.
+    whole["peak_mb"] = max(whole["peak_mb"], *(record["peak_mb"] for record in records))
     return {record["name"]: record for record in records} | {WHOLE: whole}
 
 

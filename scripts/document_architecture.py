@@ -62,7 +62,7 @@ LIBRARIES = {
     ),
     "rich": ("cli.terminal",),
     "distributed": ("runtime.executors",),
-    "ezdxf": ("export.dxf",),
+    "ezdxf": (),
     "OCP": ("export.step",),
     "rerun": ("report.rerun_viewer",),
     "matplotlib": (),

@@ -40,6 +40,22 @@ def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:
     return np.argsort(keys.astype(np.uint16) if fits else keys, kind="stable")
 
 
+def row_numbers(rows: NDArray[np.integer[Any]]) -> IntArray:
+    """(N,) numbers of (N, K) rows: equal for equal rows and in their lexicographic order.
+
+    Single numbers sort much faster than rows.
+    """
+    numbers = np.zeros(len(rows), np.int64)
+    for column in rows.T.astype(np.int64) if len(rows) else ():
+        low, last = int(column.min()), int(numbers.max())
+        span = int(column.max()) - low + 1
+        if (last + 1) * span > np.iinfo(np.int64).max:
+            numbers, column = (np.unique(of, return_inverse=True)[1] for of in (numbers, column))
+            low, span = 0, len(rows)
+        numbers = numbers * span + (column - low)
+    return numbers
+
+
 def owners_of(offsets: IntArray) -> IntArray:
     """(offsets[-1],) row index of each entry, for (n + 1,) offsets."""
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))

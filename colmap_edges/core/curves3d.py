@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, offsets_of, ranks_of
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 KINDS = ("line", "arc", "circle", "elliptic_arc", "ellipse", "spline")
 LINE, ARC, CIRCLE, ELLIPTIC_ARC, ELLIPSE, SPLINE = range(len(KINDS))
@@ -105,6 +108,8 @@ class Curves3D:
 
     def spline(self, curve: int) -> BSpline:
         """A spline curve as scipy's BSpline."""
+        from scipy.interpolate import BSpline
+
         first, last = self.knot_offsets[curve : curve + 2]
         control = self.control_points[self.control_rows(curve)]
         return BSpline(self.knots[first:last], control, DEGREE)

@@ -105,7 +105,8 @@ class View:
 
     def holds(self, pixels: FloatArray, depths: FloatArray) -> BoolArray:
         """(N,) whether (N, 2) projections with (N,) depths are in front and inside the image."""
-        inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        x, y = pixels.T  # one by one: reductions of two elements are slow
+        inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
         return np.asarray(inside & (depths > 0))
 
 

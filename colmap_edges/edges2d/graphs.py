@@ -22,6 +22,9 @@ from colmap_edges.runtime.memory import return_freed_memory
 
 T = TypeVar("T")
 
+# Size of all graphs from which on freed memory is returned between steps: the system clears what is
+# requested again, which takes smaller scenes 2 % of a run.
+TRIM_BYTES = 1e8
 TRIM_EVERY = 64  # number of released graphs after which freed memory is returned to the system
 
 
@@ -150,7 +153,14 @@ class Graphs:
         """Drop all graphs in memory and on disk; none can be loaded afterwards."""
         with self.lock:
             self.kept.clear()
-            self.num_bytes, self.backend = 0, DiskBackend()
+            self.backend = DiskBackend()
+        self.trim()
+        self.num_bytes = 0
+
+    def trim(self) -> None:
+        """Return freed memory to the system, if graphs are large enough to be worth the time."""
+        if self.num_bytes > TRIM_BYTES:
+            return_freed_memory()
 
     def _keep(self, view: int, graph: EdgeGraph) -> None:
         # The least recently used are dropped; the last stays, whatever its size.
@@ -187,6 +197,10 @@ class Kept(Generic[T]):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
         return Kept, (self.num_kept,)
+
+    def clear(self) -> None:
+        """Drop all values."""
+        self.things.clear()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
         """The value of `key`, made by `make` if it is not kept."""

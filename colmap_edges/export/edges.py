@@ -94,10 +94,9 @@ def write_json(
         "nodes": node_records(edges, model, point3D_ids),
         "curves": curve_records(curves, edges.edge_offsets),
     }
+    encode = json.JSONEncoder(separators=(",", ":")).encode
     lists = (
-        f'"{name}": [\n'
-        + ",\n".join(json.dumps(record, separators=(",", ":")) for record in records)
-        + "\n]"
+        f'"{name}": [\n' + ",\n".join(map(encode, records)) + "\n]"
         for name, records in parts.items()
     )
     path.write_text("{" + ",\n".join(lists) + "}\n", encoding="utf-8")

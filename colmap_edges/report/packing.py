@@ -14,6 +14,7 @@ from colmap_edges.core.arrays import FloatArray
 
 NUM_STEPS = 60_000  # quantisation steps over the range of a coordinate
 LIFTED = 65535  # code for NaN, which interrupts lines
+GZIP_LEVEL = 4  # of 9; level 6 takes 1.8 times as long for 3 % fewer bytes
 # Types that page.js reads.
 TYPES = {"<f4": "f4", "<i4": "i4", "<u2": "u2", "|u1": "u1"}
 
@@ -68,7 +69,7 @@ def planes(values: NDArray[Any]) -> bytes:
 
 def compressed(data: bytes) -> bytes:
     """Bytes compressed by gzip, without time stamp."""
-    return gzip.compress(data, 6, mtime=0)
+    return gzip.compress(data, GZIP_LEVEL, mtime=0)
 
 
 def embedded(data: bytes) -> str:

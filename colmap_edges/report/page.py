@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model, observation_residuals
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.charts import edge_charts, funnel_charts, stage_chart
 from colmap_edges.report.contents import Contents, ImagePicture, Trace
@@ -36,7 +37,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
     """
     from plotly.offline import get_plotlyjs
 
-    pictures = contents.pictures
+    pictures, residuals = contents.pictures, residuals_of(contents)
     name = scene_name(record["paths"])
     made = f"{record['date'][:10]} at {record['date'][11:16]} UTC"
     what = {"3D edges": contents.edges, "mesh": contents.mesh}
@@ -54,7 +55,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         findings=findings_html(record["findings"]),
         still=data_uri("webp", still_picture(contents)),
         funnel=funnel_html(record["funnel"]),
-        charts="".join(charts(contents)),
+        charts="".join(charts(contents, residuals)),
         seconds=stage_chart(record["stages"]),
         stages=stages_html(record["stages"]),
         files=files_html(path.parent),
@@ -63,7 +64,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         options=table_html(option_rows(record["options"])),
         pictures=pictures_html(contents),
         picture_note=html.escape(picture_note(contents.model, pictures)),
-        data=embedded(pack(page_data(contents))),
+        data=embedded(pack(page_data(contents, residuals))),
         plotly=embedded(compressed(get_plotlyjs().encode())),
         script=resource("page.js"),
     )
@@ -77,24 +78,31 @@ def resource(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def page_data(contents: Contents) -> Trace:
+def residuals_of(contents: Contents) -> FloatArray:
+    """(T,) distances of the observations of edge points from projections, pixels."""
+    if contents.edges is None:
+        return np.zeros(0)
+    return observation_residuals(contents.model, contents.edges)
+
+
+def page_data(contents: Contents, residuals: FloatArray) -> Trace:
     """The data read by the page's script."""
     figure, starts = scene_figure(contents)
     model, edges = contents.model, contents.edges
     if edges is None or edges.num_edges == 0:
         return {"scene": figure, "edges": None}
     pictured = [picture.view for picture in contents.pictures]
-    data = edge_data(model, edges, observation_residuals(model, edges), pictured)
+    data = edge_data(model, edges, residuals, pictured)
     return {"scene": figure, "edges": {**data, "starts": starts.astype(np.int32)}}
 
 
-def charts(contents: Contents) -> list[str]:
+def charts(contents: Contents, residuals: FloatArray) -> list[str]:
     """The histograms of the 3D edges, if there are any."""
-    model, edges = contents.model, contents.edges
+    edges = contents.edges
     if edges is None:
         return []
-    num_views = views_per_edge(edges, len(model.views))
-    return edge_charts(num_views, observation_residuals(model, edges), edge_lengths(edges))
+    num_views = views_per_edge(edges, len(contents.model.views))
+    return edge_charts(num_views, residuals, edge_lengths(edges))
 
 
 def table_html(rows: Sequence[tuple[str, ...]]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray, row_numbers
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.report.contents import Contents, Trace, evenly_spread, xyz
@@ -182,11 +182,11 @@ def coarser(mesh: Mesh, max_faces: int) -> tuple[FloatArray, Int32Array, ByteArr
     sides = np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)
     cell = float(np.median(sides)) * np.sqrt(len(faces) / max_faces)
     while len(faces) > max_faces:
-        cells = np.floor(mesh.vertices / cell).astype(np.int64)
-        _, first, owner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        faces = owner.reshape(-1)[mesh.faces].astype(np.int32)
-        sides_differ = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-        faces = np.unique(faces[sides_differ], axis=0)
+        cells = row_numbers(np.floor(mesh.vertices / cell).astype(np.int64))
+        _, first, owner = np.unique(cells, return_index=True, return_inverse=True)
+        faces = owner[mesh.faces].astype(np.int32)
+        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+        faces = faces[np.unique(row_numbers(faces), return_index=True)[1]]
         vertices, colors, cell = mesh.vertices[first], mesh.colors[first], 1.3 * cell
     return vertices, faces, colors
 

@@ -62,14 +62,13 @@ def draw_faces_and_edges(canvas: Picture, contents: Contents, view: Viewpoint) -
     shapes, colors, depths = shaded_faces(contents, view, canvas.shape)
     lines, line_depths = edge_segments(contents, view, canvas.shape)
     order = np.argsort(-np.concatenate([depths, IN_FRONT * line_depths]), kind="stable")
-    fixed = [*fixed_point(shapes), *fixed_point(lines)]
+    corners, fills, ends = list(fixed_point(shapes)), colors.tolist(), fixed_point(lines).tolist()
     for index in order.tolist():
-        if index < len(shapes):
-            cv2.fillConvexPoly(canvas, fixed[index], colors[index].tolist(), cv2.LINE_8, SHIFT)
+        if index < len(corners):
+            cv2.fillConvexPoly(canvas, corners[index], fills[index], cv2.LINE_8, SHIFT)
         else:
-            first, last = fixed[index]
-            width = LINE_PX * FINER
-            cv2.line(canvas, first.tolist(), last.tolist(), EDGE_BGR, width, cv2.LINE_8, SHIFT)
+            first, last = ends[index - len(corners)]
+            cv2.line(canvas, first, last, EDGE_BGR, LINE_PX * FINER, cv2.LINE_8, SHIFT)
 
 
 def fixed_point(pixels: FloatArray) -> IntArray:

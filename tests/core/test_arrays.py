@@ -6,7 +6,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from colmap_edges.core.arrays import entries_of, offsets_of, order_of, owners_of, ranks_of
+from colmap_edges.core.arrays import (
+    entries_of,
+    offsets_of,
+    order_of,
+    owners_of,
+    ranks_of,
+    row_numbers,
+)
 
 lengths_of_rows = st.lists(st.integers(0, 4), max_size=8)
 
@@ -31,3 +38,15 @@ def test_order_is_stable(keys, kind):
     values = np.array(keys, kind)
     for limit in (max(keys, default=0) + 1, 1 << 20):
         assert order_of(values, limit).tolist() == expected
+
+
+@given(
+    st.lists(st.tuples(*3 * [st.integers(-3, 3) | st.integers(-(2**40), 2**40)]), max_size=20),
+    st.sampled_from([np.int32, np.int64]),
+)
+def test_rows_are_numbered_in_their_order(rows, kind):
+    table = np.array(rows, np.int64).reshape(-1, 3)
+    table = table if kind == np.int64 else table.astype(kind)
+    found = row_numbers(table)
+    expected = np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+    np.testing.assert_array_equal(np.unique(found, return_inverse=True)[1], expected)

@@ -92,6 +92,17 @@ def test_the_same_curves_give_the_same_file(curves, tmp_path):
     assert len(ezdxf.readfile(tmp_path / "none.dxf").modelspace()) == 0
 
 
+def test_handles_of_a_dxf_are_unique_and_below_the_next_one(curves, tmp_path):
+    write_dxf(curves, tmp_path / "edges.dxf")
+    lines = (tmp_path / "edges.dxf").read_text().split("\n")
+    tags = list(zip(map(int, lines[:-1:2]), lines[1::2], strict=True))
+    following = int(tags[tags.index((9, "$HANDSEED")) + 1][1], 16)
+    body = tags[tags.index((2, "TABLES")) :]  # codes of the header's values have other meanings
+    handles = [int(value, 16) for code, value in body if code in (5, 105)]
+    assert len(handles) > curves.num_curves
+    assert len(set(handles)) == len(handles) and max(handles) < following
+
+
 @pytest.mark.parametrize(("scale", "offset"), [(1e-9, 0.0), (1e7, 0.0), (1.0, 4.5e6)])
 def test_dxf_keeps_points_at_any_scale(curves, tmp_path, scale, offset):
     frames = curves.frames * scale

@@ -6,6 +6,8 @@ accidental observations is estimated from the same curve displaced in depth.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from scipy.special import bdtrc
 
@@ -19,6 +21,8 @@ from colmap_edges.options import RefinementOptions
 DISPLACEMENT_PX = 12.0  # displacement of the curve in depth, larger than its error
 CLOSE_SIGMAS = 2.5  # maximum residual of observations that count, in standard deviations of a chain
 PRIOR_TRIALS = 20  # pseudo-count of trials with one hit, the prior of the accidental rate
+# Points that are projected at once: the overhead of a call is small, the arrays stay in the cache.
+GROUP_SIZE = 5_000
 MIN_LOG = -12.0  # lower bound of the log probability of a single point
 
 
@@ -64,13 +68,20 @@ def chance_of_observations(
     return result
 
 
+def in_groups(cameras: Iterable[list[View]], most: int) -> Iterator[list[View]]:
+    """The views of each camera, at most so many at a time."""
+    return (
+        alike[first : first + most] for alike in cameras for first in range(0, len(alike), most)
+    )
+
+
 def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
     """(N,) number of views whose image (N, 3) world points fall into."""
     counts = np.zeros(len(points))
     cameras: dict[int, list[View]] = {}
     for view in views:
         cameras.setdefault(view.camera.camera_id, []).append(view)
-    for alike in cameras.values():  # one call per camera, since the overhead per call dominates
+    for alike in in_groups(cameras.values(), max(GROUP_SIZE // max(len(points), 1), 1)):
         turned = np.concatenate([view.rotation for view in alike]) @ points.T
         local = turned.reshape(len(alike), 3, -1).transpose(0, 2, 1)
         local = local + np.array([view.translation for view in alike])[:, None]

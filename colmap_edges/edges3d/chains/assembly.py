@@ -46,13 +46,16 @@ def link(
         return link_edges(pieces, options.linking, goes_on)
 
     once, merged = merge_traced(given, kept, options, num_threads)
-    pieces, contours = make_edges(given, once.edges), make_edges(given, once.contours)
-    whole = linked(linked(pieces))  # twice, since longer pieces have more accurate directions
-    whole = join_circles(whole, given, options, num_threads)
-    edges = meet_at_corners(cut_at_bends(whole), given, options, num_threads)
+    edges, contours = make_edges(given, once.edges), make_edges(given, once.contours)
+    num_pieces = edges.num_edges
+    # One name for all, so that no step's tables outlast the next one.
+    edges = linked(edges)
+    edges = linked(edges)  # again, since longer pieces have more accurate directions
+    edges = join_circles(edges, given, options, num_threads)
+    edges = meet_at_corners(cut_at_bends(edges), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
     return TracedEdges(edges=edges, contours=linked(contours)), merged | {
-        "pieces": pieces.num_edges,
+        "pieces": num_pieces,
         "edges_closed": int(edges.closed.sum()),
         "nodes": len(edges.nodes.points),
         "junctions": int((edges.nodes.through_points >= 0).sum()),

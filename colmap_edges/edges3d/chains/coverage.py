@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, IntArray, owners_of, ranges_of
+from colmap_edges.core.arrays import BoolArray, IntArray, owners_of
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced, chosen, find_pieces
 from colmap_edges.edges3d.chains.tracing_input import (
@@ -94,9 +94,9 @@ def mark_covered(
     for view, rows in observed.by_view():
         at = observed.positions[rows].astype(np.int64)
         polyline = np.searchsorted(offsets[view], at, "right") - 1
-        low = np.maximum(at - reach, offsets[view][polyline])
-        high = np.minimum(at + reach + 1, offsets[view][polyline + 1])
-        covered[view][ranges_of(low, high)] = True
+        first, last = offsets[view][polyline], offsets[view][polyline + 1] - 1
+        for steps in range(-reach, reach + 1):
+            covered[view][np.clip(at + steps, first, last)] = True
 
 
 def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:

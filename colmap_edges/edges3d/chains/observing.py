@@ -141,13 +141,12 @@ def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     positions in one order.
     """
     same = owners_of(offsets)
-    step = np.full(positions.shape, np.nan)
-    if len(positions) > 1:
-        step[1:] = np.diff(positions, axis=0)
-        step[1:][same[1:] != same[:-1]] = np.nan
-    steps = np.abs(step[np.isfinite(step)])
-    limit = 4 * np.median(steps) if len(steps) else 0.0
-    linked = np.abs(step) <= limit
-    keep = linked.copy()
-    keep[:-1] |= linked[1:]
+    steps = np.diff(positions, axis=0)
+    np.abs(steps, out=steps)
+    steps[same[1:] != same[:-1]] = np.nan
+    found = steps[np.isfinite(steps)]
+    linked = steps <= (4 * np.median(found) if len(found) else 0.0)
+    keep = np.zeros(positions.shape, bool)
+    keep[1:] = linked
+    keep[:-1] |= linked
     return np.where(keep, positions, np.nan)
