@@ -31,6 +31,8 @@ class Curves3D:
         edges: (C,) int64 edge of each curve.
         ranges: (C, 2) int64 half-open range of the curve's edge points in `Edges3D.points`; on
             closed edges, indices beyond the edge's last point wrap around to its first.
+        wholes: (C,) int64 first of the curves that are parts of one curve: arcs of one circle with
+            unseen gaps between them; for all others, the curve itself.
         frames: (C, 3, 3) float64 rows o, a and b, world units; b is 0 of lines, all of splines.
         spans: (C, 2) float64 first and last t: radians of arcs.
         knot_offsets: (C + 1,) int64; curve c has knots[knot_offsets[c]:knot_offsets[c + 1]].
@@ -46,6 +48,7 @@ class Curves3D:
     kinds: ByteArray
     edges: IntArray
     ranges: IntArray
+    wholes: IntArray
     frames: FloatArray
     spans: FloatArray
     knot_offsets: IntArray
@@ -63,6 +66,7 @@ class Curves3D:
             kinds=np.zeros(0, np.uint8),
             edges=np.zeros(0, np.int64),
             ranges=np.zeros((0, 2), np.int64),
+            wholes=np.zeros(0, np.int64),
             frames=np.zeros((0, 3, 3)),
             spans=np.zeros((0, 2)),
             knot_offsets=np.zeros(1, np.int64),
@@ -83,6 +87,8 @@ class Curves3D:
             for entry in fields(cls)
             if entry.name != "knot_offsets"
         }
+        counts = [part.num_curves for part in parts]
+        arrays["wholes"] += np.repeat(offsets_of(np.array(counts))[:-1], counts)
         lengths = np.concatenate([np.diff(part.knot_offsets) for part in parts])
         return cls(knot_offsets=offsets_of(lengths), **arrays)
 

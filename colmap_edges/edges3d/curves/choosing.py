@@ -70,6 +70,7 @@ class Choice:
             centre and the half axes.
         sigmas: (C, 5) standard deviations of the point or centre, of the centre across its plane,
             of the direction or normal (radians), and of the two radii.
+        costs: (C,) costs by which they were selected.
         splines: fits of the splines, by index of the curve.
     """
 
@@ -78,6 +79,7 @@ class Choice:
     bounds: IntArray
     frames: FloatArray
     sigmas: FloatArray
+    costs: FloatArray
     splines: dict[int, SplineFit]
 
 
@@ -134,6 +136,7 @@ def choose(points: FloatArray, noise: Noise, pieces: Pieces, closed: BoolArray) 
         bounds=rows.bounds[taken],
         frames=fits.frames[taken],
         sigmas=fits.sigmas[taken],
+        costs=fits.costs[taken],
         splines={
             curve: fits.splines[row]
             for curve, row in enumerate(taken.tolist())

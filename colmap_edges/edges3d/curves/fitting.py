@@ -26,9 +26,12 @@ from colmap_edges.core.curves3d import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.curves.choosing import Choice, choose
-from colmap_edges.edges3d.curves.cutting import Noise, cut, learn_noise
+from colmap_edges.edges3d.curves.cutting import NOTHING, Noise, cut, learn_noise
+from colmap_edges.edges3d.curves.fillets import with_fillets
 from colmap_edges.edges3d.curves.joints import joined_at_corners
 from colmap_edges.edges3d.curves.relations import regularized
+from colmap_edges.edges3d.curves.shared import with_shared_circles
+from colmap_edges.edges3d.curves.wholes import wholes_of
 
 # Largest gap of an arc that is closed to a circle, in distances between points; the value of
 # Linking.max_gap_spacings.
@@ -60,11 +63,14 @@ def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1
     noise = replace(noise, sigmas=noise.sigmas[order])
     pieces = cut(points, edges.edge_offsets, noise, num_threads)
     choice = choose(points, noise, pieces, edges.closed)
+    choice = with_fillets(points, noise, choice, edges.edge_offsets, edges.closed)
+    choice, circles = with_shared_circles(points, noise, choice)
     curves = assembled(points, noise, choice)
     curves = joined_at_corners(curves, points, noise)
     if regularize:
         curves = regularized(curves, points, noise)
-    return replace(curves, ranges=ranges_in(edges, order, choice))
+    wholes = wholes_of(curves, circles, edges)
+    return replace(curves, wholes=wholes, ranges=ranges_in(edges, order, choice))
 
 
 def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
@@ -79,7 +85,9 @@ def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
     pieces = cut(edges.points[rows], offsets, part, num_threads)
     for place, edge in enumerate(loops.tolist()):
         first, end = edges.edge_offsets[edge : edge + 2].tolist()
-        cuts = pieces.bounds[pieces.offsets[place] : pieces.offsets[place + 1], 0] - offsets[place]
+        own = slice(pieces.offsets[place], pieces.offsets[place + 1])
+        curved = pieces.kinds[own] != NOTHING
+        cuts = pieces.bounds[own, 0][curved if curved.any() else ~curved] - offsets[place]
         middle = int(cuts[np.argmin(np.abs(cuts - (end - first) / 2))])
         order[first:end] = np.roll(order[first:end], -middle)
     return order
@@ -109,6 +117,7 @@ def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
         kinds=kinds,
         edges=choice.edges,
         ranges=choice.bounds,
+        wholes=np.arange(len(kinds)),
         frames=np.where((kinds == SPLINE)[:, None, None], 0, choice.frames),
         spans=spans,
         knot_offsets=offsets_of(lengths),

@@ -32,6 +32,8 @@ from colmap_edges.edges3d.linking.corners3d import (
 from colmap_edges.edges3d.linking.joining import REACH, Ends, near_pairs, views_near
 from colmap_edges.options import PipelineOptions
 
+# Minimum number of points of an edge that ends on another one: two or three points fit any line.
+MIN_JUNCTION_POINTS = 4
 MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
 
 
@@ -181,7 +183,8 @@ def with_junctions(
 ) -> Meetings:
     """Add T junctions: ends that meet no other end, but the inside of another edge."""
     reach = options.linking.node_radius_spacings
-    free = np.repeat(~edges.closed, 2)
+    known = np.diff(edges.edge_offsets) >= MIN_JUNCTION_POINTS
+    free = np.repeat(~edges.closed & known, 2)
     free[meetings.corners.members] = False
     of, onto = pairs_beside(edges, lines, np.flatnonzero(free), reach)
     tangents = unit_tangents(edges)[onto]
@@ -200,11 +203,11 @@ def with_junctions(
     rows = rows[np.unique(of[rows], return_index=True)[1]]
     points, owners = np.unique(onto[rows], return_inverse=True)
     first = np.unique(owners, return_index=True)[1]
-    known = len(meetings.through)
+    earlier = len(meetings.through)
     corners = Corners(
         positions=np.concatenate([meetings.corners.positions, places[rows][first]]),
         members=np.concatenate([meetings.corners.members, of[rows]]),
-        owners=np.concatenate([meetings.corners.owners, known + owners]).astype(np.int64),
+        owners=np.concatenate([meetings.corners.owners, earlier + owners]).astype(np.int64),
     )
     return Meetings(corners=corners, through=np.concatenate([meetings.through, points]))
 

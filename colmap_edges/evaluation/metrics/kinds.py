@@ -46,7 +46,8 @@ class KindErrors:
 
     Attributes:
         num_true: Number of true curves found, with at least one sample of the result on them.
-        num_found: Number of curves of the result on true curves.
+        num_found: Number of curves of the result on true curves; arcs that are stated to be one
+            curve count once.
         times_found: Their ratio.
         right_kind: Share of the result's length, as far as it lies on true curves, whose kind is
             that of the true curve; arcs count for circles.
@@ -109,7 +110,8 @@ def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindE
     right = FAMILIES[result.kinds[owners]] == FAMILIES[true.kinds[of]]
     errors, lengths = radius_errors(result, true, owners[near], of[near], weights[near])
     num_true = len(np.unique(of[near]))
-    num_found = int((np.bincount(owners[near], minlength=result.num_curves) > counts / 2).sum())
+    on_true = np.bincount(owners[near], minlength=result.num_curves) > counts / 2
+    num_found = len(np.unique(result.wholes[on_true]))
     total = max(float(weights[near].sum()), 1e-300)
     within = errors <= MAX_RADIUS_ERROR
     return KindErrors(

@@ -86,6 +86,15 @@ def test_an_end_on_an_edge_that_passes_is_a_junction():
     assert (np.diff(along) > 0).all()
 
 
+def test_an_edge_of_few_points_does_not_end_on_another():
+    passing = CORNER + np.arange(-0.5, 0.5, STEP)[:, None] * AXES[0]
+    through = known.line(passing[0], passing[-1])
+    for count, nodes in ((2, 0), (3, 0), (4, 1)):
+        ending = arm(CORNER, AXES[1], 0.03)[:count]
+        edges = met([passing, ending], [through, *arms_from(CORNER, AXES[1])])
+        assert len(edges.nodes.points) == nodes
+
+
 def test_a_corner_that_too_few_views_observe_is_none():
     pieces = [arm(CORNER, axis, 0.015) for axis in AXES]
     assert len(met(pieces, arms_from(CORNER, *AXES), num_seeing=2).nodes.points) == 0
