@@ -175,8 +175,8 @@ def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
 def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
     """All points of those planes of which a mesh lacks at least `MIN_LACKING` of the area.
 
-    None, if it lacks less of the accepted cells of all views. Points on faces that a mesh already has disturb
-    it: a plate that gets points on one side alone is pierced by their cells.
+    None, if it lacks less of the accepted cells of all views. Points on faces that a mesh already
+    has disturb it: a plate that gets points on one side alone is pierced by their cells.
 
     Args:
         faces: points on faces.
