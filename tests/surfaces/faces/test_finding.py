@@ -9,9 +9,13 @@ from plain_rooms import DOOR, distance_to_room, model_of, render, room_edges, ro
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.faces import write_faces
+from colmap_edges.images.background import BackgroundRays
+from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.faces.decision import NO_FACE_POINTS
 from colmap_edges.surfaces.faces.finding import find_faces
 from colmap_edges.surfaces.faces.grids import make_grid
-from colmap_edges.surfaces.silhouettes import Body
+from colmap_edges.surfaces.mesher import mesh_with_faces
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, Body
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +97,23 @@ def test_no_point_lies_where_a_view_sees_the_background(room):
     found = find_faces(room.model, room.edges, room.grids, 0, 1, bodies).points.seen.points
     assert 100 < len(found) < len(points)
     assert bodies[0].holds(found).all()
+
+
+def meshed(room, faces, background=None):
+    """The room's mesh, with points on faces."""
+    return mesh_with_faces(room.model, [room.edges], MeshingOptions(), 1, background, faces)
+
+
+def test_a_mesh_gets_the_points_that_it_lacks(room):
+    without, given = meshed(room, NO_FACE_POINTS), meshed(room, room.faces.points)
+    assert len(given.vertices) > len(without.vertices) + 300
+    assert np.median(distance_to_room(given.vertices)) < 0.01
+
+
+def test_before_a_background_silhouettes_bound_bodies_and_not_faces(room):
+    rays = BackgroundRays(np.zeros(1, np.int32), room.model.views[0].rotation[2:])
+    background = Background(rays=rays, silhouettes=NO_POINTS)
+    without = meshed(room, NO_FACE_POINTS, background)
+    given = meshed(room, room.faces.points, background)
+    assert np.array_equal(given.vertices, without.vertices)
+    assert np.array_equal(given.faces, without.faces)
