@@ -86,3 +86,8 @@ def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
         points[np.minimum(index + 1, last)] - points[np.maximum(index - 1, first)]
     )
     return tangents
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """(N, 3) vectors scaled to length 1; zero vectors are unchanged."""
+    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))

@@ -12,6 +12,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
 from colmap_edges.core.curves3d import ARC, LINE
+from colmap_edges.core.polylines import unit
 from colmap_edges.edges3d.curves.choosing import MAX_DOUBT, Choice
 from colmap_edges.edges3d.curves.cutting import Noise, log_counts
 from colmap_edges.edges3d.curves.joints import MAX_POINTS_BETWEEN
@@ -196,8 +197,3 @@ def inserted(
         costs=np.concatenate([choice.costs, costs[which]])[order],
         splines={int(place[curve]): fit for curve, fit in choice.splines.items()},
     )
-
-
-def unit(vectors: FloatArray) -> FloatArray:
-    """(n, 3) vectors scaled to length 1."""
-    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))

@@ -16,7 +16,7 @@ from scipy.special import fdtri
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.polylines import end_points
+from colmap_edges.core.polylines import end_points, unit
 
 SIDE_POINTS = (6, 5, 4)  # points fitted on each side; the largest number that the edge has
 FEWEST = 3  # minimum number of points of a piece that is joined as a smooth curve
@@ -203,8 +203,3 @@ def polynomials(
     squares = ((points - origin - powers @ factors) ** 2).sum(axis=2)
     factors[:, 0] += origin[:, 0]
     return factors, (squares if weights is None else squares * weights).sum(axis=1)
-
-
-def unit(vectors: FloatArray) -> FloatArray:
-    """(n, 3) vectors scaled to length 1."""
-    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))

@@ -23,9 +23,9 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
 from colmap_edges.core.observations import ChainObservations, Observations
-from colmap_edges.core.polylines import end_points
+from colmap_edges.core.polylines import end_points, unit
 from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
-from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials, unit
+from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials
 from colmap_edges.edges3d.linking.joining import (
     SHORT_GAP,
     Ends,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.polylines import curve_tangents, end_points
+from colmap_edges.core.polylines import curve_tangents, end_points, unit
 from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, scores
 from colmap_edges.evaluation.metrics.curves import sample, sample_segments
@@ -252,12 +252,6 @@ def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
     chords = points[inner] - points[tips]
     inward = np.where(curved, 4 * (points[middle] - points[tips]) - chords, chords)
     return tips, unit(inward)
-
-
-def unit(vectors: FloatArray) -> FloatArray:
-    """(N, 3) vectors normalised to length 1; zero vectors are unchanged."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1)
 
 
 def compare_corners(
