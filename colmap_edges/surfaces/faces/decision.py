@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from colmap_edges.core.arrays import (
     IntArray,
     entries_of,
     offsets_of,
-    owners_of,
+    ranks_of,
+    row_numbers,
 )
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
@@ -123,7 +124,7 @@ def thinned(samples: Samples, accepted: IntArray) -> tuple[IntArray, IntArray]:
     side = SPACING_CELLS * np.median(samples.sizes[order])
     cubes = np.floor(samples.points[order] / side).astype(np.int64)
     cubes = np.column_stack([cubes, samples.planes[order]])
-    _, first, counts = np.unique(cubes, axis=0, return_index=True, return_counts=True)
+    _, first, counts = np.unique(row_numbers(cubes), return_index=True, return_counts=True)
     ascending = np.argsort(order[first])
     return order[first][ascending], counts[ascending]
 
@@ -160,16 +161,12 @@ NO_FACE_POINTS = FacePoints(
 def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
     """Accepted samples, thinned, as points that some of the agreeing views see."""
     chosen, num_cells = thinned(samples, accepted)
-    owners = owners_of(samples.offsets)
-    rank = np.arange(len(owners)) - samples.offsets[owners]
-    kept = rank % EACH_VIEW == 0
+    counts = np.diff(samples.offsets)[chosen]
+    entries = entries_of(samples.offsets, chosen)[ranks_of(counts) % EACH_VIEW == 0]
     seen = SeenPoints(
-        samples.points,
-        offsets_of(np.bincount(owners[kept], minlength=len(samples.points))),
-        samples.views[kept],
+        samples.points[chosen], offsets_of(-(-counts // EACH_VIEW)), samples.views[entries]
     )
-    every = FacePoints(seen=seen, planes=samples.planes, num_cells=np.ones_like(samples.planes))
-    return replace(every.take(chosen), num_cells=num_cells)
+    return FacePoints(seen=seen, planes=samples.planes[chosen], num_cells=num_cells)
 
 
 def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:

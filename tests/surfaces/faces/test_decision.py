@@ -98,12 +98,22 @@ def test_views_below_that_see_through_a_plate_contradict_it():
     assert not are_believed(samples)[upper].any()
 
 
+def mesh_of(corners, faces):
+    """A mesh without colours."""
+    count = len(corners)
+    none, black = np.full(count, -1, np.int64), np.zeros((count, 3), np.uint8)
+    return Mesh(vertices=corners, faces=faces, point3D_ids=none, colors=black)
+
+
 @pytest.fixture
 def square():
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)  # seen from above
-    none = np.full(4, -1, np.int64)
-    return Mesh(vertices=corners, faces=faces, point3D_ids=none, colors=np.zeros((4, 3), np.uint8))
+    return mesh_of(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))  # seen from above
+
+
+@pytest.fixture
+def empty():
+    return mesh_of(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
 
 def missing(square, point, view):
@@ -129,21 +139,15 @@ def test_places_off_triangles_are_missing(square):
     assert missing(square, [0.3, 0.2, 0], 2)  # on its back
 
 
-def test_nothing_is_there_of_an_empty_mesh(square):
-    empty = Mesh(
-        vertices=np.zeros((0, 3)),
-        faces=np.zeros((0, 3), np.int32),
-        point3D_ids=np.zeros(0, np.int64),
-        colors=np.zeros((0, 3), np.uint8),
-    )
+def test_nothing_is_there_of_an_empty_mesh(empty):
     assert missing(empty, [0.3, 0.2, 0], 0)
 
 
-def lacking_planes(square, counts):
-    """Planes of the points taken, where a square has some of each plane's points and lacks others.
+def taken_points(surface, counts):
+    """The points taken, where a square has some of each plane's points and lacks others.
 
     Args:
-        square: the mesh.
+        surface: the square, or an empty mesh, which lacks all.
         counts: of each plane, how many of its points the mesh has, and how many it lacks.
     """
     has, lacks = [0.3, 0.2, 0.0], [0.3, 0.2, 0.5]
@@ -151,27 +155,21 @@ def lacking_planes(square, counts):
     planes = np.repeat(np.arange(len(counts), dtype=np.int32), [sum(pair) for pair in counts])
     num_cells = np.ones(len(planes), np.int64)
     faces = FacePoints(seen=points_seen(points, 0), planes=planes, num_cells=num_cells)
-    return lacking_points(faces, four_views(), square)
+    return lacking_points(faces, four_views(), surface)
 
 
 def test_all_points_of_planes_that_a_mesh_lacks_are_taken(square):
-    taken = lacking_planes(square, [(9, 1), (2, 8)])
+    taken = taken_points(square, [(9, 1), (2, 8)])
     assert len(taken.points) == 10  # of the second plane, also those that the mesh has
     assert np.sum(taken.points[:, 2] == 0) == 2
 
 
 def test_nothing_is_taken_where_a_mesh_lacks_little_of_all_planes(square):
-    assert len(lacking_planes(square, [(95, 1), (2, 2)]).points) == 0
+    assert len(taken_points(square, [(95, 1), (2, 2)]).points) == 0
 
 
-def test_everything_is_taken_without_a_mesh(square):
-    empty = Mesh(
-        vertices=np.zeros((0, 3)),
-        faces=np.zeros((0, 3), np.int32),
-        point3D_ids=np.zeros(0, np.int64),
-        colors=np.zeros((0, 3), np.uint8),
-    )
-    assert len(lacking_planes(empty, [(2, 1)]).points) == 3
+def test_everything_is_taken_without_a_mesh(empty):
+    assert len(taken_points(empty, [(2, 1)]).points) == 3
 
 
 def test_points_count_as_many_cells_as_they_stand_for(square):
