@@ -56,7 +56,9 @@ nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles wei
           "costs and depths differ in shape");
   problem.edges = ToPairs(edges, problem.num_nodes);
   Require(weights.size() == problem.edges.size(), "edges and weights differ in number");
-  problem.costs = costs.data(), problem.depths = depths.data(), problem.weights = weights.data();
+  problem.costs = {costs.data(), costs.data() + costs.size()};
+  problem.depths = {depths.data(), depths.data() + depths.size()};
+  problem.weights = {weights.data(), weights.data() + weights.size()};
   problem.crossing_factor = crossing_factor;
   std::vector<int32_t> labels;
   double energy;

@@ -37,7 +37,7 @@ class Slopes {
                           (p[1 + width] - p[-1 + width]) / 8.0;
         const double gy = (p[width] - p[-width]) / 4.0 + (p[width - 1] - p[-width - 1]) / 8.0 +
                           (p[width + 1] - p[-width + 1]) / 8.0;
-        slopes_[y * width + x] = float(std::hypot(gx, gy));
+        slopes_[y * width + x] = float(std::sqrt(gx * gx + gy * gy));
       }
     }
   }

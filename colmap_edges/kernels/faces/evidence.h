@@ -55,11 +55,12 @@ class FaceScene {
   double reach = 0;                             // from it, within which surfaces may be
   EvidenceWeights weights;
 
-  // Points as their views see them; the nearest depth in every cell.
+  // Points and planes as views see them; the nearest depth in every cell.
   void Prepare(int32_t v) {
     const FaceView& view = views[v];
     auto& seen = sights_[v];
     auto& nearest = nearest_[v];
+    for (const Plane& plane : planes) inverse_depths_[v].push_back(view.InverseDepthOf(plane));
     nearest.assign(view.num_cells(), NAN);
     for (const int32_t p : observed[v]) {
       Vec2 pixel;
@@ -73,6 +74,7 @@ class FaceScene {
   void Allocate() {
     sights_.assign(views.size(), {});
     nearest_.assign(views.size(), {});
+    inverse_depths_.assign(views.size(), {});
   }
 
   // The planes on which at least `min_cells` cells of a view have as many observed points as on
@@ -92,9 +94,11 @@ class FaceScene {
   }
   void AddPoints(int32_t v, ViewCosts* made) const;
   void AddSights(int32_t v, ViewCosts* made) const;
+  void AddCorrelation(int32_t v, ViewCosts* made) const;
 
   std::vector<std::vector<ObservedPoint>> sights_;
   std::vector<std::vector<double>> nearest_;
+  std::vector<std::vector<Vec3>> inverse_depths_;  // of the planes, see `InverseDepthOf`
 };
 
 inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
@@ -181,8 +185,10 @@ inline Mat3 PlaneHomography(const FaceView& view, const Plane& plane, const Face
 // Variance of gray, in levels squared, that is no texture.
 constexpr double kGrayNoise = 4;
 constexpr int kPatchRadius = 4, kPatchStep = 2;  // pixels of the small pictures
+constexpr int kPatchCells = 2;                   // cells, each way, that one patch stands for
+constexpr int kMaxCompared = 3;                  // views that a patch is compared with
 
-// The gray around a cell, and how much it varies there.
+// The gray around a pixel, and how much it varies there.
 struct Patch {
   static constexpr int kSide = 2 * (kPatchRadius / kPatchStep) + 1;
 
@@ -190,8 +196,7 @@ struct Patch {
   int count = 0;
   float sum = 0, squares = 0;
 
-  Patch(const FaceView& view, int32_t cell) {
-    const Vec2 middle = view.CellCenter(cell);
+  Patch(const FaceView& view, Vec2 middle) {
     for (int dy = -kPatchRadius; dy <= kPatchRadius; dy += kPatchStep) {
       for (int dx = -kPatchRadius; dx <= kPatchRadius; dx += kPatchStep) {
         const int64_t x = int64_t(middle.x) + dx, y = int64_t(middle.y) + dy;
@@ -236,43 +241,61 @@ struct Patch {
   }
 };
 
-// What neighbouring views observe at a place on a plane.
-struct NeighborSights {
-  double through = 0, there = 0;      // by the points they observe
-  std::array<double, 3> differences;  // of gray
-  int tried = 0;
+inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
+  return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
+}
 
-  double Cost(const EvidenceWeights& weights) const {
-    const double cost =
-        weights.seen_through * Saturated(through, 2) - weights.seen_there * Saturated(there, 2);
-    if (tried == 0) return cost;
-    const auto end = differences.begin() + tried;
-    return cost + weights.correlation *
-                      (*std::min_element(differences.begin(), end) +
-                       *std::max_element(differences.begin(), end)) /
-                      2;
+// Where the places along rays of a view lie in its neighbours.
+class Neighborhood {
+ public:
+  Neighborhood(const FaceScene& scene, int32_t v, const std::vector<int32_t>& planes)
+      : view_(scene.views[v]) {
+    for (const int32_t u : scene.neighbors[v]) {
+      const FaceView& other = scene.views[u];
+      others_.push_back(&other);
+      origins_.push_back(other.pose.FromWorld(view_.pose.center));
+      for (const int32_t plane : planes)
+        same_sides_.push_back(SameSide(scene.planes[plane], view_, other));
+    }
+    directions_.resize(others_.size());
+    num_planes_ = planes.size();
   }
+
+  size_t size() const { return others_.size(); }
+  bool IsSameSide(size_t j, int32_t k) const { return same_sides_[j * num_planes_ + k]; }
+  // Turns to the ray of a cell.
+  void TurnTo(int32_t cell) {
+    const Vec3 ray = view_.RayOfCell(cell);
+    for (size_t j = 0; j < others_.size(); ++j) directions_[j] = others_[j]->pose.Rotate(ray);
+  }
+  // Pixel, cell and depth in a neighbour of the place at a depth; false outside its picture.
+  bool Find(size_t j, double depth, Vec2* pixel, int32_t* cell, double* at) const {
+    const FaceView& other = *others_[j];
+    if (!other.ProjectLocal(origins_[j] + depth * directions_[j], pixel, at)) return false;
+    *cell = other.CellAt(*pixel);
+    return true;
+  }
+
+ private:
+  const FaceView& view_;
+  std::vector<const FaceView*> others_;
+  std::vector<Vec3> origins_, directions_;  // of the ray, in the coordinates of the neighbours
+  std::vector<uint8_t> same_sides_;         // whether both views see the same side of a plane
+  size_t num_planes_;
 };
 
 // What neighbouring views were labelled at a place on a plane.
 struct NeighborLabels {
   double agree = 0, disagree = 0, hidden = 0;
 
-  void Add(const FaceScene& scene, const FaceView& other, Vec2 pixel, double depth, int32_t label,
-           int32_t plane, bool same_side) {
-    if (label < 0 || (label == plane && !same_side)) return;
-    if (label == plane) {
-      ++agree;
-      return;
-    }
-    const double tolerance = scene.weights.depth_tolerance;
-    const double theirs =
-        scene.planes[label].DepthAlong(other.pose.center, other.RayThrough(pixel));
-    if (theirs > depth * (1 + tolerance)) {
+  // `inverse`: of the depth at which the other view sees the plane of its label.
+  void Add(double inverse, double depth, double tolerance, bool same_side) {
+    if (!(inverse > 0)) return;
+    if (1 > depth * (1 + tolerance) * inverse) {
       ++disagree;
     } else if (same_side) {
-      (theirs < depth * (1 - tolerance) ? hidden : agree) +=
-          theirs < depth * (1 - tolerance) ? 1 : 0.5;
+      const bool nearer = 1 < depth * (1 - tolerance) * inverse;
+      (nearer ? hidden : agree) += nearer ? 1 : 0.5;
     }
   }
   double Cost(const EvidenceWeights& weights) const {
@@ -281,71 +304,106 @@ struct NeighborLabels {
   }
 };
 
-inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
-  return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
-}
-
 inline void FaceScene::AddSights(int32_t v, ViewCosts* made) const {
-  const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
   const double tolerance = weights.depth_tolerance;
-  const size_t num_neighbors = neighbors[v].size();
-  std::vector<Mat3> homographies;
-  std::vector<uint8_t> same_side;
-  for (const int32_t k : made->planes) {
-    for (const int32_t u : neighbors[v]) {
-      homographies.push_back(PlaneHomography(view, planes[k], views[u]));
-      same_side.push_back(SameSide(planes[k], view, views[u]));
-    }
-  }
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    const Vec3 ray = view.RayOfCell(cell);
-    const Patch patch(view, cell);
-    const bool has_texture = weights.correlation > 0 && patch.variance() > kGrayNoise;
+  Neighborhood around(*this, v, made->planes);
+  for (int32_t cell = 0; cell < views[v].num_cells(); ++cell) {
+    around.TurnTo(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
       made->hopeless[i] = std::isnan(made->depths[i]) || made->costs[i] > kHopeless;
       if (made->hopeless[i]) continue;
-      const Vec3 point = view.pose.center + made->depths[i] * ray;
-      NeighborSights sights;
-      for (size_t j = 0; j < num_neighbors; ++j) {
-        const FaceView& other = views[neighbors[v][j]];
+      int through = 0, there = 0;
+      for (size_t j = 0; j < around.size(); ++j) {
         Vec2 pixel;
+        int32_t theirs;
         double at;
-        if (!other.Project(point, &pixel, &at)) continue;
-        const double nearest = nearest_[neighbors[v][j]][other.CellAt(pixel)];
-        sights.through += nearest > at * (1 + 2 * tolerance);
-        if (!same_side[k * num_neighbors + j]) continue;
-        sights.there += std::abs(nearest - at) < tolerance / 2 * at;
-        if (has_texture && sights.tried < int(sights.differences.size())) {
-          const double d = patch.Difference(homographies[k * num_neighbors + j], other, kGrayNoise);
-          if (!std::isnan(d)) sights.differences[sights.tried++] = d;
-        }
+        if (!around.Find(j, made->depths[i], &pixel, &theirs, &at)) continue;
+        const double nearest = nearest_[neighbors[v][j]][theirs];
+        through += nearest > at * (1 + 2 * tolerance);
+        there += std::abs(nearest - at) < tolerance / 2 * at && around.IsSameSide(j, k);
       }
-      made->costs[i] += sights.Cost(weights);
+      made->costs[i] += float(weights.seen_through * Saturated(through, 2) -
+                              weights.seen_there * Saturated(there, 2));
+    }
+  }
+}
+
+inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
+  const FaceView& view = views[v];
+  const int32_t num_planes = int32_t(made->planes.size());
+  std::vector<std::vector<std::pair<const FaceView*, Mat3>>> compared(num_planes);
+  for (int32_t k = 0; k < num_planes; ++k) {
+    const Plane& plane = planes[made->planes[k]];
+    for (const int32_t u : neighbors[v])
+      if (SameSide(plane, view, views[u]))
+        compared[k].emplace_back(&views[u], PlaneHomography(view, plane, views[u]));
+  }
+  for (int32_t y = 0; y < view.rows; y += kPatchCells) {
+    for (int32_t x = 0; x < view.columns; x += kPatchCells) {
+      const int32_t right = std::min(x + kPatchCells, view.columns);
+      const int32_t bottom = std::min(y + kPatchCells, view.rows);
+      const Vec2 middle{FaceView::kCellPx * (x + right) / 2.0,
+                        FaceView::kCellPx * (y + bottom) / 2.0};
+      const Patch patch(view, middle);
+      if (patch.variance() <= kGrayNoise) continue;
+      const Vec3 ray = view.RayThrough(middle);
+      for (int32_t k = 0; k < num_planes; ++k) {
+        const auto at = [&](int32_t i, int32_t j) {
+          return (size_t(j) * view.columns + i) * (num_planes + 1) + k;
+        };
+        bool hopeless = true;
+        for (int32_t j = y; j < bottom; ++j)
+          for (int32_t i = x; i < right; ++i) hopeless &= made->hopeless[at(i, j)];
+        if (hopeless) continue;
+        const double depth = planes[made->planes[k]].DepthAlong(view.pose.center, ray);
+        const Vec3 point = view.pose.center + depth * ray;
+        float least = 2, most = -1;
+        int tried = 0;
+        for (const auto& [other, homography] : compared[k]) {
+          Vec2 pixel;
+          double at_depth;
+          if (!other->Project(point, &pixel, &at_depth)) continue;
+          const float difference = patch.Difference(homography, *other, kGrayNoise);
+          if (std::isnan(difference)) continue;
+          least = std::min(least, difference), most = std::max(most, difference);
+          if (++tried == kMaxCompared) break;
+        }
+        if (tried == 0) continue;
+        const float cost = float(weights.correlation) * (least + most) / 2;
+        for (int32_t j = y; j < bottom; ++j)
+          for (int32_t i = x; i < right; ++i)
+            if (!made->hopeless[at(i, j)]) made->costs[at(i, j)] += cost;
+      }
     }
   }
 }
 
 inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                  ViewCosts* made) const {
-  const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    const Vec3 ray = view.RayOfCell(cell);
+  Neighborhood around(*this, v, made->planes);
+  for (int32_t cell = 0; cell < views[v].num_cells(); ++cell) {
+    around.TurnTo(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const size_t i = size_t(cell) * (num_planes + 1) + k;
       if (made->hopeless[i]) continue;
-      const Vec3 point = view.pose.center + made->depths[i] * ray;
-      const int32_t plane = made->planes[k];
       NeighborLabels votes;
-      for (const int32_t u : neighbors[v]) {
-        const FaceView& other = views[u];
+      for (size_t j = 0; j < around.size(); ++j) {
         Vec2 pixel;
+        int32_t theirs;
         double at;
-        if (other.Project(point, &pixel, &at))
-          votes.Add(*this, other, pixel, at, labels[u][other.CellAt(pixel)], plane,
-                    SameSide(planes[plane], view, other));
+        if (!around.Find(j, made->depths[i], &pixel, &theirs, &at)) continue;
+        const int32_t u = neighbors[v][j], label = labels[u][theirs];
+        const bool same_side = around.IsSameSide(j, k);
+        if (label == made->planes[k]) {
+          votes.agree += same_side;
+        } else if (label >= 0) {
+          const Vec3& inverse = inverse_depths_[u][label];
+          votes.Add(inverse.x * pixel.x + inverse.y * pixel.y + inverse.z, at,
+                    weights.depth_tolerance, same_side);
+        }
       }
       made->costs[i] += float(votes.Cost(weights));
     }
@@ -373,6 +431,7 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
   }
   AddPoints(v, &made);
   AddSights(v, &made);
+  if (weights.correlation > 0) AddCorrelation(v, &made);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     float* costs = &made.costs[size_t(cell) * num_labels];
     for (int32_t k = 0; k < num_planes; ++k) {

@@ -16,10 +16,10 @@ namespace colmap_edges {
 struct LabelProblem {
   int32_t num_nodes = 0, num_labels = 0;
   std::vector<NodePair> edges;
-  const float* costs = nullptr;     // (num_nodes, num_labels); infinite where a label cannot be
-  const float* depths = nullptr;    // (num_nodes, num_labels); NaN of labels without a surface
-  const double* weights = nullptr;  // of the edges
-  double crossing_factor = 1;       // part of the weight where surfaces cross
+  std::vector<double> weights;  // of the edges
+  std::vector<float> costs;     // (num_nodes, num_labels); infinite where a label cannot be
+  std::vector<float> depths;    // (num_nodes, num_labels); NaN of labels without a surface
+  double crossing_factor = 1;   // part of the weight where surfaces cross
 
   double Cost(int32_t node, int32_t label) const {
     return costs[size_t(node) * num_labels + label];
@@ -52,7 +52,7 @@ class Expansion {
       : problem_(problem), flow_(problem.num_nodes, problem.edges) {
     labels_.resize(problem.num_nodes);
     for (int32_t i = 0; i < problem.num_nodes; ++i) {
-      const float* costs = problem.costs + size_t(i) * problem.num_labels;
+      const float* costs = problem.costs.data() + size_t(i) * problem.num_labels;
       labels_[i] = int32_t(std::min_element(costs, costs + problem.num_labels) - costs);
     }
   }
@@ -81,7 +81,10 @@ class Expansion {
   static constexpr double kUnit = 1 << 20;  // of whole-number capacities
   static constexpr double kLargest = 1e6;   // cost that stands for infinity
 
-  static int64_t Whole(double cost) { return std::llround(kUnit * std::min(cost, kLargest)); }
+  static int64_t Whole(double cost) {
+    const double units = kUnit * std::min(cost, kLargest);
+    return int64_t(units < 0 ? units - 0.5 : units + 0.5);
+  }
 
   std::vector<int32_t> ByFrequency() const {
     std::vector<int32_t> counts(problem_.num_labels, 0), order(problem_.num_labels);
@@ -101,10 +104,12 @@ class Expansion {
     for (size_t e = 0; e < problem_.edges.size(); ++e) {
       const auto& [a, b] = problem_.edges[e];
       const int32_t p = labels_[a], q = labels_[b];
-      const int64_t kept = Whole(problem_.Between(int64_t(e), p, q));
       const int64_t only_b = Whole(problem_.Between(int64_t(e), p, label));
-      int64_t only_a = Whole(problem_.Between(int64_t(e), label, q));
-      only_a = std::max(only_a, kept - only_b);
+      int64_t kept = 0, only_a = only_b;
+      if (p != q) {
+        kept = Whole(problem_.Between(int64_t(e), p, q));
+        only_a = std::max(Whole(problem_.Between(int64_t(e), label, q)), kept - only_b);
+      }
       // kept + (only_a - kept) x_a - only_a x_b + (only_a + only_b - kept) (1 - x_a) x_b
       change[a] += only_a - kept, change[b] -= only_a;
       flow_.SetEdge(int64_t(e), only_a + only_b - kept, 0);

@@ -10,6 +10,20 @@
 
 namespace colmap_edges {
 
+struct Plane {
+  Vec3 normal;    // length 1
+  double offset;  // normal . x = offset
+
+  double Distance(const Vec3& point) const { return Dot(normal, point) - offset; }
+  // Depth at which a ray, one unit deep, meets the plane; NaN behind the view or nearly along it.
+  double DepthAlong(const Vec3& center, const Vec3& ray) const {
+    const double slope = Dot(normal, ray);
+    if (std::abs(slope) < 1e-6 * Norm(ray)) return NAN;
+    const double depth = -Distance(center) / slope;
+    return depth > 0 ? depth : NAN;
+  }
+};
+
 // A view as a small undistorted picture, of which each cell is kCellPx pixels wide and high.
 struct FaceView {
   static constexpr int kCellPx = 4;
@@ -43,28 +57,24 @@ struct FaceView {
 
   // Pixel and depth of a world point; false behind the view or outside its picture.
   bool Project(const Vec3& point, Vec2* pixel, double* depth) const {
-    const Vec3 p = pose.FromWorld(point);
+    return ProjectLocal(pose.FromWorld(point), pixel, depth);
+  }
+  // The same of a point in the coordinates of the view.
+  bool ProjectLocal(const Vec3& p, Vec2* pixel, double* depth) const {
     if (!(p.z > 0)) return false;
     *depth = p.z;
     *pixel = {pose.focal_px * p.x / p.z + principal.x, pose.focal_px * p.y / p.z + principal.y};
     return pixel->x >= 0 && pixel->y >= 0 && pixel->x < width() && pixel->y < height();
   }
+  // The vector whose product with (x, y, 1) is the inverse of a plane's depth in pixel (x, y).
+  Vec3 InverseDepthOf(const Plane& plane) const {
+    const Vec3 normal = (-1 / plane.Distance(pose.center)) * pose.Rotate(plane.normal);
+    const double f = pose.focal_px;
+    return {normal.x / f, normal.y / f,
+            normal.z - (normal.x * principal.x + normal.y * principal.y) / f};
+  }
   int32_t CellAt(Vec2 pixel) const {
     return int32_t(pixel.y / kCellPx) * columns + int32_t(pixel.x / kCellPx);
-  }
-};
-
-struct Plane {
-  Vec3 normal;    // length 1
-  double offset;  // normal . x = offset
-
-  double Distance(const Vec3& point) const { return Dot(normal, point) - offset; }
-  // Depth at which a ray, one unit deep, meets the plane; NaN behind the view or nearly along it.
-  double DepthAlong(const Vec3& center, const Vec3& ray) const {
-    const double slope = Dot(normal, ray);
-    if (std::abs(slope) < 1e-6 * Norm(ray)) return NAN;
-    const double depth = -Distance(center) / slope;
-    return depth > 0 ? depth : NAN;
   }
 };
 

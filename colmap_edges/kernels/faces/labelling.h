@@ -10,6 +10,7 @@
 #include "faces/borders.h"
 #include "faces/evidence.h"
 #include "faces/expansion.h"
+#include "faces/smaller_problems.h"
 
 namespace colmap_edges {
 
@@ -20,35 +21,87 @@ struct BorderCosts {
   double crossing_factor = 0.35;  // part of it where the two planes cross
 };
 
+constexpr int32_t kBorderReach = 4;  // cells
+
 using ViewLabels = std::vector<std::vector<int32_t>>;  // of the cells of all views; -1: no plane
 
-// Labels of a view's cells from what they cost; `start`: labels to begin with, planes or -1.
+// What labels cost in a view: its planes, then none.
+inline LabelProblem ProblemOf(const FaceView& view, const BorderCosts& borders, ViewCosts costs) {
+  LabelProblem problem;
+  problem.num_nodes = view.num_cells(), problem.num_labels = int32_t(costs.planes.size()) + 1;
+  problem.edges = CellPairs(view.columns, view.rows);
+  problem.costs = std::move(costs.costs), problem.depths = std::move(costs.depths);
+  problem.crossing_factor = borders.crossing_factor;
+  const Slopes slopes(view);
+  for (const NodePair& pair : problem.edges)
+    problem.weights.push_back(
+        borders.weight * (std::exp(-slopes.Between(pair) / borders.slope_scale) + borders.least));
+  return problem;
+}
+
+// Blocks of two by two cells.
+struct Blocks {
+  std::vector<int32_t> of_cells;
+  int32_t count;
+
+  explicit Blocks(const FaceView& view) : of_cells(view.num_cells()) {
+    const int32_t columns = (view.columns + 1) / 2;
+    count = columns * ((view.rows + 1) / 2);
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+      of_cells[cell] = cell / view.columns / 2 * columns + cell % view.columns / 2;
+  }
+};
+
+// The cells within reach of a border of labels.
+inline std::vector<int32_t> CellsNearBorders(const FaceView& view,
+                                             const std::vector<int32_t>& labels, int32_t reach) {
+  std::vector<int32_t> cells;
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const int32_t x = cell % view.columns, y = cell / view.columns;
+    bool same = true;
+    for (int32_t j = std::max(y - reach, 0); j <= std::min(y + reach, view.rows - 1); ++j)
+      for (int32_t i = std::max(x - reach, 0); i <= std::min(x + reach, view.columns - 1); ++i)
+        same &= labels[j * view.columns + i] == labels[cell];
+    if (!same) cells.push_back(cell);
+  }
+  return cells;
+}
+
+// Labels of a view's cells from what they cost: of blocks of cells at first, then of cells near
+// the borders. `start`: labels to begin with, planes or -1, or none.
 inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& made,
                                       const std::vector<int32_t>& start, const BorderCosts& borders,
                                       int max_sweeps) {
-  LabelProblem problem;
-  problem.num_nodes = view.num_cells(), problem.num_labels = int32_t(made.planes.size()) + 1;
-  problem.edges = CellPairs(view.columns, view.rows);
-  problem.costs = made.costs.data(), problem.depths = made.depths.data();
-  problem.crossing_factor = borders.crossing_factor;
-  const Slopes slopes(view);
-  std::vector<double> weights;
-  for (const NodePair& pair : problem.edges)
-    weights.push_back(borders.weight *
-                      (std::exp(-slopes.Between(pair) / borders.slope_scale) + borders.least));
-  problem.weights = weights.data();
-  Expansion expansion(problem);
+  const LabelProblem problem = ProblemOf(view, borders, made);
+  const int32_t none = problem.num_labels - 1;
+  const Blocks blocks(view);
+  const LabelProblem contracted = Contracted(problem, blocks.of_cells, blocks.count);
+  Expansion expansion(contracted);
   if (!start.empty()) {
-    std::vector<int32_t> first;
-    for (const int32_t plane : start)
-      first.push_back(
-          plane < 0 ? problem.num_labels - 1
+    std::vector<int32_t> first(blocks.count, none);
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+      const int32_t plane = start[cell], block = blocks.of_cells[cell];
+      const int32_t label =
+          plane < 0 ? none
                     : int32_t(std::lower_bound(made.planes.begin(), made.planes.end(), plane) -
-                              made.planes.begin()));
+                              made.planes.begin());
+      if (contracted.Cost(block, label) < contracted.Cost(block, first[block]))
+        first[block] = label;
+    }
     expansion.Start(first);
   }
-  std::vector<int32_t> labels = expansion.Run(max_sweeps);
-  for (int32_t& label : labels) label = label == problem.num_labels - 1 ? -1 : made.planes[label];
+  const std::vector<int32_t>& of_blocks = expansion.Run(max_sweeps);
+  std::vector<int32_t> labels;
+  for (const int32_t block : blocks.of_cells) labels.push_back(of_blocks[block]);
+  const std::vector<int32_t> cells = CellsNearBorders(view, labels, kBorderReach);
+  const LabelProblem restricted = Restricted(problem, cells, labels);
+  Expansion near_borders(restricted);
+  std::vector<int32_t> first;
+  for (const int32_t cell : cells) first.push_back(labels[cell]);
+  near_borders.Start(first);
+  const std::vector<int32_t>& found = near_borders.Run(1);
+  for (size_t i = 0; i < cells.size(); ++i) labels[cells[i]] = found[i];
+  for (int32_t& label : labels) label = label == none ? -1 : made.planes[label];
   return labels;
 }
 
