@@ -9,6 +9,8 @@ void BindCommon(nanobind::module_& m);
 void BindImage(nanobind::module_& m);
 void BindChains(nanobind::module_& m);
 void BindFaces(nanobind::module_& m);
+void BindFaceHypotheses(nanobind::module_& m);
+void BindFaintLines(nanobind::module_& m);
 void BindPaper(nanobind::module_& m);
 void BindPoses(nanobind::module_& m);
 
