@@ -87,7 +87,7 @@ struct FaintLine {
 class FaintLines {
  public:
   FaintLines(const FlatMarks& marks, const FaintLineOptions& options)
-      : marks_(marks), options_(options), free_(marks.count, true) {}
+      : marks_(marks), options_(options), taken_(marks.count, false) {}
 
   // Lines with the most votes for their angle and place first.
   std::vector<FaintLine> Run() {
@@ -95,7 +95,11 @@ class FaintLines {
     for (const auto& [angle, place] : Peaks()) {
       FaintLine line = Fitted(angle, place);
       if (line.marks.empty()) continue;
-      for (const int64_t i : line.marks) free_[i] = false;
+      for (const int64_t i : line.marks) taken_[i] = true;
+      for (auto& row : by_row_) {
+        const auto taken = [this](const Entry& entry) { return taken_[entry.mark] != 0; };
+        row.erase(std::remove_if(row.begin(), row.end(), taken), row.end());
+      }
       lines.push_back(std::move(line));
       if (int64_t(lines.size()) == options_.max_lines) break;
     }
@@ -105,6 +109,10 @@ class FaintLines {
  private:
   struct Peak {
     double angle, place;
+  };
+  struct Entry {
+    Vec2 at, along;
+    int64_t mark;
   };
 
   Vec2 At(int64_t i) const { return {marks_.at[2 * i], marks_.at[2 * i + 1]}; }
@@ -125,7 +133,7 @@ class FaintLines {
       const Vec2 along = Along(i);
       rows[i] = RowOf(std::atan2(along.y, along.x));
       across[i] = Cross(along.y < 0 || (along.y == 0 && along.x < 0) ? -1.0 * along : along, At(i));
-      by_row_[rows[i]].push_back(i);
+      by_row_[rows[i]].push_back({At(i), along, i});
     }
     const double low = MedianOf(across) - double(options_.max_places) / 2 * width;
     std::vector<int64_t> columns(marks_.count);
@@ -142,15 +150,19 @@ class FaintLines {
     for (int64_t i = 0; i < marks_.count; ++i)
       if (columns[i] >= 0) ++votes[(rows[i] + 2) * across_size + columns[i] - first + 2];
     std::vector<std::pair<int32_t, int64_t>> found;
-    std::vector<int32_t> sums(across_size);
+    std::vector<int32_t> sums(across_size), boxes(across_size);
     for (int64_t row = 2; row < options_.num_angles + 2; ++row) {
       const int32_t* middle = &votes[row * across_size];
       for (int64_t c = 0; c < across_size; ++c)
         sums[c] = middle[c - across_size] + middle[c] + middle[c + across_size];
-      for (int64_t c = 2; c < across_size - 2; ++c) {
-        const int32_t sum = sums[c - 1] + sums[c] + sums[c + 1];
-        if (sum >= options_.min_marks) found.emplace_back(-sum, row * across_size + c);
+      int32_t most = 0;
+      for (int64_t c = 1; c < across_size - 1; ++c) {
+        boxes[c] = sums[c - 1] + sums[c] + sums[c + 1];
+        most = std::max(most, boxes[c]);
       }
+      if (most < options_.min_marks) continue;
+      for (int64_t c = 2; c < across_size - 2; ++c)
+        if (boxes[c] >= options_.min_marks) found.emplace_back(-boxes[c], row * across_size + c);
     }
     const size_t kept = std::min(found.size(), size_t(options_.max_tried));
     std::partial_sort(found.begin(), found.begin() + kept, found.end());
@@ -174,15 +186,16 @@ class FaintLines {
   // Free marks near a line and along it, ascending.
   std::vector<int64_t> Near(double angle, double place) const {
     const Vec2 normal{-std::sin(angle), std::cos(angle)};
+    const double width = options_.width * marks_.size;
     const int row = RowOf(angle);
     const int reach = std::min(
         int(std::asin(options_.max_turn) / M_PI * options_.num_angles) + 1, (options_.num_angles - 1) / 2);
     std::vector<int64_t> near;
     const auto visit = [&](int at) {
-      for (const int64_t i : by_row_[(at + options_.num_angles) % options_.num_angles]) {
-        if (free_[i] && std::abs(Dot(At(i), normal) - place) < options_.width * marks_.size &&
-            std::abs(Dot(Along(i), normal)) < options_.max_turn)
-          near.push_back(i);
+      for (const Entry& entry : by_row_[(at + options_.num_angles) % options_.num_angles]) {
+        if (std::abs(Dot(entry.at, normal) - place) < width &&
+            std::abs(Dot(entry.along, normal)) < options_.max_turn)
+          near.push_back(entry.mark);
       }
     };
     for (int step = -reach; step <= reach; ++step) visit(row + step);
@@ -239,8 +252,8 @@ class FaintLines {
 
   const FlatMarks marks_;
   const FaintLineOptions options_;
-  std::vector<uint8_t> free_;  // marks that no line has taken
-  std::vector<std::vector<int64_t>> by_row_;
+  std::vector<uint8_t> taken_;  // marks that are on a line
+  std::vector<std::vector<Entry>> by_row_;  // the other marks, by angle
 };
 
 }  // namespace colmap_edges

@@ -15,7 +15,14 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of, order_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    order_of,
+    row_numbers,
+)
 from colmap_edges.core.view import View
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence, sight_of
@@ -151,8 +158,8 @@ def as_evidence(marks: Marks, lines: list[Line], model: Model) -> Evidence:
     all_steps = np.concatenate([np.zeros(0, np.int64), *(line.steps for line in lines)])
     tangents = np.array([line.tangent for line in lines]).reshape(-1, 3)
     middles = np.array([line.middle for line in lines]).reshape(-1, 3)
-    _, point = np.unique(np.column_stack([of_line, all_steps]), axis=0, return_inverse=True)
-    point = point.reshape(-1)
+    stretches = row_numbers(np.column_stack([of_line, all_steps]))
+    _, point = np.unique(stretches, return_inverse=True)
     number = int(point.max(initial=-1)) + 1
     members = np.bincount(point, minlength=number)
     line_of = np.zeros(number, np.int64)
@@ -162,7 +169,8 @@ def as_evidence(marks: Marks, lines: list[Line], model: Model) -> Evidence:
     along = np.bincount(point, along, number) / np.maximum(members, 1)
     sizes = np.bincount(point, marks.sizes[chosen], number) / np.maximum(members, 1)
     points = middles[line_of] + along[:, None] * tangents[line_of]
-    tracks = np.unique(np.column_stack([point, marks.views[chosen]]), axis=0)
+    tracks = np.column_stack([point, marks.views[chosen]])
+    tracks = tracks[np.unique(row_numbers(tracks), return_index=True)[1]]
     offsets = offsets_of(np.bincount(tracks[:, 0], minlength=number))
     views = tracks[:, 1].astype(np.int32)
     rays, pixels, _ = sight_of(points, offsets, views, model)
