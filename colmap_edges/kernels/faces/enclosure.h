@@ -33,37 +33,41 @@ struct CellGrid {
 
 // Whether steps in one direction meet points of a cell's plane before they leave the plane.
 inline void FindMet(const CellGrid& grid, CellStep step, uint8_t* met) {
-  for (int32_t i = 0; i < grid.num_cells(); ++i) {
-    // The next cell comes first: cells whose way goes on are as the next.
-    const bool backwards = step.rows > 0 || (step.rows == 0 && step.columns > 0);
-    const int32_t cell = backwards ? grid.num_cells() - 1 - i : i, label = grid.labels[cell];
-    const int32_t row = cell / grid.columns + step.rows, column = cell % grid.columns + step.columns;
-    const int32_t next = row * grid.columns + column;
-    if (label < 0) {
-      met[cell] = false;
-    } else if (row < 0 || row >= grid.rows || column < 0 || column >= grid.columns) {
-      met[cell] = grid.inside[cell];
-    } else {
-      met[cell] = grid.touched[int64_t(next) * grid.num_planes + label] ||
-                  (grid.labels[next] == label && met[next]);
+  // The next cell comes first: cells whose way goes on are as the next.
+  const int32_t down = step.rows > 0 ? -1 : 1, right = step.columns > 0 ? -1 : 1;
+  for (int32_t y = down > 0 ? 0 : grid.rows - 1; y >= 0 && y < grid.rows; y += down) {
+    for (int32_t x = right > 0 ? 0 : grid.columns - 1; x >= 0 && x < grid.columns; x += right) {
+      const int32_t cell = y * grid.columns + x, label = grid.labels[cell];
+      const int32_t row = y + step.rows, column = x + step.columns;
+      const int32_t next = row * grid.columns + column;
+      if (label < 0) {
+        met[cell] = false;
+      } else if (row < 0 || row >= grid.rows || column < 0 || column >= grid.columns) {
+        met[cell] = grid.inside[cell];
+      } else {
+        met[cell] = grid.touched[int64_t(next) * grid.num_planes + label] ||
+                    (grid.labels[next] == label && met[next]);
+      }
     }
   }
 }
 
 // Whether going straight on within a cell's label meets its plane's points all around.
 inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureOptions& options) {
-  std::vector<uint8_t> enclosed(grid.num_cells()), met(grid.num_cells());
-  std::vector<int> run(grid.num_cells(), 0), longest(grid.num_cells(), 0);
-  for (int round = 0; round < 2; ++round) {  // twice, as runs go on from the last to the first
-    for (const CellStep& step : options.directions) {
-      FindMet(grid, step, met.data());
-      for (int32_t i = 0; i < grid.num_cells(); ++i) {
-        run[i] = met[i] ? 0 : run[i] + 1;
-        longest[i] = std::max(longest[i], run[i]);
-      }
+  const size_t num_cells = grid.num_cells(), num_steps = options.directions.size();
+  std::vector<uint8_t> met(num_cells * num_steps);
+  for (size_t k = 0; k < num_steps; ++k)
+    FindMet(grid, options.directions[k], &met[k * num_cells]);
+  std::vector<int32_t> run(num_cells, 0), longest(num_cells, 0);
+  for (size_t k = 0; k < 2 * num_steps; ++k) {  // twice, as runs go on from the last to the first
+    const uint8_t* here = &met[k % num_steps * num_cells];
+    for (size_t i = 0; i < num_cells; ++i) {
+      run[i] = here[i] ? 0 : run[i] + 1;
+      longest[i] = std::max(longest[i], run[i]);
     }
   }
-  for (int32_t i = 0; i < grid.num_cells(); ++i)
+  std::vector<uint8_t> enclosed(num_cells);
+  for (size_t i = 0; i < num_cells; ++i)
     enclosed[i] = grid.labels[i] >= 0 && longest[i] <= options.max_open;
   return enclosed;
 }

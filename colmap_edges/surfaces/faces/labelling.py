@@ -162,9 +162,9 @@ def extents_of(
     directions, extents = [], []
     for normal, own in zip(planes.normals, np.split(owners, ends[:-1]), strict=True):
         directions.append(circle @ np.linalg.svd(normal[None])[2][1:])
-        at = evidence.points[own] @ directions[-1].T
+        at = np.ascontiguousarray((evidence.points[own] @ directions[-1].T).T)
         margin = np.median(evidence.sigmas[own]) if len(own) else 0.0
-        low, high = np.quantile(at, (1 - INNER, INNER), axis=0) if len(own) else np.zeros((2, 1))
+        low, high = np.quantile(at, (1 - INNER, INNER), axis=1) if len(own) else np.zeros((2, 1))
         sides = np.column_stack([low - margin, high + margin])
         extents.append(np.broadcast_to(sides, (len(circle), 2)))
     return np.concatenate(directions), np.ascontiguousarray(np.concatenate(extents))
