@@ -1,7 +1,6 @@
 // Bindings of the test of whether cells are enclosed by observed points.
-#include "common/bindings.h"
-
 #include "common/arrays.h"
+#include "common/bindings.h"
 #include "faces/enclosure.h"
 
 namespace colmap_edges {
@@ -42,13 +41,14 @@ OutArray<uint8_t> WholePiecesArray(Labels2D shown, Bytes2D enclosed, double min_
   return ToArray(WholePieces(grid, given, min_share), {rows, columns});
 }
 
-OutArray<int64_t> CountEnclosingArray(
-    InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations, Doubles focals,
-    Points2D principals, Steps shapes, Ints labels, Points3D normals, Doubles offsets,
-    Points3D points, Longs plane_offsets, Ints planes_of_points, Longs observed_offsets,
-    Ints observed, Points3D directions, Points2D extents, Points3D sample_points, Ints sample_planes,
-    Longs sample_offsets, Ints sample_views, Steps steps, int max_open, double min_share,
-    int num_threads) {
+OutArray<int64_t> CountEnclosingArray(InArray<double, nb::shape<-1, 3, 3>> rotations,
+                                      Points3D translations, Doubles focals, Points2D principals,
+                                      Steps shapes, Ints labels, Points3D normals, Doubles offsets,
+                                      Points3D points, Longs plane_offsets, Ints planes_of_points,
+                                      Longs observed_offsets, Ints observed, Points3D directions,
+                                      Points2D extents, Points3D sample_points, Ints sample_planes,
+                                      Longs sample_offsets, Ints sample_views, Steps steps,
+                                      int max_open, double min_share, int num_threads) {
   EnclosureScene scene;
   const size_t num_views = rotations.shape(0), num_planes = offsets.size();
   Require(translations.shape(0) == num_views && focals.size() == num_views &&

@@ -1,7 +1,6 @@
 // Bindings of the search for planes, and of what lies on them.
-#include "common/bindings.h"
-
 #include "common/arrays.h"
+#include "common/bindings.h"
 #include "faces/hypotheses.h"
 #include "faces/incidence.h"
 

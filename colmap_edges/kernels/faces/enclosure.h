@@ -56,8 +56,7 @@ inline void FindMet(const CellGrid& grid, CellStep step, uint8_t* met) {
 inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureOptions& options) {
   const size_t num_cells = grid.num_cells(), num_steps = options.directions.size();
   std::vector<uint8_t> met(num_cells * num_steps);
-  for (size_t k = 0; k < num_steps; ++k)
-    FindMet(grid, options.directions[k], &met[k * num_cells]);
+  for (size_t k = 0; k < num_steps; ++k) FindMet(grid, options.directions[k], &met[k * num_cells]);
   std::vector<int32_t> run(num_cells, 0), longest(num_cells, 0);
   for (size_t k = 0; k < 2 * num_steps; ++k) {  // twice, as runs go on from the last to the first
     const uint8_t* here = &met[k % num_steps * num_cells];
@@ -102,8 +101,8 @@ inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<
 // What is known of all views.
 struct EnclosureScene {
   std::vector<FaceView> views;
-  std::vector<const int32_t*> labels;           // of each view's cells
-  std::vector<std::vector<int32_t>> observed;   // points that each view observes
+  std::vector<const int32_t*> labels;          // of each view's cells
+  std::vector<std::vector<int32_t>> observed;  // points that each view observes
   std::vector<Plane> planes;
   std::vector<Extent> extents;  // of the planes
   FacePoints points;

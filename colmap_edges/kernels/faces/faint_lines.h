@@ -35,8 +35,7 @@ inline std::vector<Mark> MarksOf(const FaceView& view, const float* smooth, cons
   std::vector<Mark> marks;
   for (int64_t y = 2; y < view.height() - 2; ++y) {
     for (int64_t x = 2; x < width - 2; ++x) {
-      const int32_t label =
-          labels[y / FaceView::kCellPx * view.columns + x / FaceView::kCellPx];
+      const int32_t label = labels[y / FaceView::kCellPx * view.columns + x / FaceView::kCellPx];
       if (label < 0) continue;
       const Gradient g = gradient(x, y);
       if (!(g.size > min_slope)) continue;
@@ -170,8 +169,8 @@ class FaintLines {
     for (size_t i = 0; i < kept; ++i) {
       const int64_t row = found[i].second / across_size - 2;
       const int64_t column = found[i].second % across_size - 2 + first;
-      peaks.push_back({(double(row) + 0.5) / options_.num_angles * M_PI,
-                       low + (double(column) + 0.5) * width});
+      peaks.push_back(
+          {(double(row) + 0.5) / options_.num_angles * M_PI, low + (double(column) + 0.5) * width});
     }
     return peaks;
   }
@@ -188,8 +187,8 @@ class FaintLines {
     const Vec2 normal{-std::sin(angle), std::cos(angle)};
     const double width = options_.width * marks_.size;
     const int row = RowOf(angle);
-    const int reach = std::min(
-        int(std::asin(options_.max_turn) / M_PI * options_.num_angles) + 1, (options_.num_angles - 1) / 2);
+    const int reach = std::min(int(std::asin(options_.max_turn) / M_PI * options_.num_angles) + 1,
+                               (options_.num_angles - 1) / 2);
     std::vector<int64_t> near;
     const auto visit = [&](int at) {
       for (const Entry& entry : by_row_[(at + options_.num_angles) % options_.num_angles]) {
@@ -233,8 +232,9 @@ class FaintLines {
       places.push_back({int64_t(step), marks_.views[i], i});
     }
     std::sort(places.begin(), places.end(), [](const Place& a, const Place& b) {
-      return a.step != b.step ? a.step < b.step
-                              : a.view != b.view ? a.view < b.view : a.mark < b.mark;
+      return a.step != b.step   ? a.step < b.step
+             : a.view != b.view ? a.view < b.view
+                                : a.mark < b.mark;
     });
     FaintLine line;
     int64_t num_steps = 0;
@@ -252,7 +252,7 @@ class FaintLines {
 
   const FlatMarks marks_;
   const FaintLineOptions options_;
-  std::vector<uint8_t> taken_;  // marks that are on a line
+  std::vector<uint8_t> taken_;              // marks that are on a line
   std::vector<std::vector<Entry>> by_row_;  // the other marks, by angle
 };
 

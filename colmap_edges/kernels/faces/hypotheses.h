@@ -149,8 +149,7 @@ class PlaneSearch {
       int64_t count = 0;
       VisitPoints(on.data(), on.size(), [&](size_t i) { count += whole_[i] > 0; });
       if (count < 8) return std::nullopt;
-      const Vec3 middle =
-          Average(on, plane.normal, [this](size_t i) { return points_.point(i); });
+      const Vec3 middle = Average(on, plane.normal, [this](size_t i) { return points_.point(i); });
       double spread[6] = {};
       VisitPoints(on.data(), on.size(), [&](size_t i) {
         const Vec3 off = points_.point(i) - middle;

@@ -55,21 +55,20 @@ inline Rows<int32_t> NeighborsOf(const int64_t* offsets, const int32_t* views,
   std::vector<int32_t> others;
   Rows<int32_t> rows;
   for (size_t v = 0; v < num_views; ++v) {
+    std::fill(shared.begin(), shared.end(), 0);
+    for (int64_t i = observed_offsets[v]; i < observed_offsets[v + 1]; ++i)
+      for (int64_t j = offsets[observed[i]]; j < offsets[observed[i] + 1]; ++j) ++shared[views[j]];
+    shared[v] = 0;
     others.clear();
-    for (int64_t i = observed_offsets[v]; i < observed_offsets[v + 1]; ++i) {
-      for (int64_t j = offsets[observed[i]]; j < offsets[observed[i] + 1]; ++j)
-        if (shared[views[j]]++ == 0) others.push_back(views[j]);
-    }
+    for (size_t other = 0; other < num_views; ++other)
+      if (shared[other] > 0) others.push_back(int32_t(other));
     const auto before = [&](int32_t a, int32_t b) {
       return shared[a] != shared[b] ? shared[a] > shared[b] : a < b;
     };
-    shared[v] = 0;
-    others.erase(std::remove(others.begin(), others.end(), int32_t(v)), others.end());
     const size_t kept = std::min(most, others.size());
     std::partial_sort(others.begin(), others.begin() + kept, others.end(), before);
     rows.entries.insert(rows.entries.end(), others.begin(), others.begin() + kept);
     rows.offsets.push_back(int64_t(rows.entries.size()));
-    for (const int32_t other : others) shared[other] = 0;
   }
   return rows;
 }
