@@ -1,4 +1,4 @@
-// Entry points of the bindings, one for each folder of kernels.
+// Entry points of the bindings, at least one for each folder of kernels.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -37,6 +37,7 @@ def are_enclosed(
     grids: Sequence[Grid],
     evidence: Evidence,
     planes: Planes,
+    num_threads: int = 1,
 ) -> BoolArray:
     """(S,) whether most of the agreeing views show a place on a piece between what is observed.
 
@@ -47,6 +48,7 @@ def are_enclosed(
         grids: (V,) their small pictures.
         evidence: points, and who observes them.
         planes: of the labels.
+        num_threads: threads; the result does not depend on them.
     """
     num_views = len(model.views)
     plane_offsets, plane_rows = planes_of_points(evidence, planes)
@@ -71,7 +73,7 @@ def are_enclosed(
         np.array(DIRECTIONS, np.int32),
         MAX_OPEN,
         ENCLOSED_SHARE,
-        1,
+        num_threads,
     )
     most: BoolArray = counts >= ENCLOSED_SHARE * np.diff(samples.offsets)
     return most
