@@ -65,9 +65,9 @@ class Hypotheses:
         tangents, weights = self.tangents[straight], self.weights[straight].copy()
         total = weights.sum()
         tried = self.rng.choice(len(straight), min(300, len(straight)), replace=False)
+        along = (np.abs(tangents[tried] @ tangents.T) > AXIS_COSINE).astype(np.float64)
         for _ in range(NUM_AXES):
-            cosines = np.abs(tangents[tried] @ tangents.T) > AXIS_COSINE
-            best = tangents[tried[np.argmax(cosines @ weights)]]
+            best = tangents[tried[np.argmax(along @ weights)]]
             for _ in range(4):
                 near = (np.abs(tangents @ best) > AXIS_COSINE) * self.weights[straight]
                 best = np.linalg.eigh((tangents.T * near) @ tangents)[1][:, -1]
