@@ -9,9 +9,9 @@ namespace {
 using namespace nb::literals;
 
 nb::tuple MarksOfArrays(Rotation rotation, Translation translation, double focal_px,
-                        InArray<double, nb::shape<2>> principal, InArray<float, nb::ndim<2>> smooth,
-                        InArray<int32_t, nb::ndim<2>> labels, Points3D normals, Doubles offsets,
-                        double min_slope) {
+                        InArray<double, nb::shape<2>> principal,
+                        InArray<double, nb::ndim<2>> smooth, InArray<int32_t, nb::ndim<2>> labels,
+                        Points3D normals, Doubles offsets, double min_slope) {
   Require(smooth.shape(0) == labels.shape(0) * FaceView::kCellPx &&
               smooth.shape(1) == labels.shape(1) * FaceView::kCellPx,
           "pictures must be of whole cells");

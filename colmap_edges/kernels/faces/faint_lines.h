@@ -21,16 +21,16 @@ struct Mark {
 
 // The marks that a view sees where its blurred picture changes most across, at least by min_slope
 // a pixel. labels: planes of the cells, -1: none.
-inline std::vector<Mark> MarksOf(const FaceView& view, const float* smooth, const int32_t* labels,
+inline std::vector<Mark> MarksOf(const FaceView& view, const double* smooth, const int32_t* labels,
                                  const std::vector<Plane>& planes, double min_slope) {
   const int64_t width = view.width();
-  const float least = float(min_slope * min_slope);
+  const double least = min_slope * min_slope;
   struct Gradient {
-    float x, y, squared;
+    double x, y, squared;
   };
   const auto gradient = [&](int64_t x, int64_t y) {
-    const float* at = smooth + y * width + x;
-    const float gx = 0.5f * (at[1] - at[-1]), gy = 0.5f * (at[width] - at[-width]);
+    const double* at = smooth + y * width + x;
+    const double gx = 0.5 * (at[1] - at[-1]), gy = 0.5 * (at[width] - at[-width]);
     return Gradient{gx, gy, gx * gx + gy * gy};
   };
   std::vector<Mark> marks;
@@ -40,14 +40,14 @@ inline std::vector<Mark> MarksOf(const FaceView& view, const float* smooth, cons
       if (label < 0) continue;
       const Gradient g = gradient(x, y);
       if (!(g.squared > least)) continue;
-      const float most = std::max(std::abs(g.x), std::abs(g.y));
+      const double most = std::max(std::abs(g.x), std::abs(g.y));
       const int64_t right = std::lrint(g.x / most), down = std::lrint(g.y / most);
       if (g.squared < gradient(x + right, y + down).squared ||
           g.squared <= gradient(x - right, y - down).squared)
         continue;
       const Plane& plane = planes[label];
       const Vec2 pixel{double(x) + 0.5, double(y) + 0.5};
-      const Vec2 next = pixel + (1 / std::sqrt(double(g.squared))) * Vec2{-g.y, g.x};
+      const Vec2 next = pixel + (1 / std::sqrt(g.squared)) * Vec2{-g.y, g.x};
       const auto away = [&](Vec2 at) {  // from the view to where it sees the plane
         const Vec3 ray = view.RayThrough(at);
         const double depth = -plane.Distance(view.pose.center) / Dot(plane.normal, ray);

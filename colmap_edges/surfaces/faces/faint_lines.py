@@ -83,7 +83,7 @@ class Line(NamedTuple):
 
 def marks_of(view: View, index: int, grid: Grid, labels: Int32Array, planes: Planes) -> Marks:
     """The marks that a view sees, by the (rows, columns) labels of its cells."""
-    gray = grid.gray.astype(np.float32)
+    gray = grid.gray.astype(np.float64)
     smooth = cv2.GaussianBlur(gray, BLUR_SIZE, BLUR_PX, borderType=cv2.BORDER_REFLECT)
     points, directions, sizes, on = _kernels.marks_of(
         view.rotation,

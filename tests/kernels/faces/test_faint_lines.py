@@ -37,17 +37,17 @@ def expected_marks(smooth, labels, normals, offsets, min_slope):
 
 def test_marks_lie_where_gray_changes_most():
     rng = np.random.default_rng(0)
-    smooth = 100 * rng.random((32, 48)).astype(np.float32)
+    smooth = 100 * rng.random((32, 48))
     labels = np.repeat([[-1, 0, 1, 1]], 8, axis=0).repeat(3, axis=1).astype(np.int32)
     normals = np.array([[0, 0, 1.0], [0.6, 0, 0.8]])
     offsets = np.array([2.0, 5.0])
     points, directions, sizes, planes = _kernels.marks_of(
         np.eye(3), np.zeros(3), FOCAL, PRINCIPAL, smooth, labels, normals, offsets, 10.0
     )
-    expected = expected_marks(smooth.astype(float), labels, normals, offsets, 10.0)
+    expected = expected_marks(smooth, labels, normals, offsets, 10.0)
     assert len(expected) > 50
-    assert points == pytest.approx(expected[:, :3], abs=1e-4)
-    assert directions == pytest.approx(expected[:, 3:6], abs=1e-4)
+    assert points == pytest.approx(expected[:, :3], abs=1e-9)
+    assert directions == pytest.approx(expected[:, 3:6], abs=1e-9)
     assert planes.tolist() == expected[:, 6].tolist()
     assert sizes == pytest.approx(np.linalg.norm(points, axis=1) / FOCAL)
 
