@@ -20,6 +20,21 @@ EnclosureOptions ToOptions(const Steps& directions, int max_open, double min_sha
   return options;
 }
 
+std::vector<Extent> ToExtents(const Points3D& directions, const Points2D& extents,
+                              size_t num_planes) {
+  const size_t num_sides = extents.shape(0);
+  Require(directions.shape(0) == num_sides &&
+              (num_planes == 0 ? num_sides == 0 : num_sides % num_planes == 0),
+          "extents must have as many directions on every plane");
+  std::vector<Extent> result(num_planes);
+  for (size_t i = 0; i < num_sides; ++i) {
+    Extent& extent = result[i / (num_sides / num_planes)];
+    extent.directions.push_back({directions(i, 0), directions(i, 1), directions(i, 2)});
+    extent.low.push_back(extents(i, 0)), extent.high.push_back(extents(i, 1));
+  }
+  return result;
+}
+
 OutArray<uint8_t> EnclosedCellsArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
                                      Bytes2D inside, Steps directions, int max_open) {
   const size_t rows = shown.shape(0), columns = shown.shape(1);
@@ -72,17 +87,9 @@ OutArray<int64_t> CountEnclosingArray(InArray<double, nb::shape<-1, 3, 3>> rotat
   for (size_t i = 0; i < labels.size(); ++i)
     Require(labels(i) < int64_t(num_planes), "labels hold an unknown plane");
   Require(normals.shape(0) == num_planes, "normals and offsets differ in number");
-  const size_t num_sides = extents.shape(0);
-  Require(directions.shape(0) == num_sides && (num_planes == 0 || num_sides % num_planes == 0),
-          "extents must have as many directions on every plane");
   for (size_t k = 0; k < num_planes; ++k)
     scene.planes.push_back({{normals(k, 0), normals(k, 1), normals(k, 2)}, offsets(k)});
-  scene.extents.resize(num_planes);
-  for (size_t i = 0; i < num_sides; ++i) {
-    Extent& extent = scene.extents[i / (num_sides / num_planes)];
-    extent.directions.push_back({directions(i, 0), directions(i, 1), directions(i, 2)});
-    extent.low.push_back(extents(i, 0)), extent.high.push_back(extents(i, 1));
-  }
+  scene.extents = ToExtents(directions, extents, num_planes);
   for (size_t i = 0; i < points.shape(0); ++i)
     scene.points.points.push_back({points(i, 0), points(i, 1), points(i, 2)});
   CheckOffsets(plane_offsets, points.shape(0), planes_of_points.size());
