@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 
 MAX_POINTS = 4000  # maximum number of points for scoring hypotheses
@@ -23,7 +22,6 @@ MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
 MAX_PLANES = 60  # maximum number of planes
 EXPLAINED_WEIGHT = 0.3  # weight of edges already on one plane, since two planes meet at an edge
 LEAST_WEIGHT = 0.1  # weight of edges on many planes
-CHUNK = 256  # hypotheses per batch
 SAME_SHARE = 0.7  # minimum share of shared points of duplicate planes
 SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
@@ -41,22 +39,6 @@ class Planes:
     offsets: FloatArray
 
 
-class Narrow(NamedTuple):
-    """Points in single precision, as many planes are held against them.
-
-    Attributes:
-        points: (3, N) from their middle.
-        rays: (3, N) directions in which they are seen, as long as their tolerance along these.
-        across: (N,) squares of the tolerance across.
-        tangents: (3, N).
-    """
-
-    points: Float32Array
-    rays: Float32Array
-    across: Float32Array
-    tangents: Float32Array
-
-
 class Hypotheses:
     """Planes through evidence, and what supports them."""
 
@@ -69,42 +51,10 @@ class Hypotheses:
         self.points = evidence.points[chosen]
         self.tangents = evidence.tangents[chosen]
         self.has_tangent = np.abs(self.tangents).sum(axis=1) > 0
-        self.rays = evidence.rays[chosen]
-        self.sigmas, self.ray_sigmas = evidence.sigmas[chosen], evidence.ray_sigmas[chosen]
+        self.rays = evidence.ray_sigmas[chosen, None] * evidence.rays[chosen]
+        self.sigmas = evidence.sigmas[chosen]
         self.weights = evidence.weights[chosen]
         self.rng = rng
-        self.middle = np.median(self.points, axis=0) if count else np.zeros(3)
-        self.narrow = Narrow(
-            points=(self.points - self.middle).astype(np.float32).T,
-            rays=(TOLERANCE * self.ray_sigmas[:, None] * self.rays).astype(np.float32).T,
-            across=((TOLERANCE * self.sigmas) ** 2).astype(np.float32),
-            tangents=self.tangents.astype(np.float32).T,
-        )
-
-    def members(self, normals: FloatArray, offsets: FloatArray) -> Any:
-        """(K, N) sparse float32 array, 1 where a point lies on a plane."""
-        planes = normals.astype(np.float32)
-        places = (offsets - normals @ self.middle).astype(np.float32)
-        columns, counts = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-        for first in range(0, len(offsets), CHUNK):
-            part = slice(first, first + CHUNK)
-            off = planes[part] @ self.narrow.points - places[part, None]
-            near = off**2 <= (planes[part] @ self.narrow.rays) ** 2 + self.narrow.across
-            near &= np.abs(planes[part] @ self.narrow.tangents) <= MAX_SLOPE
-            columns.append(np.nonzero(near)[1])
-            counts.append(np.count_nonzero(near, axis=1))
-        indices, starts = np.concatenate(columns), offsets_of(np.concatenate(counts))
-        ones = np.ones(len(indices), np.float32)
-        return sparse.csr_array((ones, indices, starts), (len(offsets), len(self.points)))
-
-    def deviations(self, normal: FloatArray) -> FloatArray:
-        """(N,) standard deviations of the points' distances from a plane."""
-        return np.hypot(self.sigmas, self.ray_sigmas * (self.rays @ normal))
-
-    def on(self, normal: FloatArray, offset: float, tolerance: float = TOLERANCE) -> BoolArray:
-        """(N,) whether points and their tangents lie on a plane."""
-        near = np.abs(self.points @ normal - offset) <= tolerance * self.deviations(normal)
-        return near & (np.abs(self.tangents @ normal) <= MAX_SLOPE)
 
     def axes(self) -> FloatArray:
         """(A, 3) directions that many edges have."""
@@ -115,9 +65,9 @@ class Hypotheses:
         tangents, weights = self.tangents[straight], self.weights[straight].copy()
         total = weights.sum()
         tried = self.rng.choice(len(straight), min(300, len(straight)), replace=False)
+        along = (np.abs(tangents[tried] @ tangents.T) > AXIS_COSINE).astype(np.float64)
         for _ in range(NUM_AXES):
-            cosines = np.abs(tangents[tried] @ tangents.T) > AXIS_COSINE
-            best = tangents[tried[np.argmax(cosines @ weights)]]
+            best = tangents[tried[np.argmax(along @ weights)]]
             for _ in range(4):
                 near = (np.abs(tangents @ best) > AXIS_COSINE) * self.weights[straight]
                 best = np.linalg.eigh((tangents.T * near) @ tangents)[1][:, -1]
@@ -149,11 +99,12 @@ class Hypotheses:
         share = self.weights / self.weights.sum()
         first = self.rng.choice(len(self.points), NUM_PAIRS, p=share)
         num_near = min(NUM_NEAR, len(self.points))
-        sources, rows = np.unique(first, return_inverse=True)
-        _, near = cKDTree(self.points).query(self.points[sources], num_near)
         ranks = np.floor(num_near ** self.rng.random((NUM_PAIRS, 2))).astype(np.int64)
         ranks = np.minimum(ranks, num_near - 1)
-        second, third = near[rows, ranks[:, 0]], near[rows, ranks[:, 1]]
+        second = nearest(self.points, first, ranks[:, 0])
+        third = np.where(self.has_tangent[second], second, 0)
+        open_ = np.flatnonzero(~self.has_tangent[second])
+        third[open_] = nearest(self.points, first[open_], ranks[open_, 1])
         lengths = self.points[second] - self.points[first]
         one = np.where(self.has_tangent[first][:, None], self.tangents[first], lengths)
         other = np.where(
@@ -180,48 +131,17 @@ class Hypotheses:
             offsets = np.concatenate([offsets, at])
         return normals, offsets
 
-    def fitted(
-        self, normal: FloatArray, offset: float, common: FloatArray
-    ) -> tuple[FloatArray, float] | None:
-        """The plane fitted to all that lies on it; one of the common normals where that is as good.
 
-        None where too little lies on it.
-        """
-        for tolerance in (1.6 * TOLERANCE, 1.2 * TOLERANCE, TOLERANCE):
-            on = np.flatnonzero(self.on(normal, offset, tolerance))
-            if len(on) < 8:
-                return None
-            weights = self.weights[on] / self.deviations(normal)[on] ** 2
-            middle = np.average(self.points[on], axis=0, weights=weights)
-            off = (self.points[on] - middle) * np.sqrt(weights)[:, None]
-            values, vectors = np.linalg.eigh(off.T @ off)
-            if values[1] > 0.005 * values[2]:  # otherwise nearly a line, which says no normal
-                normal = vectors[:, 0]
-            offset = float(middle @ normal)
-        return self.snapped(normal, offset, common)
-
-    def snapped(
-        self, normal: FloatArray, offset: float, common: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """The plane with the nearest common normal, where as much lies on that."""
-        if not len(common):
-            return normal, offset
-        nearest = common[np.argmax(np.abs(common @ normal))]
-        if abs(nearest @ normal) < np.cos(np.radians(10)):
-            return normal, offset
-        on = self.on(normal, offset)
-        offsets = self.points[on] @ nearest
-        tried = np.quantile(offsets, np.linspace(0.1, 0.9, 17))
-        support = self.members(np.repeat(nearest[None], len(tried), axis=0), tried) @ self.weights
-        best = int(np.argmax(support))
-        if support[best] < SNAP_GAIN * self.weights[on].sum():
-            return normal, offset
-        near = self.on(nearest, tried[best])
-        at = np.average(
-            self.points[near] @ nearest,
-            weights=self.weights[near] / self.deviations(nearest)[near] ** 2,
-        )
-        return nearest, float(at)
+def nearest(points: FloatArray, sources: IntArray, ranks: IntArray) -> IntArray:
+    """(M,) the point of a given rank among those that are nearest to each of (M,) points."""
+    found, tree, least = np.zeros(len(sources), np.int64), cKDTree(points), 0
+    while least < len(points) and (ranks >= least).any():
+        count = min(max(2 * least, 4), len(points))  # few are found more quickly than many
+        rows = np.flatnonzero((ranks >= least) & (ranks < count))
+        near, own = np.unique(sources[rows], return_inverse=True)
+        found[rows] = tree.query(points[near], count)[1][own, ranks[rows]]
+        least = count
+    return found
 
 
 def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
@@ -234,49 +154,18 @@ def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
     normals, offsets = tried.candidates(common)
     if not len(offsets):
         return none
-    found = greedy(tried, normals, offsets, common)
-    return Planes(
-        normals=np.array([n for n, _ in found]).reshape(-1, 3),
-        offsets=np.array([d for _, d in found]),
+    options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, LEAST_WEIGHT, SAME_SHARE, SNAP_GAIN)
+    normals, offsets = _kernels.search_planes(
+        tried.points,
+        tried.tangents,
+        tried.rays,
+        tried.sigmas,
+        tried.weights,
+        normals,
+        offsets,
+        common,
+        MAX_SLOPE,
+        np.array(options),
+        MAX_PLANES,
     )
-
-
-def greedy(
-    tried: Hypotheses, normals: FloatArray, offsets: FloatArray, common: FloatArray
-) -> list[tuple[FloatArray, float]]:
-    """One plane after the other, each with the most support that is not another's yet."""
-    whole = tried.weights.astype(np.float32)
-    least = MIN_SHARE * float(whole.sum())
-    members = tried.members(normals, offsets)
-    support = members @ whole
-    enough = np.flatnonzero(support >= least)
-    members, support = members[enough], support[enough]
-    normals, offsets = normals[enough], offsets[enough]
-    weights, open_ = whole.copy(), np.ones(len(offsets), bool)
-    found: list[tuple[FloatArray, float]] = []
-    owned: list[BoolArray] = []
-    unexplained = support
-    while len(found) < MAX_PLANES and open_.any():
-        left = np.where(open_, unexplained, 0)
-        best = int(np.argmax(left))
-        if left[best] < least:
-            break
-        open_[best] = False
-        fitted = tried.fitted(normals[best], offsets[best], common)
-        if fitted is None:
-            continue
-        own = tried.on(*fitted)
-        open_ &= members @ (whole * own) <= SAME_SHARE * support
-        if any(is_same(own, other, whole) for other in owned):
-            continue
-        weights[own] = np.maximum(EXPLAINED_WEIGHT * weights[own], LEAST_WEIGHT * whole[own])
-        unexplained = members @ weights
-        found.append(fitted)
-        owned.append(own)
-    return found
-
-
-def is_same(one: BoolArray, other: BoolArray, weights: Float32Array) -> bool:
-    """Whether most of what lies on one of two planes lies on the other."""
-    shared = weights[one & other].sum()
-    return bool(shared > SAME_SHARE * min(weights[one].sum(), weights[other].sum()))
+    return Planes(normals=normals, offsets=offsets)

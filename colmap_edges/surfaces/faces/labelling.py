@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
@@ -68,8 +67,7 @@ def make_scene(
     """The kernel's scene: views with their pictures, planes, points, and who observes what."""
     num_views = len(model.views)
     plane_offsets, plane_rows = planes_of_points(evidence, planes)
-    order = order_of(evidence.views, num_views)
-    neighbors = neighbors_of(num_views, evidence)
+    observed_offsets, observed = observed_points(evidence, num_views)
     middle = np.median(evidence.points, axis=0)
     far = np.quantile(np.linalg.norm(evidence.points - middle, axis=1), 0.99)
     return _kernels.FaceScene(
@@ -83,10 +81,11 @@ def make_scene(
         evidence.points,
         plane_offsets,
         plane_rows,
-        offsets_of(np.bincount(evidence.views, minlength=num_views)),
-        owners_of(evidence.offsets)[order].astype(np.int32),
-        offsets_of(np.array([len(row) for row in neighbors])),
-        np.concatenate(neighbors).astype(np.int32),
+        observed_offsets,
+        observed,
+        *_kernels.neighbors_of(
+            evidence.offsets, evidence.views, observed_offsets, observed, NUM_NEIGHBORS
+        ),
         np.array([middle, [REACH * far, 0, 0]]),
         *extents_of(evidence, planes, plane_offsets, plane_rows),
         num_threads,
@@ -124,12 +123,24 @@ def split_by_view(labels: Int32Array, grids: Sequence[Grid]) -> list[Int32Array]
 
 def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int32Array]:
     """Offsets (N + 1,) and planes, row by row, that each point lies on."""
-    distances = np.abs(evidence.points @ planes.normals.T - planes.offsets)
-    along = (evidence.rays @ planes.normals.T) * evidence.ray_sigmas[:, None]
-    near = distances <= ON_TOLERANCE * np.hypot(along, evidence.sigmas[:, None])
-    near &= np.abs(evidence.tangents @ planes.normals.T) <= ON_SLOPE
-    rows, columns = np.nonzero(near)
-    return offsets_of(np.bincount(rows, minlength=len(near))), columns.astype(np.int32)
+    offsets, rows = _kernels.planes_of_points(
+        evidence.points,
+        evidence.tangents,
+        evidence.ray_sigmas[:, None] * evidence.rays,
+        evidence.sigmas,
+        planes.normals,
+        planes.offsets,
+        ON_TOLERANCE,
+        ON_SLOPE,
+    )
+    return offsets, rows
+
+
+def observed_points(evidence: Evidence, num_views: int) -> tuple[IntArray, Int32Array]:
+    """Offsets (V + 1,) and points, row by row, that each view observes."""
+    order = order_of(evidence.views, num_views)
+    offsets = offsets_of(np.bincount(evidence.views, minlength=num_views))
+    return offsets, owners_of(evidence.offsets)[order].astype(np.int32)
 
 
 def extents_of(
@@ -144,32 +155,16 @@ def extents_of(
         (K * D, 3) directions on the planes, and (K * D, 2) least and largest components of the
         points in them.
     """
-    owners = owners_of(offsets)
+    owners = owners_of(offsets)[order_of(rows, len(planes.normals))]
+    ends = np.cumsum(np.bincount(rows, minlength=len(planes.normals)))
     angles = np.arange(NUM_SIDES // 2) * np.pi / (NUM_SIDES // 2)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     directions, extents = [], []
-    for plane, normal in enumerate(planes.normals):
+    for normal, own in zip(planes.normals, np.split(owners, ends[:-1]), strict=True):
         directions.append(circle @ np.linalg.svd(normal[None])[2][1:])
-        own = owners[rows == plane]
-        at = evidence.points[own] @ directions[-1].T
+        at = np.ascontiguousarray((evidence.points[own] @ directions[-1].T).T)
         margin = np.median(evidence.sigmas[own]) if len(own) else 0.0
-        low, high = np.quantile(at, (1 - INNER, INNER), axis=0) if len(own) else np.zeros((2, 1))
+        low, high = np.quantile(at, (1 - INNER, INNER), axis=1) if len(own) else np.zeros((2, 1))
         sides = np.column_stack([low - margin, high + margin])
         extents.append(np.broadcast_to(sides, (len(circle), 2)))
     return np.concatenate(directions), np.ascontiguousarray(np.concatenate(extents))
-
-
-def neighbors_of(num_views: int, evidence: Evidence) -> list[IntArray]:
-    """Of each view the views that see the most of the same points, the most first."""
-    owners = owners_of(evidence.offsets)
-    ones = np.ones(len(owners), np.int64)
-    shape = (num_views, len(evidence.points))
-    seen = sparse.csr_matrix((ones, (evidence.views, owners)), shape)
-    shared = (seen @ seen.T).tocsr()
-    rows = []
-    for view in range(num_views):
-        part = slice(shared.indptr[view], shared.indptr[view + 1])
-        others, counts = shared.indices[part].astype(np.int64), shared.data[part]
-        others, counts = others[others != view], counts[others != view]
-        rows.append(others[np.lexsort((others, -counts))[:NUM_NEIGHBORS]])
-    return rows

@@ -1,8 +1,20 @@
 """Labels are believed between the points of their plane, and not beyond the last of them."""
 
 import numpy as np
+from scipy import ndimage
 
-from colmap_edges.surfaces.faces.enclosure import DIRECTIONS, enclosed_cells, whole_pieces
+from colmap_edges.kernels import _kernels
+from colmap_edges.surfaces.faces.enclosure import DIRECTIONS, ENCLOSED_SHARE, MAX_OPEN
+
+
+def enclosed_cells(shown, touched, inside):
+    return _kernels.enclosed_cells(
+        shown,
+        touched.astype(np.uint8),
+        inside.astype(np.uint8),
+        np.array(DIRECTIONS, np.int32),
+        MAX_OPEN,
+    ).astype(bool)
 
 
 def steps_that_meet(shown, touched, inside, row, column):
@@ -71,5 +83,18 @@ def test_the_end_of_the_picture_encloses_where_the_plane_is_known_to_go_on():
 def test_pieces_are_believed_as_most_of_their_cells_are():
     shown = np.array([[0, 0, 0, 1, 1, -1, 0, 0, 0]], np.int32)
     enclosed = np.array([[1, 1, 0, 0, 1, 0, 1, 0, 0]], bool)
-    held = whole_pieces(shown, enclosed)
-    assert held.tolist() == [[True, True, True, True, True, False, True, False, False]]
+    held = _kernels.whole_pieces(shown, enclosed.astype(np.uint8), ENCLOSED_SHARE)
+    assert held.tolist() == [[1, 1, 1, 1, 1, 0, 1, 0, 0]]
+
+
+def test_pieces_are_connected_along_sides():
+    rng = np.random.default_rng(2)
+    shown = rng.integers(-1, 2, (12, 15)).astype(np.int32)
+    enclosed = (rng.random(shown.shape) < 0.4) & (shown >= 0)
+    expected = enclosed.copy()
+    for plane in (0, 1):
+        pieces, count = ndimage.label(shown == plane)
+        for piece in range(1, count + 1):
+            expected |= (pieces == piece) & (enclosed[pieces == piece].mean() >= ENCLOSED_SHARE)
+    held = _kernels.whole_pieces(shown, enclosed.astype(np.uint8), ENCLOSED_SHARE)
+    assert np.array_equal(held, expected)

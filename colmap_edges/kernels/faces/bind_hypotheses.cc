@@ -1,0 +1,103 @@
+// Bindings of the search for planes, and of what lies on them.
+#include "common/arrays.h"
+#include "common/bindings.h"
+#include "faces/hypotheses.h"
+#include "faces/incidence.h"
+
+namespace colmap_edges {
+namespace {
+
+using namespace nb::literals;
+
+PlaneEvidence ToEvidence(const Points3D& points, const Points3D& tangents, const Points3D& rays,
+                         const Doubles& sigmas) {
+  const size_t count = points.shape(0);
+  Require(tangents.shape(0) == count && rays.shape(0) == count && sigmas.size() == count,
+          "what is known of the points differs in number");
+  return {points.data(), tangents.data(), rays.data(), sigmas.data(), int64_t(count)};
+}
+
+std::vector<Plane> ToPlanes(const Points3D& normals, const Doubles& offsets) {
+  Require(normals.shape(0) == offsets.size(), "normals and offsets differ in number");
+  std::vector<Plane> planes;
+  for (size_t k = 0; k < offsets.size(); ++k)
+    planes.push_back({{normals(k, 0), normals(k, 1), normals(k, 2)}, offsets(k)});
+  return planes;
+}
+
+nb::tuple ToArrays(Rows<int32_t>&& rows) {
+  const size_t count = rows.offsets.size(), total = rows.entries.size();
+  return nb::make_tuple(ToArray(std::move(rows.offsets), {count}),
+                        ToArray(std::move(rows.entries), {total}));
+}
+
+nb::tuple SearchPlanesArrays(Points3D points, Points3D tangents, Points3D rays, Doubles sigmas,
+                             Doubles weights, Points3D normals, Doubles offsets, Points3D common,
+                             double max_slope, Doubles options, int max_planes) {
+  const PlaneEvidence evidence = ToEvidence(points, tangents, rays, sigmas);
+  Require(weights.size() == sigmas.size(), "points and weights differ in number");
+  Require(options.size() == 6, "options are missing");
+  const PlaneSearchOptions search{options(0), options(1), options(2), options(3),
+                                  options(4), options(5), max_planes};
+  const std::vector<Plane> planes = ToPlanes(normals, offsets);
+  std::vector<Vec3> axes;
+  for (size_t i = 0; i < common.shape(0); ++i)
+    axes.push_back({common(i, 0), common(i, 1), common(i, 2)});
+  std::vector<double> found_normals, found_offsets;
+  {
+    nb::gil_scoped_release release;
+    const PlanePoints tried(evidence, max_slope);
+    for (const Plane& plane : PlaneSearch(tried, weights.data(), axes, search).Run(planes)) {
+      found_normals.insert(found_normals.end(), {plane.normal.x, plane.normal.y, plane.normal.z});
+      found_offsets.push_back(plane.offset);
+    }
+  }
+  const size_t count = found_offsets.size();
+  return nb::make_tuple(ToArray(std::move(found_normals), {count, 3}),
+                        ToArray(std::move(found_offsets), {count}));
+}
+
+nb::tuple PlanesOfPointsArrays(Points3D points, Points3D tangents, Points3D rays, Doubles sigmas,
+                               Points3D normals, Doubles offsets, double tolerance,
+                               double max_slope) {
+  const PlaneEvidence evidence = ToEvidence(points, tangents, rays, sigmas);
+  const std::vector<Plane> planes = ToPlanes(normals, offsets);
+  Rows<int32_t> rows;
+  {
+    nb::gil_scoped_release release;
+    rows = PlanesOfPoints(evidence, planes, tolerance, max_slope);
+  }
+  return ToArrays(std::move(rows));
+}
+
+nb::tuple NeighborsOfArrays(Longs offsets, Ints views, Longs observed_offsets, Ints observed,
+                            int most) {
+  CheckOffsets(offsets, views.size());
+  CheckOffsets(observed_offsets, observed.size());
+  CheckViews(views, observed_offsets.size() - 1);
+  CheckViews(observed, offsets.size() - 1);
+  Require(most >= 0, "the number of neighbours must not be negative");
+  Rows<int32_t> rows;
+  {
+    nb::gil_scoped_release release;
+    rows = NeighborsOf(offsets.data(), views.data(), ToVector(observed_offsets), observed.data(),
+                       size_t(most));
+  }
+  return ToArrays(std::move(rows));
+}
+
+}  // namespace
+
+void BindFaceHypotheses(nb::module_& m) {
+  m.def("search_planes", &SearchPlanesArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
+        "weights"_a, "normals"_a, "offsets"_a, "common"_a, "max_slope"_a, "options"_a,
+        "max_planes"_a, "Normals and offsets of the planes chosen among candidates.");
+  m.def("planes_of_points", &PlanesOfPointsArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
+        "normals"_a, "offsets"_a, "tolerance"_a, "max_slope"_a,
+        "Offsets and planes, row by row, that each point lies on.");
+  m.def("neighbors_of", &NeighborsOfArrays, "offsets"_a, "views"_a, "observed_offsets"_a,
+        "observed"_a, "most"_a,
+        "Offsets and views, row by row, that see the most of the same points as each view.");
+}
+
+}  // namespace colmap_edges

@@ -1,0 +1,167 @@
+// Cells that observed points of their plane enclose.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "common/parallel.h"
+#include "faces/grids.h"
+
+namespace colmap_edges {
+
+struct CellStep {
+  int32_t columns, rows;
+};
+
+struct EnclosureOptions {
+  std::vector<CellStep> directions;  // sorted by angle
+  int max_open;                      // maximum number of adjacent open directions
+  double min_share;                  // minimum share of enclosed cells of a whole piece
+};
+
+// A view's cells: planes, -1 for none, and for every cell and plane whether points are observed.
+struct CellGrid {
+  int32_t columns, rows, num_planes;
+  const int32_t* labels;
+  const uint8_t* touched;  // (num_cells, num_planes)
+  const uint8_t* inside;   // (num_cells) where a way that leaves the picture meets points, too
+
+  int32_t num_cells() const { return columns * rows; }
+};
+
+// Whether steps in one direction meet points of a cell's plane before they leave the plane.
+inline void FindMet(const CellGrid& grid, CellStep step, uint8_t* met) {
+  // The next cell comes first: cells whose way goes on are as the next.
+  const int32_t down = step.rows > 0 ? -1 : 1, right = step.columns > 0 ? -1 : 1;
+  for (int32_t y = down > 0 ? 0 : grid.rows - 1; y >= 0 && y < grid.rows; y += down) {
+    for (int32_t x = right > 0 ? 0 : grid.columns - 1; x >= 0 && x < grid.columns; x += right) {
+      const int32_t cell = y * grid.columns + x, label = grid.labels[cell];
+      const int32_t row = y + step.rows, column = x + step.columns;
+      const int32_t next = row * grid.columns + column;
+      if (label < 0) {
+        met[cell] = false;
+      } else if (row < 0 || row >= grid.rows || column < 0 || column >= grid.columns) {
+        met[cell] = grid.inside[cell];
+      } else {
+        met[cell] = grid.touched[int64_t(next) * grid.num_planes + label] ||
+                    (grid.labels[next] == label && met[next]);
+      }
+    }
+  }
+}
+
+// Whether going straight on within a cell's label meets its plane's points all around.
+inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureOptions& options) {
+  const size_t num_cells = grid.num_cells(), num_steps = options.directions.size();
+  std::vector<uint8_t> met(num_cells * num_steps);
+  for (size_t k = 0; k < num_steps; ++k) FindMet(grid, options.directions[k], &met[k * num_cells]);
+  std::vector<int32_t> run(num_cells, 0), longest(num_cells, 0);
+  for (size_t k = 0; k < 2 * num_steps; ++k) {  // twice, as runs go on from the last to the first
+    const uint8_t* here = &met[k % num_steps * num_cells];
+    for (size_t i = 0; i < num_cells; ++i) {
+      run[i] = here[i] ? 0 : run[i] + 1;
+      longest[i] = std::max(longest[i], run[i]);
+    }
+  }
+  std::vector<uint8_t> enclosed(num_cells);
+  for (size_t i = 0; i < num_cells; ++i)
+    enclosed[i] = grid.labels[i] >= 0 && longest[i] <= options.max_open;
+  return enclosed;
+}
+
+// Cells that are enclosed, and all of pieces with a minimum share of such cells. A piece is a
+// connected part of the cells of one plane: a wall that goes on to the end of the picture is
+// believed, a strip of edges that spreads over a backdrop is not.
+inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<uint8_t>& enclosed,
+                                        double min_share) {
+  std::vector<uint8_t> held = enclosed, seen(grid.num_cells(), false);
+  std::vector<int32_t> piece;
+  for (int32_t start = 0; start < grid.num_cells(); ++start) {
+    if (seen[start] || grid.labels[start] < 0) continue;
+    piece.assign(1, start), seen[start] = true;
+    int64_t inner = 0;
+    for (size_t k = 0; k < piece.size(); ++k) {
+      const int32_t cell = piece[k], row = cell / grid.columns, column = cell % grid.columns;
+      inner += enclosed[cell];
+      const auto add = [&](bool exists, int32_t next) {
+        if (!exists || seen[next] || grid.labels[next] != grid.labels[cell]) return;
+        seen[next] = true, piece.push_back(next);
+      };
+      add(column > 0, cell - 1), add(column + 1 < grid.columns, cell + 1);
+      add(row > 0, cell - grid.columns), add(row + 1 < grid.rows, cell + grid.columns);
+    }
+    if (double(inner) >= min_share * double(piece.size()))
+      for (const int32_t cell : piece) held[cell] = true;
+  }
+  return held;
+}
+
+// What is known of all views.
+struct EnclosureScene {
+  std::vector<FaceView> views;
+  std::vector<const int32_t*> labels;          // of each view's cells
+  std::vector<std::vector<int32_t>> observed;  // points that each view observes
+  std::vector<Plane> planes;
+  std::vector<Extent> extents;  // of the planes
+  FacePoints points;
+
+  // The cells of a view that are enclosed, or of a whole piece.
+  std::vector<uint8_t> HeldCells(int32_t v, const EnclosureOptions& options) const {
+    const FaceView& view = views[v];
+    const size_t count = planes.size();
+    std::vector<uint8_t> touched(view.num_cells() * count, false);
+    for (const int32_t i : observed[v]) {
+      Vec2 pixel;
+      double depth;
+      if (!view.Project(points.points[i], &pixel, &depth)) continue;
+      uint8_t* cell = &touched[view.CellAt(pixel) * count];
+      for (int64_t j = points.plane_offsets[i]; j < points.plane_offsets[i + 1]; ++j)
+        cell[points.planes[j]] = true;
+    }
+    std::vector<uint8_t> inside(view.num_cells(), false);
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+      const int32_t label = labels[v][cell];
+      if (label < 0) continue;
+      const Vec3 ray = view.RayOfCell(cell);
+      const double depth = planes[label].DepthAlong(view.pose.center, ray);
+      inside[cell] = depth > 0 && extents[label].Holds(view.pose.center + depth * ray);
+    }
+    const CellGrid grid{view.columns, view.rows,      int32_t(count),
+                        labels[v],    touched.data(), inside.data()};
+    return WholePieces(grid, EnclosedCells(grid, options), options.min_share);
+  }
+};
+
+// Places on planes, and the views that agree on them.
+struct PlaneSamples {
+  const double* points;    // (S, 3)
+  const int32_t* planes;   // (S)
+  const int64_t* offsets;  // (S + 1) of the views
+  const int32_t* views;
+  int64_t count;
+};
+
+// Number of the agreeing views of each sample that show it in a held cell of its plane.
+inline std::vector<int64_t> CountEnclosing(const EnclosureScene& scene, const PlaneSamples& samples,
+                                           const EnclosureOptions& options, int num_threads) {
+  std::vector<std::vector<uint8_t>> held(scene.views.size());
+  ParallelFor(int64_t(held.size()), num_threads,
+              [&](int64_t v, int) { held[v] = scene.HeldCells(int32_t(v), options); });
+  std::vector<int64_t> counts(samples.count, 0);
+  ParallelBlocks(samples.count, num_threads, 4096, [&](int64_t s) {
+    const Vec3 point{samples.points[3 * s], samples.points[3 * s + 1], samples.points[3 * s + 2]};
+    for (int64_t i = samples.offsets[s]; i < samples.offsets[s + 1]; ++i) {
+      const int32_t v = samples.views[i];
+      Vec2 pixel;
+      double depth;
+      if (!scene.views[v].Project(point, &pixel, &depth)) continue;
+      const int32_t cell = scene.views[v].CellAt(pixel);
+      counts[s] += held[v][cell] && scene.labels[v][cell] == samples.planes[s];
+    }
+  });
+  return counts;
+}
+
+}  // namespace colmap_edges

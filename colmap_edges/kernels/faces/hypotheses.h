@@ -1,0 +1,218 @@
+// Greedy choice of planes among candidates, by the weight of the points on them.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+#include <optional>
+#include <queue>
+#include <utility>
+#include <vector>
+
+#include "common/piecewise.h"
+#include "faces/plane_points.h"
+
+namespace colmap_edges {
+
+struct PlaneSearchOptions {
+  double tolerance;         // maximum distance of a point from its plane, in deviations
+  double min_share;         // minimum share of all weight on a plane
+  double explained_weight;  // weight of points already on one plane
+  double least_weight;      // weight of points on many planes
+  double same_share;        // minimum share of shared points of duplicate planes
+  double snap_gain;         // minimum share of a plane's support kept with a common normal
+  int max_planes;
+};
+
+class PlaneSearch {
+ public:
+  // weights: (N) of the given points; common: normals that many planes have.
+  PlaneSearch(const PlanePoints& points, const double* weights, std::vector<Vec3> common,
+              const PlaneSearchOptions& options)
+      : points_(points),
+        options_(options),
+        common_(std::move(common)),
+        whole_(64 * points.num_blocks(), 0) {
+    for (size_t i = 0; i < points.size(); ++i) total_ += whole_[i] = weights[points.given(i)];
+  }
+
+  // One plane after the other, each with the most weight that is not another's yet.
+  std::vector<Plane> Run(const std::vector<Plane>& planes) {
+    const double least = options_.min_share * total_;
+    Score(planes, least);
+    std::vector<double> weights = whole_;
+    std::vector<Plane> found;
+    std::vector<PointSet> owned;
+    std::vector<Filled> tried;
+    // Weights only decrease, so a candidate is weighed again only when no other may have more.
+    std::priority_queue<std::pair<double, int64_t>> queue;  // the first of equals first
+    for (size_t c = 0; c < candidates_.size(); ++c)
+      queue.emplace(candidates_[c].support, -int64_t(c));
+    while (int(found.size()) < options_.max_planes && !queue.empty()) {
+      const auto [left, key] = queue.top();
+      queue.pop();
+      if (left < least) break;
+      Candidate& best = candidates_[-key];
+      if (best.seen < tried.size()) {
+        if (IsOpen(tried, &best)) queue.emplace(Weight(&words_[best.first], weights), key);
+        continue;
+      }
+      const std::optional<Plane> fitted = Fitted(best.plane);
+      if (!fitted) continue;
+      const PointSet own = On(*fitted, options_.tolerance);
+      tried.emplace_back();
+      for (size_t b = 0; b < own.size(); ++b)
+        if (own[b]) tried.back().emplace_back(b, own[b]);
+      const auto same = [&](const PointSet& other) { return AreSame(own, other); };
+      if (std::any_of(owned.begin(), owned.end(), same)) continue;
+      VisitPoints(own.data(), own.size(), [&](size_t i) {
+        weights[i] =
+            std::max(options_.explained_weight * weights[i], options_.least_weight * whole_[i]);
+      });
+      found.push_back(*fitted), owned.push_back(own);
+    }
+    return found;
+  }
+
+ private:
+  using Filled = std::vector<std::pair<size_t, uint64_t>>;  // a set's blocks that are not empty
+
+  struct Candidate {
+    Plane plane;
+    double support;
+    size_t first;     // of its words
+    size_t seen = 0;  // number of tried planes that it is known to differ from
+  };
+
+  void Score(const std::vector<Plane>& planes, double least) {
+    PointSet words(points_.num_blocks());
+    for (const Plane& plane : planes) {
+      points_.FindOn(plane, options_.tolerance, words.data());
+      const double support = Weight(words.data(), whole_);
+      if (support < least) continue;
+      candidates_.push_back({plane, support, words_.size()});
+      words_.insert(words_.end(), words.begin(), words.end());
+    }
+  }
+
+  // Whether not too much of a candidate lies on any tried plane.
+  bool IsOpen(const std::vector<Filled>& tried, Candidate* candidate) const {
+    for (; candidate->seen < tried.size(); ++candidate->seen) {
+      double shared = 0;
+      for (const auto& [b, word] : tried[candidate->seen]) {
+        const uint64_t both = word & words_[candidate->first + b];
+        VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
+      }
+      if (shared > options_.same_share * candidate->support) return false;
+    }
+    return true;
+  }
+
+  PointSet On(const Plane& plane, double tolerance) const {
+    PointSet words(points_.num_blocks());
+    points_.FindOn(plane, tolerance, words.data());
+    return words;
+  }
+
+  double Weight(const uint64_t* words, const std::vector<double>& weights) const {
+    double sum = 0;
+    VisitPoints(words, points_.num_blocks(), [&](size_t i) { sum += weights[i]; });
+    return sum;
+  }
+  double Weight(const PointSet& set) const { return Weight(set.data(), whole_); }
+
+  // Whether most of what lies on one of two planes lies on the other.
+  bool AreSame(const PointSet& one, const PointSet& other) const {
+    PointSet both(one.size());
+    for (size_t b = 0; b < one.size(); ++b) both[b] = one[b] & other[b];
+    return Weight(both) > options_.same_share * std::min(Weight(one), Weight(other));
+  }
+
+  // Mean of value(i) over a set of points, weighted by how sure their distances from a plane are.
+  template <typename Value>
+  auto Average(const PointSet& on, const Vec3& normal, const Value& value) const {
+    decltype(value(0)) sum{};
+    double total = 0;
+    VisitPoints(on.data(), on.size(), [&](size_t i) {
+      const double weight = whole_[i] / points_.Variance(i, normal);
+      sum = sum + weight * value(i), total += weight;
+    });
+    return (1 / total) * sum;
+  }
+
+  // The plane fitted to all that lies on it; one of the common normals where that is as good.
+  std::optional<Plane> Fitted(Plane plane) const {
+    for (const double factor : {1.6, 1.2, 1.0}) {
+      const PointSet on = On(plane, factor * options_.tolerance);
+      int64_t count = 0;
+      VisitPoints(on.data(), on.size(), [&](size_t i) { count += whole_[i] > 0; });
+      if (count < 8) return std::nullopt;
+      const Vec3 middle = Average(on, plane.normal, [this](size_t i) { return points_.point(i); });
+      double spread[6] = {};
+      VisitPoints(on.data(), on.size(), [&](size_t i) {
+        const Vec3 off = points_.point(i) - middle;
+        const double weight = whole_[i] / points_.Variance(i, plane.normal);
+        for (int a = 0, k = 0; a < 3; ++a)
+          for (int b = a; b < 3; ++b) spread[k++] += weight * off[a] * off[b];
+      });
+      double values[3];
+      Vec3 vectors[3];
+      Eigen3(spread, values, vectors);
+      // Otherwise nearly a line, which says no normal.
+      if (values[1] > 0.005 * values[2]) plane.normal = vectors[0];
+      plane.offset = Dot(plane.normal, middle);
+    }
+    return Snapped(plane);
+  }
+
+  // The plane with the nearest common normal, where as much lies on that.
+  Plane Snapped(const Plane& plane) const {
+    const PointSet on = On(plane, options_.tolerance);
+    Vec3 nearest{};
+    for (const Vec3& normal : common_)
+      if (std::abs(Dot(normal, plane.normal)) > std::abs(Dot(nearest, plane.normal)))
+        nearest = normal;
+    std::vector<double> offsets;
+    VisitPoints(on.data(), on.size(),
+                [&](size_t i) { offsets.push_back(Dot(nearest, points_.point(i))); });
+    if (std::abs(Dot(nearest, plane.normal)) < kSnapCosine || offsets.empty()) return plane;
+    std::sort(offsets.begin(), offsets.end());
+    std::array<double, 17> tried;  // quantiles from 0.1 to 0.9
+    for (size_t k = 0; k < tried.size(); ++k) {
+      const double at = double(k + 2) / 20 * double(offsets.size() - 1);
+      const size_t low = size_t(at), high = std::min(low + 1, offsets.size() - 1);
+      tried[k] = offsets[low] + (at - double(low)) * (offsets[high] - offsets[low]);
+    }
+    // A point lies on those planes of the series that are within its tolerance.
+    std::array<double, 18> support{};
+    const auto add = [&](size_t i, double at) {
+      const double reach = options_.tolerance * std::sqrt(points_.Variance(i, nearest));
+      support[std::lower_bound(tried.begin(), tried.end(), at - reach) - tried.begin()] +=
+          whole_[i];
+      support[std::upper_bound(tried.begin(), tried.end(), at + reach) - tried.begin()] -=
+          whole_[i];
+    };
+    points_.VisitNear(nearest, tried.front(), tried.back(), options_.tolerance, add);
+    std::partial_sum(support.begin(), support.end(), support.begin());
+    const size_t most = std::max_element(support.begin(), support.end() - 1) - support.begin();
+    const PointSet best = On({nearest, tried[most]}, options_.tolerance);
+    const double weight = Weight(best);
+    if (!(weight > 0) || weight < options_.snap_gain * Weight(on)) return plane;
+    return {nearest,
+            Average(best, nearest, [&](size_t i) { return Dot(nearest, points_.point(i)); })};
+  }
+
+  static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
+
+  const PlanePoints& points_;
+  const PlaneSearchOptions options_;
+  std::vector<Vec3> common_;
+  std::vector<double> whole_;  // weights of the points
+  double total_ = 0;
+  std::vector<Candidate> candidates_;
+  PointSet words_;  // of all candidates
+};
+
+}  // namespace colmap_edges
