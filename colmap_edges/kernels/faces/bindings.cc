@@ -47,8 +47,8 @@ nb::tuple MinimumCutArrays(Longs terminals, Pairs edges, Longs along, Longs agai
   return nb::make_tuple(flow, ToArray(std::move(sides), {count}));
 }
 
-nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles weights,
-                             double crossing_factor, int max_sweeps) {
+LabelProblem ToProblem(const Table& costs, const Table& depths, const Pairs& edges,
+                       const Doubles& weights, double crossing_factor) {
   LabelProblem problem;
   problem.num_nodes = int32_t(costs.shape(0)), problem.num_labels = int32_t(costs.shape(1));
   Require(problem.num_labels > 0, "there are no labels");
@@ -60,6 +60,23 @@ nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles wei
   problem.depths = {depths.data(), depths.data() + depths.size()};
   problem.weights = {weights.data(), weights.data() + weights.size()};
   problem.crossing_factor = crossing_factor;
+  return problem;
+}
+
+nb::tuple ToArrays(LabelProblem problem) {
+  const size_t num_nodes = problem.num_nodes, num_labels = problem.num_labels;
+  const size_t num_edges = problem.edges.size();
+  std::vector<int32_t> ends;
+  for (const NodePair& pair : problem.edges) ends.insert(ends.end(), pair.begin(), pair.end());
+  return nb::make_tuple(ToArray(std::move(problem.costs), {num_nodes, num_labels}),
+                        ToArray(std::move(problem.depths), {num_nodes, num_labels}),
+                        ToArray(std::move(ends), {num_edges, 2}),
+                        ToArray(std::move(problem.weights), {num_edges}));
+}
+
+nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles weights,
+                             double crossing_factor, int max_sweeps) {
+  const LabelProblem problem = ToProblem(costs, depths, edges, weights, crossing_factor);
   std::vector<int32_t> labels;
   double energy;
   {
@@ -69,6 +86,26 @@ nb::tuple ExpandLabelsArrays(Table costs, Table depths, Pairs edges, Doubles wei
   }
   const size_t count = labels.size();
   return nb::make_tuple(ToArray(std::move(labels), {count}), energy);
+}
+
+std::vector<int32_t> ToInts(const Ints& values) {
+  return {values.data(), values.data() + values.size()};
+}
+
+nb::tuple ContractedArrays(Table costs, Table depths, Pairs edges, Doubles weights, Ints blocks,
+                           int num_blocks) {
+  const LabelProblem problem = ToProblem(costs, depths, edges, weights, 1);
+  Require(blocks.size() == costs.shape(0), "blocks and nodes differ in number");
+  CheckViews(blocks, size_t(num_blocks));
+  return ToArrays(Contracted(problem, ToInts(blocks), num_blocks));
+}
+
+nb::tuple RestrictedArrays(Table costs, Table depths, Pairs edges, Doubles weights, Ints nodes,
+                           Ints labels) {
+  const LabelProblem problem = ToProblem(costs, depths, edges, weights, 1);
+  Require(labels.size() == costs.shape(0), "labels and nodes differ in number");
+  CheckViews(nodes, costs.shape(0));
+  return ToArrays(Restricted(problem, ToInts(nodes), ToInts(labels)));
 }
 
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
@@ -197,6 +234,10 @@ void BindFaces(nb::module_& m) {
   m.def("expand_labels", &ExpandLabelsArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a,
         "crossing_factor"_a, "max_sweeps"_a,
         "(N,) labels that alpha expansion finds, and what they cost.");
+  m.def("contracted", &ContractedArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a, "blocks"_a,
+        "num_blocks"_a, "Costs, depths, edges and weights of blocks of nodes with one label each.");
+  m.def("restricted", &RestrictedArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a, "nodes"_a,
+        "labels"_a, "The same of some nodes, while the others keep their labels.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
       .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
                     Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,

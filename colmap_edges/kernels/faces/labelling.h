@@ -21,7 +21,7 @@ struct BorderCosts {
   double crossing_factor = 0.35;  // part of it where the two planes cross
 };
 
-constexpr int32_t kBorderReach = 4;  // cells
+constexpr int32_t kBorderReach = 8;  // cells
 
 using ViewLabels = std::vector<std::vector<int32_t>>;  // of the cells of all views; -1: no plane
 

@@ -57,7 +57,8 @@ inline LabelProblem Restricted(const LabelProblem& problem, const std::vector<in
   for (size_t i = 0; i < nodes.size(); ++i) {
     rows[nodes[i]] = int32_t(i);
     const auto first = ptrdiff_t(nodes[i] * num_labels), last = first + ptrdiff_t(num_labels);
-    made.costs.insert(made.costs.end(), problem.costs.begin() + first, problem.costs.begin() + last);
+    made.costs.insert(made.costs.end(), problem.costs.begin() + first,
+                      problem.costs.begin() + last);
     made.depths.insert(made.depths.end(), problem.depths.begin() + first,
                        problem.depths.begin() + last);
   }

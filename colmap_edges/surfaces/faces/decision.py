@@ -28,11 +28,13 @@ from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
-# Minimum share that the mesh lacks, of the area of a plane and of the cells of all: one in ten to
-# five accepted cells is wrong, so where the mesh has more, the rest is likely an error of faces.
-MIN_LACKING = 0.2
+# Maximum distances, in sides of cells, between a triangle and the face that it represents; and the
+# shares that a mesh must lack: of the accepted cells of all planes, and of the area of a plane.
+# One in ten accepted cells is wrong or lies where nothing was measured, so where a mesh has nothing
+# within a cell of few of them, the rest is likely an error of faces.
+NEAR_CELLS, MIN_LACKING = 1.0, 1 / 8
+SAME_CELLS, MIN_LACKING_OF_PLANE = 0.25, 1 / 5
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
-SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
 NUM_NEAR = 8  # nearest samples of triangles that a face point is compared with
 MAX_SPREAD = 300_000  # number of samples of triangles, in addition to one for each triangle
 STEPS = np.array([0.7548776662466927, 0.5698402909980532])  # of the low-discrepancy sequence R2
@@ -170,10 +172,11 @@ def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
 
 
 def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
-    """All points of those planes of which a mesh lacks at least `MIN_LACKING` of the area.
+    """All points of those planes of which a mesh lacks at least `MIN_LACKING_OF_PLANE`.
 
-    None, if it lacks less of the accepted cells of all views. Points on faces that a mesh already
-    has disturb it: a plate that gets points on one side alone is pierced by their cells.
+    None, if it lacks less than `MIN_LACKING` of the accepted cells of all views. Points on faces
+    that a mesh already has disturb it: a plate that gets points on one side alone is pierced by
+    their cells.
 
     Args:
         faces: points on faces.
@@ -182,17 +185,21 @@ def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> S
     """
     if not len(faces.planes):
         return faces.seen
-    lacking = ~are_meshed(faces.seen, views, surface)
-    if faces.num_cells[lacking].sum() < MIN_LACKING * faces.num_cells.sum():
+    gaps = gaps_to_mesh(faces.seen, views, surface)
+    if faces.num_cells[gaps > NEAR_CELLS].sum() < MIN_LACKING * faces.num_cells.sum():
         return NO_POINTS
-    share = np.bincount(faces.planes, lacking) / np.maximum(np.bincount(faces.planes), 1)
-    return faces.take(np.flatnonzero(share[faces.planes] >= MIN_LACKING)).seen
+    lacking = np.bincount(faces.planes, gaps > SAME_CELLS)
+    share = lacking / np.maximum(np.bincount(faces.planes), 1)
+    return faces.take(np.flatnonzero(share[faces.planes] >= MIN_LACKING_OF_PLANE)).seen
 
 
-def are_meshed(points: SeenPoints, views: Sequence[View], surface: Mesh) -> BoolArray:
-    """(P,) whether a mesh has a triangle at a point that faces the point's first view."""
+def gaps_to_mesh(points: SeenPoints, views: Sequence[View], surface: Mesh) -> FloatArray:
+    """(P,) distances to triangles that face the points' first views, in sides of those' cells.
+
+    Infinite where no such triangle is near.
+    """
     if not len(surface.faces):
-        return np.zeros(len(points.points), bool)
+        return np.full(len(points.points), np.inf)
     first = points.track_views[points.track_offsets[:-1]]
     sights = points.points - np.array([view.center for view in views])[first]
     angles = np.array([CELL_PX / blank_grid(view).focal_px for view in views])
@@ -203,9 +210,9 @@ def are_meshed(points: SeenPoints, views: Sequence[View], surface: Mesh) -> Bool
     distances, rows = distances.reshape(-1, near), rows.reshape(-1, near)
     off = np.abs(np.einsum("ijk,ijk->ij", points.points[:, None] - spread[rows], normals[rows]))
     facing = np.einsum("ijk,ik->ij", normals[rows], sights) < 0
-    here = facing & (off <= SAME_CELLS * sizes[:, None]) & (distances <= 2 * sizes[:, None])
-    meshed: BoolArray = here.any(axis=1)
-    return meshed
+    here = facing & (distances <= 2 * sizes[:, None])
+    gaps: FloatArray = np.where(here, off / sizes[:, None], np.inf).min(axis=1)
+    return gaps
 
 
 def spread_points(surface: Mesh, spacing: float) -> tuple[FloatArray, FloatArray]:

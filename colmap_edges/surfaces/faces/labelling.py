@@ -27,7 +27,7 @@ ON_SLOPE = 3 * MAX_SLOPE  # maximum sine of the angle between a short piece of a
 REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
 NUM_SIDES = 16  # number of sides of the polygon around a plane's points
 INNER = 0.995  # share of the points inside each side
-MAX_SWEEPS = 2  # sweeps of alpha expansion over all planes; further ones change little
+MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; further ones change little
 
 
 class EvidenceWeights(NamedTuple):

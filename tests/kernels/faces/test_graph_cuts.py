@@ -104,3 +104,37 @@ def test_labels_without_surfaces_never_cross():
         costs, np.array([[1.0, 2.0], [2.0, 1.0]]), edges, weights, 0.1, 5
     )
     assert crossing == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_blocks_cost_what_their_nodes_do(seed):
+    rng = np.random.default_rng(seed)
+    costs, depths, edges, weights = random_labelling(rng, 3)
+    blocks = np.unique(rng.integers(0, 4, len(costs)), return_inverse=True)[1].astype(np.int32)
+    num_blocks = int(blocks.max()) + 1
+    made = _kernels.contracted(costs, depths, edges, weights, blocks, num_blocks)
+    for labels in product(range(3), repeat=num_blocks):
+        spread = np.array(labels)[blocks]
+        one = energy(labels, *made, 1.0)
+        assert one == pytest.approx(energy(spread, costs, depths, edges, weights, 1.0), rel=1e-5)
+    pairs = [tuple(pair) for pair in made[2].tolist()]
+    assert pairs == sorted(set(pairs))
+    for block in range(num_blocks):
+        means = depths[blocks == block].mean(axis=0)
+        np.testing.assert_allclose(made[1][block], means, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_some_nodes_cost_what_all_do_but_for_a_constant(seed):
+    rng = np.random.default_rng(seed)
+    costs, depths, edges, weights = random_labelling(rng, 3)
+    costs[np.isinf(costs)] = 9
+    nodes = np.flatnonzero(rng.random(len(costs)) < 0.5).astype(np.int32)
+    labels = rng.integers(0, 3, len(costs)).astype(np.int32)
+    made = _kernels.restricted(costs, depths, edges, weights, nodes, labels)
+    differences = []
+    for free in product(range(3), repeat=len(nodes)):
+        labels[nodes] = free
+        whole = energy(labels, costs, depths, edges, weights, 1.0)
+        differences.append(whole - energy(free, *made, 1.0))
+    np.testing.assert_allclose(differences, differences[0], atol=1e-4)

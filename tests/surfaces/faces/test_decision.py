@@ -9,9 +9,10 @@ import pytest
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import (
     EACH_VIEW,
+    SAME_CELLS,
     FacePoints,
     are_believed,
-    are_meshed,
+    gaps_to_mesh,
     lacking_points,
     points_of_samples,
     sample_cells,
@@ -118,7 +119,7 @@ def empty():
 
 def missing(square, point, view):
     """Whether a square lacks a place that a view sees in cells of 0.04."""
-    return not are_meshed(points_seen([point], view), four_views(), square)[0]
+    return gaps_to_mesh(points_seen([point], view), four_views(), square)[0] > SAME_CELLS
 
 
 def points_seen(points, view):
@@ -166,6 +167,14 @@ def test_all_points_of_planes_that_a_mesh_lacks_are_taken(square):
 
 def test_nothing_is_taken_where_a_mesh_lacks_little_of_all_planes(square):
     assert len(taken_points(square, [(95, 1), (2, 2)]).points) == 0
+
+
+def test_nothing_is_taken_where_a_mesh_is_near_all_planes(square):
+    seen = points_seen([[0.3, 0.2, 0.03]] * 4, 0)  # three quarters of a cell before it
+    one = np.ones(4, np.int64)
+    faces = FacePoints(seen=seen, planes=np.zeros(4, np.int32), num_cells=one)
+    assert missing(square, [0.3, 0.2, 0.03], 0)
+    assert len(lacking_points(faces, four_views(), square).points) == 0
 
 
 def test_everything_is_taken_without_a_mesh(empty):
