@@ -57,8 +57,8 @@ def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observat
         chains[rows] = graph.polyline_ids[low]
         pixels[rows], colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
         ends = np.concatenate([low, next_points(graph, low)]).astype(np.float64)
-        tangents = _kernels.chain_points(given.index(view), ends)[1]
-        normals[rows] = across(between(*np.split(tangents, 2), (positions - low)[:, None]))
+        first, second = np.split(_kernels.chain_points(given.index(view), ends)[1], 2)
+        normals[rows] = across(between(first, second, (positions - low)[:, None]))
     seen = Observations(
         offsets=observed.offsets,
         views=observed.views,
