@@ -129,7 +129,6 @@ struct Seen {
 // the square of its fraction of the window: a Gaussian with sigma of half the window, and outliers.
 constexpr double kAnywhere = 0.2, kSpread = 0.5;
 constexpr double kMean = 0.598144;  // mean of the Gaussian over the window
-constexpr double kMostGapLikelihood = kAnywhere + (1 - kAnywhere) / kMean;
 inline double GapLikelihood(double share2) {
   return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share2 / (kSpread * kSpread));
 }
@@ -146,8 +145,7 @@ class Sampler {
         least_ratio_(std::exp(p.min_log_likelihood_ratio - p.break_penalty)),
         hypotheses_(pairs.size()),
         seen_(pairs.size()),
-        agree_(pairs.size()),
-        factors_(pairs.size()) {}
+        agree_(pairs.size()) {}
 
   // Clusters of each of `count` samples at points of the source. Those that can be on no best path
   // are left out.
@@ -196,7 +194,6 @@ class Sampler {
   std::vector<std::pair<int32_t, double>> visible_;  // neighbours with hypotheses, densities
   std::vector<double> ratios_;                       // by candidate; 0 for none
   std::vector<int64_t> agree_;                       // by neighbour
-  std::vector<double> factors_;
   SampleClusters found_;
 };
 
@@ -342,29 +339,17 @@ inline double Sampler::RatioOf(int64_t u) {
   const double q = p_.detection_rate, v = p_.visibility_rate;
   const double window = std::sqrt(2.0) * p_.max_disagreement_px;
   const Candidate& own = candidates_[u];
-  double most = 1;  // with the largest likelihoods of distances
-  for (size_t k = 0; k < visible_.size(); ++k) {
-    const auto [n, density] = visible_[k];
-    const int64_t agreeing = agree_[n];
-    const double other = agreeing >= 0 ? candidates_[agreeing].sigma : own.sigma;
-    const double x = std::clamp(window * (own.sigma + other) * density, 0.02, 50.0);
-    if (agreeing < 0) {
-      factors_[k] = (1 - q) * (1 + x);
-      most *= v * factors_[k] + 1 - v;
-    } else {
-      factors_[k] = q * (1 + x) / x * candidates_[agreeing].hypothesis->likelihood;
-      most *= v * kMostGapLikelihood * factors_[k] + 1 - v;
-    }
-  }
-  if (most < (1 - 1e-9) * least_ratio_) return 0;
   double ratio = 1;
-  for (size_t k = 0; k < visible_.size(); ++k) {
-    const int64_t agreeing = agree_[visible_[k].first];
-    double seen = factors_[k];
-    if (agreeing >= 0 && agreeing != u) {
+  for (const auto& [n, density] : visible_) {
+    const int64_t agreeing = agree_[n];
+    const double sigma = agreeing >= 0 ? candidates_[agreeing].sigma : own.sigma;
+    const double x = std::clamp(window * (own.sigma + sigma) * density, 0.02, 50.0);
+    double seen = (1 - q) * (1 + x);
+    if (agreeing >= 0) {
       const Candidate& other = candidates_[agreeing];
+      seen = q * (1 + x) / x * other.hypothesis->likelihood;
       const double gap = other.inverse_depth - own.inverse_depth;
-      seen *= GapLikelihood(gap * gap / Window2(own, other));
+      if (agreeing != u) seen *= GapLikelihood(gap * gap / Window2(own, other));
     }
     ratio *= v * seen + 1 - v;
   }
