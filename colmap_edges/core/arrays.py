@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
@@ -29,6 +30,12 @@ def offsets_of(lengths: IntArray) -> IntArray:
 def joined_offsets(parts: Sequence[IntArray]) -> IntArray:
     """CSR offsets of concatenated parts, given the (n + 1,) offsets of each part."""
     return offsets_of(np.concatenate([np.zeros(0, np.int64), *map(np.diff, parts)]))
+
+
+def parts_of(values: NDArray[Any], offsets: IntArray) -> list[NDArray[Any]]:
+    """The n parts of an array between (n + 1,) offsets; numpy's `split` takes 30 times as long."""
+    bounds = offsets.tolist()
+    return [values[first:last] for first, last in pairwise(bounds)]
 
 
 def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:

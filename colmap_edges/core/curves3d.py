@@ -134,9 +134,12 @@ class Curves3D:
         straight = self.kinds[owners] == LINE
         along = np.where(straight, t, np.cos(t))[:, None]
         points: FloatArray = origin + along * a + np.sin(t)[:, None] * b
-        for curve in np.flatnonzero(self.kinds == SPLINE):
+        for curve in np.flatnonzero(self.kinds == SPLINE).tolist():
             rows = owners == curve
-            points[rows] = self.spline(int(curve))(t[rows])
+            knots = self.knots[slice(*self.knot_offsets[curve : curve + 2])]
+            points[rows] = spline_points(
+                knots, self.control_points[self.control_rows(curve)], t[rows]
+            )
         return points
 
     def ends(self) -> FloatArray:
@@ -158,3 +161,18 @@ class Curves3D:
         owners = np.repeat(np.arange(self.num_curves), counts)
         places = ranks_of(counts) / np.maximum(counts[owners] - 1, 1)
         return self.at(owners, places), owners
+
+
+def spline_points(knots: FloatArray, control: FloatArray, t: FloatArray) -> FloatArray:
+    """(N, 3) points of a clamped cubic B-spline at (N,) parameters (de Boor's algorithm).
+
+    Importing scipy's splines would take longer than all else that is done with a scene's curves.
+    """
+    spans = np.clip(np.searchsorted(knots, t, "right") - 1, DEGREE, len(control) - 1)[:, None]
+    points = control[spans + np.arange(-DEGREE, 1)]
+    for level in range(1, DEGREE + 1):
+        ranks = np.arange(level, DEGREE + 1)
+        low, high = knots[spans + ranks - DEGREE], knots[spans + ranks + 1 - level]
+        share = ((t[:, None] - low) / (high - low))[:, :, None]
+        points = (1 - share) * points[:, :-1] + share * points[:, 1:]
+    return np.asarray(points[:, 0], np.float64)

@@ -53,12 +53,12 @@ def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observat
     normals = np.zeros((count, 2), np.float32)
     for view, rows in observed.by_view():
         graph, positions = given.graph(view), observed.positions[rows]
-        chains[rows] = graph.polyline_ids[positions.astype(np.int64)]
-        tangents = _kernels.chain_points(given.index(view), np.arange(float(len(graph.points))))[1]
-        pixels[rows], colors[rows], along = at_positions(
-            graph, positions, graph.points, graph.colors, tangents
-        )
-        normals[rows] = across(along)
+        low = positions.astype(np.int64)
+        chains[rows] = graph.polyline_ids[low]
+        pixels[rows], colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
+        ends = np.concatenate([low, next_points(graph, low)]).astype(np.float64)
+        first, second = np.split(_kernels.chain_points(given.index(view), ends)[1], 2)
+        normals[rows] = across(between(first, second, (positions - low)[:, None]))
     seen = Observations(
         offsets=observed.offsets,
         views=observed.views,
@@ -82,9 +82,16 @@ def at_positions(
 ) -> list[FloatArray]:
     """(M, k) interpolation of the (N, k) values of a graph's points at (M,) positions."""
     low = positions.astype(np.int64)
-    high = next_points(graph, low)
-    weight = (positions - low)[:, None]
-    return [(1 - weight) * of.take(low, axis=0) + weight * of.take(high, axis=0) for of in values]
+    high, share = next_points(graph, low), (positions - low)[:, None]
+    return [between(of.take(low, axis=0), of.take(high, axis=0), share) for of in values]
+
+
+def between(
+    first: FloatArray | ByteArray, second: FloatArray | ByteArray, share: FloatArray
+) -> FloatArray:
+    """Linear interpolation: `first` at share 0, `second` at share 1."""
+    values: FloatArray = (1 - share) * first + share * second
+    return values
 
 
 def next_points(graph: EdgeGraph, points: IntArray) -> IntArray:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Picture, ranks_of
+from colmap_edges.core.arrays import FloatArray, Picture, offsets_of, parts_of, ranks_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -96,10 +96,10 @@ def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:
     step = max(int(0.7 / scale), 1)
     first, last = graph.polyline_offsets[:-1], graph.polyline_offsets[1:]
     counts = -(-(last - first) // step) + 1  # each step's first point, then the end
-    ends = np.cumsum(counts)
+    offsets = offsets_of(counts)
     index = np.repeat(first, counts) + step * ranks_of(counts)
-    index[ends - 1] = np.where(graph.closed, first, last - 1)
-    return np.split(graph.points.take(index, axis=0), ends[:-1]) if len(ends) else []
+    index[offsets[1:] - 1] = np.where(graph.closed, first, last - 1)
+    return parts_of(graph.points.take(index, axis=0), offsets)
 
 
 def layer(
@@ -111,7 +111,8 @@ def layer(
     drawn: list[Any] = []
     if lines:
         fixed = fixed_point(np.concatenate(lines) * scale)
-        drawn = list(fixed) if pairs else np.split(fixed, np.cumsum([len(p) for p in lines])[:-1])
+        lengths = np.fromiter(map(len, lines), np.int64)
+        drawn = list(fixed) if pairs else parts_of(fixed, offsets_of(lengths))
     cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
     return one_colored_png(mask // (256 >> OPACITY_BITS), OPACITY_BITS, color)
 

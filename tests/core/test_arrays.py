@@ -11,6 +11,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
     order_of,
     owners_of,
+    parts_of,
     ranks_of,
     row_numbers,
 )
@@ -25,6 +26,7 @@ def test_rows_are_those_of_lists(lengths, data):
     counts = np.array(lengths, np.int64)
     offsets = offsets_of(counts)
     assert offsets.tolist() == starts
+    assert [part.tolist() for part in parts_of(np.arange(sum(lengths)), offsets)] == rows
     assert owners_of(offsets).tolist() == [i for i, row in enumerate(rows) for _ in row]
     assert ranks_of(counts).tolist() == [rank for row in rows for rank in range(len(row))]
     chosen = data.draw(st.lists(st.integers(0, len(rows) - 1), max_size=8)) if rows else []

@@ -91,12 +91,12 @@ def mark_covered(
         observed: the observations of the curves.
         reach: number of points marked on both sides of an observation.
     """
+    steps = np.arange(-reach, reach + 1)[:, None]
     for view, rows in observed.by_view():
         at = observed.positions[rows].astype(np.int64)
         polyline = np.searchsorted(offsets[view], at, "right") - 1
         first, last = offsets[view][polyline], offsets[view][polyline + 1] - 1
-        for steps in range(-reach, reach + 1):
-            covered[view][np.clip(at + steps, first, last)] = True
+        covered[view][np.minimum(np.maximum(at + steps, first), last)] = True
 
 
 def without_short(free: BoolArray, offsets: IntArray, least: int) -> BoolArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, owners_of
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges3d.chains.curves import Curves
@@ -140,13 +140,5 @@ def drop_lone(positions: FloatArray, offsets: IntArray) -> FloatArray:
     Chain and curve must run in parallel: neighbouring points are observed at neighbouring
     positions in one order.
     """
-    same = owners_of(offsets)
-    steps = np.diff(positions, axis=0)
-    np.abs(steps, out=steps)
-    steps[same[1:] != same[:-1]] = np.nan
-    found = steps[np.isfinite(steps)]
-    linked = steps <= (4 * np.median(found) if len(found) else 0.0)
-    keep = np.zeros(positions.shape, bool)
-    keep[1:] = linked
-    keep[:-1] |= linked
-    return np.where(keep, positions, np.nan)
+    kept: FloatArray = _kernels.drop_lone(positions, offsets)
+    return kept

@@ -180,7 +180,9 @@ def find_corners(edges: Edges3D, lines: Lines, options: LinkingOptions) -> Corne
     pairs = pairs_to_meet(edges, lines, reach)
     middle = meetings(lines, pairs)
     along, miss = lines.reaches(pairs, middle[:, None])
-    fits = fit(along, miss, reach).all(axis=1)
+    fits = np.all(fit(along, miss, reach), axis=1)
+    # Tangents at both ends of a gap in a smooth curve also meet, but not at a corner.
+    fits[fits] = ~go_on_smoothly(edges, *pairs[fits].T)
     cost = (np.abs(along) + 2 * miss).max(axis=1)
     rows = np.flatnonzero(fits)[np.argsort(cost[fits], kind="stable")]
     members, first = np.unique(pairs[rows], return_index=True)
@@ -206,8 +208,6 @@ def pairs_to_meet(edges: Edges3D, lines: Lines, reach: float) -> IntArray:
     pairs = np.column_stack([a, b])[keep]
     least = np.cos(np.radians(MIN_ANGLE_DEG))
     apart = np.abs(np.einsum("ij,ij->i", *lines.outward[pairs.T])) <= least
-    # Tangents at both ends of a gap in a smooth curve also meet, but not at a corner.
-    apart[apart] = ~go_on_smoothly(edges, *pairs[apart].T)
     return np.asarray(pairs[apart])
 
 

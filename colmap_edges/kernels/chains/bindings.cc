@@ -75,6 +75,17 @@ OutArray<double> AssociateArrays(const std::vector<const EdgeIndex*>& views, Poi
   return ToArray(std::move(positions), {count, views.size()});
 }
 
+OutArray<double> DropLoneArray(InArray<double, nb::ndim<2>> positions, Longs offsets) {
+  const size_t count = positions.shape(0), num_views = positions.shape(1);
+  CheckOffsets(offsets, count);
+  std::vector<double> kept;
+  {
+    nb::gil_scoped_release release;
+    kept = DropLone(positions.data(), ToVector(offsets), int64_t(num_views));
+  }
+  return ToArray(std::move(kept), {count, num_views});
+}
+
 OutArray<double> SeparationsArray(const EdgeIndex& view, Points3D points, Points3D offsets,
                                   Points3D steps, Longs rows,
                                   InArray<double, nb::shape<-1, 2>> positions,
@@ -255,6 +266,9 @@ void BindChains(nb::module_& m) {
   m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
         "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");
+  m.def("drop_lone", &DropLoneArray, "positions"_a, "offsets"_a,
+        "(N, K) positions that observe points of curves, NaN where no neighbouring point of the "
+        "curve is observed next to it.");
   m.def(
       "separations", &SeparationsArray, "view"_a, "points"_a, "offsets"_a, "steps"_a, "rows"_a,
       "positions"_a, "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,

@@ -35,7 +35,6 @@ struct Hypothesis {
   double inverse_depth;
   double sigma;     // change of inverse depth for 1 px across the neighbour's chain
   double position;  // of the intersection on the neighbour's chain
-  int32_t neighbor;
   int32_t polyline;
   float likelihood;  // likelihood ratio of its sides
 };
@@ -47,8 +46,15 @@ struct Support {
 };
 
 struct Cluster {
-  double inverse_depth = 0, sigma = 0, score = 0;
-  std::vector<Support> support;  // by ascending neighbour, at most one each
+  double inverse_depth, sigma, score;
+  int32_t begin, end;  // of its supports: by ascending neighbour, at most one each
+};
+
+// The clusters of consecutive samples, best first.
+struct SampleClusters {
+  std::vector<int32_t> offsets{0};  // CSR of the clusters by sample
+  std::vector<Cluster> clusters;
+  std::vector<Support> supports;
 };
 
 // The range of inverse depths of a sample.
@@ -59,9 +65,35 @@ struct DepthRange {
 // The selected cluster of each sample; score 0 and no support where there is none.
 struct ChainDepths {
   std::vector<double> inverse_depths, sigmas, scores;
-  std::vector<int64_t> support_offsets;
+  std::vector<int64_t> support_offsets{0};
   std::vector<double> positions;
   std::vector<int32_t> neighbors;
+
+  // Adds cluster k, or no depth if k is negative.
+  void Add(const SampleClusters& found, int32_t k) {
+    const Cluster cluster = k < 0 ? Cluster{} : found.clusters[k];
+    inverse_depths.push_back(cluster.inverse_depth);
+    sigmas.push_back(cluster.sigma);
+    scores.push_back(cluster.score);
+    for (int32_t i = cluster.begin; i < cluster.end; ++i) {
+      positions.push_back(found.supports[i].position);
+      neighbors.push_back(found.supports[i].neighbor);
+    }
+    support_offsets.push_back(int64_t(positions.size()));
+  }
+
+  // Appends the samples of `next`.
+  void Append(const ChainDepths& next) {
+    const auto append = [](auto& to, const auto& from) {
+      to.insert(to.end(), from.begin(), from.end());
+    };
+    append(inverse_depths, next.inverse_depths), append(sigmas, next.sigmas);
+    append(scores, next.scores);
+    for (size_t s = 1; s < next.support_offsets.size(); ++s) {
+      support_offsets.push_back(int64_t(positions.size()) + next.support_offsets[s]);
+    }
+    append(positions, next.positions), append(neighbors, next.neighbors);
+  }
 };
 
 namespace chain_depths_internal {
@@ -87,27 +119,44 @@ inline DepthRange WithNeighborhood(const DepthRange& range, double a, double b, 
   return wide;
 }
 
-// Density of intersections with the chains of one neighbour.
+// The hypotheses of a sample with one neighbour.
 struct Seen {
-  bool visible = false;
+  int32_t begin = 0, end = 0;
   double density = 0;  // intersections of the right polarity per unit of inverse depth
 };
+
+// Likelihood ratio of the difference of two agreeing hypotheses, true edge against chance, given
+// the square of its fraction of the window: a Gaussian with sigma of half the window, and outliers.
+constexpr double kAnywhere = 0.2, kSpread = 0.5;
+constexpr double kMean = 0.598144;  // mean of the Gaussian over the window
+inline double GapLikelihood(double share2) {
+  return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share2 / (kSpread * kSpread));
+}
 
 class Sampler {
  public:
   Sampler(const EdgeIndex& source, const std::vector<Pair>& pairs,
           const std::vector<EpipolarIndex>& indexes, const ChainDepthParameters& p)
-      : source_(source), pairs_(pairs), indexes_(indexes), p_(p), agree_(pairs.size()) {}
+      : source_(source),
+        pairs_(pairs),
+        indexes_(indexes),
+        p_(p),
+        // To leave a cluster out of a path costs a break at most.
+        least_ratio_(std::exp(p.min_log_likelihood_ratio - p.break_penalty)),
+        hypotheses_(pairs.size()),
+        seen_(pairs.size()),
+        agree_(pairs.size()) {}
 
-  // Clusters of each of `count` samples at points of the source, best first.
-  std::vector<std::vector<Cluster>> Clusters(const int64_t* points, const DepthRange* ranges,
-                                             size_t count);
+  // Clusters of each of `count` samples at points of the source. Those that can be on no best path
+  // are left out.
+  const SampleClusters& Clusters(const int64_t* points, const DepthRange* ranges, size_t count);
 
  private:
-  // The hypotheses of one sample, and the density of intersections in each neighbour.
-  struct Found {
-    std::vector<Hypothesis> hypotheses;
-    std::vector<Seen> seen;
+  // A hypothesis among those of one sample, which are sorted by inverse depth.
+  struct Candidate {
+    double inverse_depth, sigma, sigma2;
+    int32_t neighbor;
+    const Hypothesis* hypothesis;
   };
 
   float Likelihood(const Sides& a, const Sides& b) const {
@@ -115,56 +164,88 @@ class Sampler {
     return p_.side_likelihoods[256 * dark + bright];
   }
   // Square of the window in inverse depth within which two hypotheses agree.
-  double Window2(const Hypothesis& a, const Hypothesis& b) const {
-    return p_.max_disagreement_px * p_.max_disagreement_px *
-           (a.sigma * a.sigma + b.sigma * b.sigma);
+  double Window2(const Candidate& a, const Candidate& b) const {
+    return p_.max_disagreement_px * p_.max_disagreement_px * (a.sigma2 + b.sigma2);
   }
-  void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found);
-  void Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u);
-  void ScoreAll(const Found& found);
-  Cluster MakeCluster(const std::vector<Hypothesis>& hypotheses, int64_t u);
-  std::vector<Cluster> BestClusters(const std::vector<Hypothesis>& hypotheses);
+  // The ray of point i in the frame of a neighbour.
+  Vec3 RayIn(int64_t i, const Pair& pair) const {
+    const Vec2 x = source_.point(i);
+    return Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
+  }
+  void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Seen* seen);
+  void Gather(size_t sample);
+  int Agreeing(int64_t u);
+  double RatioOf(int64_t u);
+  Cluster MakeCluster(int64_t u);
+  void AddBestClusters();
 
   const EdgeIndex& source_;
   const std::vector<Pair>& pairs_;
   const std::vector<EpipolarIndex>& indexes_;
   const ChainDepthParameters& p_;
-  std::vector<Found> found_;  // by sample; a member to reuse its memory
-  std::vector<double> scores_;
-  std::vector<int64_t> agree_;
+  const double least_ratio_;
+  // All are members to reuse their memory.
+  std::vector<std::vector<Hypothesis>> hypotheses_;  // by neighbour
+  std::vector<std::vector<Seen>> seen_;              // by neighbour and sample
+  std::vector<std::pair<float, int32_t>> order_;
   std::vector<EpipolarIndex::Crossed> crossed_;
+  // Of one sample:
+  std::vector<Candidate> candidates_;
+  std::vector<std::pair<int32_t, double>> visible_;  // neighbours with hypotheses, densities
+  std::vector<double> ratios_;                       // by candidate; 0 for none
+  std::vector<int64_t> agree_;                       // by neighbour
+  SampleClusters found_;
 };
 
-inline std::vector<std::vector<Cluster>> Sampler::Clusters(const int64_t* points,
-                                                           const DepthRange* ranges, size_t count) {
-  if (found_.size() < count) found_.resize(count);
-  for (size_t s = 0; s < count; ++s) {
-    found_[s].hypotheses.clear();
-    found_[s].seen.assign(pairs_.size(), Seen());
-  }
-  // Neighbour by neighbour, since consecutive samples access nearby memory.
+inline const SampleClusters& Sampler::Clusters(const int64_t* points, const DepthRange* ranges,
+                                               size_t count) {
+  // Neighbour by neighbour and epipolar line by epipolar line, since lines next to each other
+  // cross the same chains, which then are in the caches.
   for (size_t n = 0; n < pairs_.size(); ++n) {
-    for (size_t s = 0; s < count; ++s) Collect(points[s], ranges[s], int32_t(n), &found_[s]);
+    hypotheses_[n].clear();
+    seen_[n].assign(count, Seen());
+    order_.clear();
+    for (size_t s = 0; s < count; ++s) {
+      order_.push_back({indexes_[n].Rank(RayIn(points[s], pairs_[n])), int32_t(s)});
+    }
+    std::sort(order_.begin(), order_.end());
+    for (const auto& [rank, s] : order_) Collect(points[s], ranges[s], int32_t(n), &seen_[n][s]);
   }
-  std::vector<std::vector<Cluster>> clusters(count);
+  found_.offsets.resize(1), found_.clusters.clear(), found_.supports.clear();
   for (size_t s = 0; s < count; ++s) {
-    std::vector<Hypothesis>& hypotheses = found_[s].hypotheses;
-    std::sort(hypotheses.begin(), hypotheses.end(), [](const Hypothesis& a, const Hypothesis& b) {
-      if (a.inverse_depth != b.inverse_depth) return a.inverse_depth < b.inverse_depth;
-      if (a.neighbor != b.neighbor) return a.neighbor < b.neighbor;
-      return a.position < b.position;
-    });
-    ScoreAll(found_[s]);
-    clusters[s] = BestClusters(hypotheses);
+    Gather(s);
+    ratios_.resize(candidates_.size());
+    for (size_t u = 0; u < candidates_.size(); ++u) ratios_[u] = RatioOf(int64_t(u));
+    AddBestClusters();
+    found_.offsets.push_back(int32_t(found_.clusters.size()));
   }
-  return clusters;
+  return found_;
 }
 
-inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbor, Found* found) {
+// The hypotheses of a sample with all neighbours, sorted by inverse depth.
+inline void Sampler::Gather(size_t sample) {
+  candidates_.clear(), visible_.clear();
+  for (size_t n = 0; n < pairs_.size(); ++n) {
+    const Seen& seen = seen_[n][sample];
+    if (seen.begin == seen.end) continue;
+    visible_.push_back({int32_t(n), seen.density});
+    for (int32_t h = seen.begin; h < seen.end; ++h) {
+      const Hypothesis& own = hypotheses_[n][h];
+      candidates_.push_back(
+          {own.inverse_depth, own.sigma, own.sigma * own.sigma, int32_t(n), &own});
+    }
+  }
+  std::sort(candidates_.begin(), candidates_.end(), [](const Candidate& a, const Candidate& b) {
+    if (a.inverse_depth != b.inverse_depth) return a.inverse_depth < b.inverse_depth;
+    if (a.neighbor != b.neighbor) return a.neighbor < b.neighbor;
+    return a.hypothesis->position < b.hypothesis->position;
+  });
+}
+
+inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbor, Seen* seen) {
   const Pair& pair = pairs_[neighbor];
   const EdgeIndex& view = *pair.view;
   const double f = view.focal();
-  std::vector<Hypothesis>& hypotheses = found->hypotheses;
   const Vec2& x = source_.point(i);
   const Vec2 toward = ImageDirection(pair.source_epipole, x, source_.focal());
   const double toward_norm = Norm(toward);
@@ -173,7 +254,7 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   if (sin0 < p_.min_angle_sin) return;
   const Sides& sides0 = source_.sides(i);
   const double polarity0 = Dot(n0, toward) / (toward_norm + 1e-300);
-  const Vec3 a = Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
+  const Vec3 a = RayIn(i, pair);
   const Vec3& b = pair.translation;
   // Along the epipolar line a pixel moves by gradient / z^2 per unit of inverse depth.
   const Vec2 gradient = {f * (b[0] * a[2] - a[0] * b[2]), f * (b[1] * a[2] - a[1] * b[2])};
@@ -184,151 +265,135 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
   // No structured bindings, since C++17 lambdas cannot capture them.
   const double low = range.low, high = range.high;
   const double wide_low = wide_range.low, wide_high = wide_range.high;
+  std::vector<Hypothesis>& hypotheses = hypotheses_[neighbor];
   const size_t before = hypotheses.size();
   int64_t count = 0;
   double nearest = wide_high, farthest = wide_low;
   const bool wide = std::abs(u[0]) > std::abs(u[1]);
   indexes_[neighbor].VisitCrossings(a, wide_low, wide_high, &crossed_, [&](int64_t s, double t) {
-    const double sin = std::abs(Cross(u, view.tangent(s)));
-    if (sin < p_.min_angle_sin) return;
-    const float likelihood = Likelihood(sides0, view.sides(s));
-    if (likelihood == 0) return;
     const int k = wide ? 0 : 1;
     const double q = view.point(s)[k], at = q + t * (view.point(view.Next(s))[k] - q);
     const double rho = (at * a[2] - f * a[k]) / (f * b[k] - at * b[2]);
-    if (!(rho >= wide_low && rho <= wide_high)) return;
-    ++count;
-    nearest = std::min(nearest, rho), farthest = std::max(farthest, rho);
-    if (!(rho >= low && rho <= high)) return;
+    const double sin = std::abs(Cross(u, view.tangent(s)));
+    const float likelihood = Likelihood(sides0, view.sides(s));
+    // Few branches, since most of them would be unpredictable.
+    const bool counted =
+        (sin >= p_.min_angle_sin) & (likelihood != 0) & (rho >= wide_low) & (rho <= wide_high);
+    count += counted;
+    nearest = counted ? std::min(nearest, rho) : nearest;
+    farthest = counted ? std::max(farthest, rho) : farthest;
     constexpr double kSure = 0.1;  // closer to the epipolar line, the sign is not reliable
     // The direction from the source's centre to the neighbour's is that of -u.
     const double polarity = -Dot(view.normal(s), u);
-    if (polarity * polarity0 < 0 && std::min(std::abs(polarity), std::abs(polarity0)) > kSure) {
-      return;
-    }
+    const bool opposite =
+        (polarity * polarity0 < 0) & (std::min(std::abs(polarity), std::abs(polarity0)) > kSure);
+    if (!(counted & (rho >= low) & (rho <= high) & !opposite)) return;
     const double z = a[2] + rho * b[2];
     const double sigma = z * z / (speed * std::min(sin, sin0));
-    hypotheses.push_back({rho, sigma, double(s) + t, neighbor, view.polyline(s), likelihood});
+    hypotheses.push_back({rho, sigma, double(s) + t, view.polyline(s), likelihood});
   });
   if (hypotheses.size() == before) return;
-  Seen& seen = found->seen[neighbor];
-  seen.visible = true;
+  seen->begin = int32_t(before), seen->end = int32_t(hypotheses.size());
   // n intersections span (n - 1) / (n + 1) of the visible part of the range on average. Half of
   // them have the wrong polarity.
   const double span = (farthest - nearest) * double(count + 1) / std::max(double(count - 1), 0.1);
-  seen.density =
+  seen->density =
       0.5 * double(count) / std::clamp(span, 0.05 * (wide_high - wide_low), wide_high - wide_low);
 }
 
-// Writes to agree_ the nearest agreeing hypothesis of each neighbour for hypothesis u.
-inline void Sampler::Agreeing(const std::vector<Hypothesis>& hypotheses, int64_t u) {
-  const int64_t count = int64_t(hypotheses.size());
-  const Hypothesis& center = hypotheses[u];
+// Writes to agree_ the nearest agreeing hypothesis of each neighbour for hypothesis u, and returns
+// the number of such neighbours.
+inline int Sampler::Agreeing(int64_t u) {
+  const int64_t count = int64_t(candidates_.size());
+  const Candidate& center = candidates_[u];
   std::fill(agree_.begin(), agree_.end(), -1);
   agree_[center.neighbor] = u;
-  const auto consider = [&](int64_t v, double gap) {
-    const Hypothesis& other = hypotheses[v];
-    if (gap * gap > Window2(center, other)) return;
-    int64_t& held = agree_[other.neighbor];
-    if (held < 0 || gap < std::abs(hypotheses[held].inverse_depth - center.inverse_depth)) {
-      held = v;
-    }
-  };
+  int num = 1;
   const double reach = 4 * p_.max_disagreement_px * center.sigma;
   for (int64_t v = u - 1; v >= 0; --v) {
-    const double gap = center.inverse_depth - hypotheses[v].inverse_depth;
+    const Candidate& other = candidates_[v];
+    const double gap = center.inverse_depth - other.inverse_depth;
     if (gap > reach) break;
-    consider(v, gap);
+    if (gap * gap > Window2(center, other) || agree_[other.neighbor] >= 0) continue;
+    agree_[other.neighbor] = v, ++num;
   }
   for (int64_t v = u + 1; v < count; ++v) {
-    const double gap = hypotheses[v].inverse_depth - center.inverse_depth;
+    const Candidate& other = candidates_[v];
+    const double gap = other.inverse_depth - center.inverse_depth;
     if (gap > reach) break;
-    consider(v, gap);
-  }
-}
-
-// Likelihood ratio of the difference of two agreeing hypotheses, true edge against chance, given
-// the square of its fraction of the window: a Gaussian with sigma of half the window, and outliers.
-inline double GapLikelihood(double share2) {
-  constexpr double kAnywhere = 0.2, kSpread = 0.5;
-  constexpr double kMean = 0.598144;  // mean of the Gaussian over the window
-  return kAnywhere + (1 - kAnywhere) / kMean * std::exp(-0.5 * share2 / (kSpread * kSpread));
-}
-
-// Log likelihood ratio of the agreement with each hypothesis, true edge against chance. A neighbour
-// agrees by chance with the probability x / (1 + x) for x expected intersections in the window of
-// two hypotheses. Distances and side similarities are further factors.
-inline void Sampler::ScoreAll(const Found& found) {
-  const std::vector<Hypothesis>& hypotheses = found.hypotheses;
-  const double q = p_.detection_rate;
-  scores_.resize(hypotheses.size());
-  for (size_t u = 0; u < hypotheses.size(); ++u) {
-    Agreeing(hypotheses, int64_t(u));
-    int count = 0;
-    for (const int64_t v : agree_) count += v >= 0;
-    if (count < 2) {
-      scores_[u] = -std::numeric_limits<double>::infinity();
+    if (gap * gap > Window2(center, other)) continue;
+    int64_t& held = agree_[other.neighbor];
+    if (held >= 0 && gap >= std::abs(candidates_[held].inverse_depth - center.inverse_depth)) {
       continue;
     }
-    const double sigma = hypotheses[u].sigma;
-    double ratio = 1;
-    for (size_t n = 0; n < pairs_.size(); ++n) {
-      if (!found.seen[n].visible) continue;
-      const double other = agree_[n] >= 0 ? hypotheses[agree_[n]].sigma : sigma;
-      const double window = std::sqrt(2.0) * p_.max_disagreement_px * (sigma + other);
-      const double x = std::clamp(window * found.seen[n].density, 0.02, 50.0);
-      double seen = (1 - q) * (1 + x);
-      if (agree_[n] >= 0) {
-        const Hypothesis &own = hypotheses[u], &agreeing = hypotheses[agree_[n]];
-        seen = q * (1 + x) / x * agreeing.likelihood;
-        const double gap = agreeing.inverse_depth - own.inverse_depth;
-        if (agree_[n] != int64_t(u)) seen *= GapLikelihood(gap * gap / Window2(own, agreeing));
-      }
-      ratio *= p_.visibility_rate * seen + 1 - p_.visibility_rate;
-    }
-    scores_[u] = std::log(ratio);
+    num += held < 0, held = v;
   }
+  return num;
 }
 
-inline Cluster Sampler::MakeCluster(const std::vector<Hypothesis>& hypotheses, int64_t u) {
-  Agreeing(hypotheses, u);
-  Cluster cluster;
-  cluster.score = scores_[u];
-  double weights = 0, sum = 0;
-  for (const int64_t v : agree_) {
-    if (v < 0) continue;
-    const Hypothesis& h = hypotheses[v];
-    weights += 1 / (h.sigma * h.sigma), sum += h.inverse_depth / (h.sigma * h.sigma);
-    cluster.support.push_back({h.position, h.neighbor, h.polyline});
+// Likelihood ratio of the agreement with hypothesis u, true edge against chance; 0 if no path needs
+// it. A neighbour agrees by chance with the probability x / (1 + x) for x expected intersections in
+// the window of two hypotheses. Distances and side similarities are further factors.
+inline double Sampler::RatioOf(int64_t u) {
+  if (Agreeing(u) < 2) return 0;
+  const double q = p_.detection_rate, v = p_.visibility_rate;
+  const double window = std::sqrt(2.0) * p_.max_disagreement_px;
+  const Candidate& own = candidates_[u];
+  double ratio = 1;
+  for (const auto& [n, density] : visible_) {
+    const int64_t agreeing = agree_[n];
+    const double sigma = agreeing >= 0 ? candidates_[agreeing].sigma : own.sigma;
+    const double x = std::clamp(window * (own.sigma + sigma) * density, 0.02, 50.0);
+    double seen = (1 - q) * (1 + x);
+    if (agreeing >= 0) {
+      const Candidate& other = candidates_[agreeing];
+      seen = q * (1 + x) / x * other.hypothesis->likelihood;
+      const double gap = other.inverse_depth - own.inverse_depth;
+      if (agreeing != u) seen *= GapLikelihood(gap * gap / Window2(own, other));
+    }
+    ratio *= v * seen + 1 - v;
   }
+  return ratio > least_ratio_ ? ratio : 0;
+}
+
+inline Cluster Sampler::MakeCluster(int64_t u) {
+  Agreeing(u);
+  Cluster cluster;
+  cluster.score = std::log(ratios_[u]);
+  cluster.begin = int32_t(found_.supports.size());
+  double weights = 0, sum = 0;
+  for (size_t n = 0; n < agree_.size(); ++n) {
+    if (agree_[n] < 0) continue;
+    const Candidate& c = candidates_[agree_[n]];
+    weights += 1 / c.sigma2, sum += c.inverse_depth / c.sigma2;
+    found_.supports.push_back({c.hypothesis->position, int32_t(n), c.hypothesis->polyline});
+  }
+  cluster.end = int32_t(found_.supports.size());
   cluster.inverse_depth = sum / weights, cluster.sigma = 1 / std::sqrt(weights);
   return cluster;
 }
 
-// The best clusters, no two of which agree with each other.
-inline std::vector<Cluster> Sampler::BestClusters(const std::vector<Hypothesis>& hypotheses) {
-  std::vector<Cluster> kept;
-  while (int(kept.size()) < p_.max_clusters) {
-    const int64_t best = std::max_element(scores_.begin(), scores_.end()) - scores_.begin();
-    if (best == int64_t(scores_.size()) || std::isinf(scores_[best])) break;
-    kept.push_back(MakeCluster(hypotheses, best));
-    const double reach = p_.max_disagreement_px * hypotheses[best].sigma;
-    for (size_t v = 0; v < hypotheses.size(); ++v) {
-      if (int64_t(v) == best ||
-          std::abs(hypotheses[v].inverse_depth - kept.back().inverse_depth) < reach) {
-        scores_[v] = -std::numeric_limits<double>::infinity();
-      }
+// Adds the best clusters of a sample, no two of which agree with each other.
+inline void Sampler::AddBestClusters() {
+  for (int count = 0; count < p_.max_clusters; ++count) {
+    const int64_t best = std::max_element(ratios_.begin(), ratios_.end()) - ratios_.begin();
+    if (best == int64_t(ratios_.size()) || ratios_[best] == 0) break;
+    const Cluster cluster = MakeCluster(best);
+    found_.clusters.push_back(cluster);
+    const double reach = p_.max_disagreement_px * candidates_[best].sigma;
+    ratios_[best] = 0;
+    for (size_t v = 0; v < ratios_.size(); ++v) {
+      if (std::abs(candidates_[v].inverse_depth - cluster.inverse_depth) < reach) ratios_[v] = 0;
     }
   }
-  return kept;
 }
 
 // Number of neighbours in which two clusters lie on one chain, about `steps` points apart.
-inline int CountFollowed(const Cluster& from, const Cluster& to, const std::vector<Pair>& pairs,
-                         double steps) {
+inline int CountFollowed(const Cluster& from, const Cluster& to, const Support* supports,
+                         const std::vector<Pair>& pairs, double steps) {
   int count = 0;
-  for (size_t i = 0, j = 0; i < from.support.size() && j < to.support.size();) {
-    const Support &a = from.support[i], &b = to.support[j];
+  for (int32_t i = from.begin, j = to.begin; i < from.end && j < to.end;) {
+    const Support &a = supports[i], &b = supports[j];
     if (a.neighbor != b.neighbor) {
       (a.neighbor < b.neighbor ? i : j) += 1;
       continue;
@@ -343,40 +408,66 @@ inline int CountFollowed(const Cluster& from, const Cluster& to, const std::vect
   return count;
 }
 
-// Viterbi over the samples of one chain; returns the selected cluster of each sample or -1.
-inline std::vector<int> Decode(const std::vector<std::vector<Cluster>>& states,
-                               const std::vector<Pair>& pairs, double steps,
-                               const ChainDepthParameters& p) {
-  const int64_t count = int64_t(states.size());
-  std::vector<std::vector<double>> score(count);
-  std::vector<std::vector<int>> back(count);
-  for (int64_t t = 0; t < count; ++t) {
-    const int n = int(states[t].size());
-    score[t].assign(n + 1, 0), back[t].assign(n + 1, 0);
-    const int before = t > 0 ? int(states[t - 1].size()) : 0;
-    for (int k = 0; k <= n; ++k) {
-      const double own = k < n ? states[t][k].score - p.min_log_likelihood_ratio : 0;
-      double best = t > 0 ? -std::numeric_limits<double>::infinity() : 0;
-      for (int j = 0; t > 0 && j <= before; ++j) {
-        double penalty = j == before && k == n ? 0 : 0.5 * p.break_penalty;
-        if (j < before && k < n) {
-          const int followed = CountFollowed(states[t - 1][j], states[t][k], pairs, steps);
-          penalty = followed >= 2 ? 0 : (followed == 1 ? 0.5 : 1.0) * p.break_penalty;
+// Viterbi over the samples first to end - 1 of one chain: writes the selected cluster of each
+// sample, or -1, to `picked`.
+class Decoder {
+ public:
+  void Decode(const SampleClusters& found, int64_t first, int64_t end,
+              const std::vector<Pair>& pairs, double steps, const ChainDepthParameters& p,
+              int32_t* picked) {
+    if (first == end) return;
+    scores_.clear(), back_.clear();
+    const int32_t* offsets = found.offsets.data();
+    size_t before_begin = 0;
+    for (int64_t t = first; t < end; ++t) {
+      const size_t begin = scores_.size();
+      const int n = offsets[t + 1] - offsets[t];
+      const int before = t > first ? offsets[t] - offsets[t - 1] : -1;
+      for (int k = 0; k <= n; ++k) {
+        const Cluster* to = k < n ? &found.clusters[offsets[t] + k] : nullptr;
+        double best = before >= 0 ? -std::numeric_limits<double>::infinity() : 0;
+        int from = 0;
+        for (int j = 0; j <= before; ++j) {
+          double penalty = j == before && !to ? 0 : 0.5 * p.break_penalty;
+          if (j < before && to) {
+            const int followed = CountFollowed(found.clusters[offsets[t - 1] + j], *to,
+                                               found.supports.data(), pairs, steps);
+            penalty = followed >= 2 ? 0 : (followed == 1 ? 0.5 : 1.0) * p.break_penalty;
+          }
+          const double score = scores_[before_begin + j] - penalty;
+          if (score > best) best = score, from = j;
         }
-        if (score[t - 1][j] - penalty > best) best = score[t - 1][j] - penalty, back[t][k] = j;
+        scores_.push_back(best + (to ? to->score - p.min_log_likelihood_ratio : 0));
+        back_.push_back(from);
       }
-      score[t][k] = best + own;
+      before_begin = begin;
+    }
+    int k = int(std::max_element(scores_.begin() + before_begin, scores_.end()) -
+                (scores_.begin() + before_begin));
+    size_t begin = before_begin;
+    for (int64_t t = end - 1; t >= first; --t) {
+      picked[t - first] = k < offsets[t + 1] - offsets[t] ? offsets[t] + k : -1;
+      k = back_[begin + k];
+      if (t > first) begin -= offsets[t] - offsets[t - 1] + 1;
     }
   }
-  std::vector<int> picked(count, -1);
-  if (count == 0) return picked;
-  int k = int(std::max_element(score[count - 1].begin(), score[count - 1].end()) -
-              score[count - 1].begin());
-  for (int64_t t = count - 1; t >= 0; --t) {
-    picked[t] = k < int(states[t].size()) ? k : -1;
-    k = back[t][k];
+
+ private:
+  std::vector<double> scores_;  // by sample: of its clusters, and of none
+  std::vector<int> back_;
+};
+
+// Offsets of blocks of consecutive chains, with enough samples each that neighbouring epipolar
+// lines are near, and few enough that the hypotheses of a block are small.
+inline std::vector<int64_t> BlocksOfChains(const std::vector<int64_t>& sample_offsets) {
+  constexpr int64_t kSamples = 2048;
+  std::vector<int64_t> blocks{0};
+  const int64_t num_chains = int64_t(sample_offsets.size()) - 1;
+  for (int64_t chain = 1; chain <= num_chains; ++chain) {
+    const int64_t count = sample_offsets[chain] - sample_offsets[blocks.back()];
+    if (count >= kSamples || chain == num_chains) blocks.push_back(chain);
   }
-  return picked;
+  return blocks;
 }
 
 }  // namespace chain_depths_internal
@@ -397,31 +488,30 @@ inline ChainDepths ComputeChainDepths(const EdgeIndex& source,
   ParallelFor(int64_t(pairs.size()), num_threads, [&](int64_t n, int) {
     indexes[n] = EpipolarIndex(pairs[n], parameters.min_angle_sin);
   });
-  std::vector<Cluster> picked(samples.size());
-  const int64_t num_chains = int64_t(sample_offsets.size()) - 1;
-  std::vector<Sampler> samplers(std::max(1, num_threads),
-                                Sampler(source, pairs, indexes, parameters));
-  ParallelFor(num_chains, num_threads, [&](int64_t chain, int worker) {
-    std::vector<std::vector<Cluster>> states = samplers[worker].Clusters(
-        samples.data() + sample_offsets[chain], ranges.data() + sample_offsets[chain],
-        sample_offsets[chain + 1] - sample_offsets[chain]);
-    const std::vector<int> path = Decode(states, pairs, steps, parameters);
-    for (size_t t = 0; t < path.size(); ++t) {
-      if (path[t] >= 0) picked[sample_offsets[chain] + t] = std::move(states[t][path[t]]);
+  const std::vector<int64_t> blocks = BlocksOfChains(sample_offsets);
+  std::vector<ChainDepths> parts(blocks.size() - 1);
+  struct Worker {
+    Sampler sampler;
+    Decoder decoder;
+    std::vector<int32_t> picked;
+  };
+  std::vector<Worker> workers(std::max(1, num_threads),
+                              Worker{Sampler(source, pairs, indexes, parameters), {}, {}});
+  ParallelFor(int64_t(parts.size()), num_threads, [&](int64_t block, int worker) {
+    auto& [sampler, decoder, picked] = workers[worker];
+    const int64_t begin = sample_offsets[blocks[block]], end = sample_offsets[blocks[block + 1]];
+    const SampleClusters& found =
+        sampler.Clusters(samples.data() + begin, ranges.data() + begin, end - begin);
+    picked.resize(end - begin);
+    for (int64_t chain = blocks[block]; chain < blocks[block + 1]; ++chain) {
+      const int64_t first = sample_offsets[chain] - begin;
+      decoder.Decode(found, first, sample_offsets[chain + 1] - begin, pairs, steps, parameters,
+                     picked.data() + first);
     }
+    for (const int32_t k : picked) parts[block].Add(found, k);
   });
   ChainDepths result;
-  result.support_offsets.push_back(0);
-  for (const Cluster& cluster : picked) {
-    result.inverse_depths.push_back(cluster.inverse_depth);
-    result.sigmas.push_back(cluster.sigma);
-    result.scores.push_back(cluster.score);
-    for (const Support& support : cluster.support) {
-      result.positions.push_back(support.position);
-      result.neighbors.push_back(support.neighbor);
-    }
-    result.support_offsets.push_back(int64_t(result.positions.size()));
-  }
+  for (const ChainDepths& part : parts) result.Append(part);
   return result;
 }
 

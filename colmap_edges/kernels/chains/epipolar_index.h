@@ -59,6 +59,14 @@ class EpipolarIndex {
     Build(min_angle_sin);
   }
 
+  // Number by which rays (neighbour's camera frame) are in the order of the angles of their
+  // epipolar planes.
+  float Rank(const Vec3& ray) const {
+    const double x = Dot(ray, e1_), y = Dot(ray, e2_);
+    const double along = x / (std::abs(x) + std::abs(y) + 1e-300);
+    return float(y < 0 ? along - 1 : 1 - along);
+  }
+
   // Calls visit(i, t) for each segment i -> Next(i) of the neighbour that the epipolar line of the
   // ray a + inverse depth * translation (neighbour's camera frame) intersects between two inverse
   // depths, or up to a bin beyond; t in [0, 1] is the fraction along the segment. `crossed` is a
@@ -212,17 +220,25 @@ void EpipolarIndex::VisitCrossings(const Vec3& a, double low, double high,
     const Vec2& p = view_->point(i);
     return normal[0] * p[0] + normal[1] * p[1] + constant;
   };
-  // Prefetch while others are tested, since memory access is random.
-  crossed->clear();
-  for (int32_t k = offsets_[from]; k < offsets_[to + 1]; ++k) {
-    const Entry& entry = entries_[k];
-    if ((entry.start < target) == (entry.end < target)) continue;
-    const float t = (target - entry.start) / (entry.end - entry.start);
-    const int32_t guess = entry.first + std::min(int32_t(t * float(entry.count)), entry.count - 1);
-    view_->Prefetch(guess);
-    crossed->push_back({entry, guess});
+  // Without branches, which would be unpredictable.
+  const int32_t end_entry = offsets_[to + 1];
+  if (int64_t(crossed->size()) < end_entry - offsets_[from]) {
+    crossed->resize(end_entry - offsets_[from]);
   }
-  for (const Crossed& c : *crossed) {
+  int32_t count = 0;
+  for (int32_t k = offsets_[from]; k < end_entry; ++k) {
+    (*crossed)[count].entry = entries_[k];
+    count += (entries_[k].start < target) != (entries_[k].end < target);
+  }
+  // Prefetch while others are tested, since memory access is random.
+  for (int32_t k = 0; k < count; ++k) {
+    Crossed& c = (*crossed)[k];
+    const float t = (target - c.entry.start) / (c.entry.end - c.entry.start);
+    c.guess = c.entry.first + std::min(int32_t(t * float(c.entry.count)), c.entry.count - 1);
+    view_->Prefetch(c.guess);
+  }
+  for (int32_t k = 0; k < count; ++k) {
+    const Crossed& c = (*crossed)[k];
     // Search the segment at which the stretch changes sides, starting where its chord does.
     const bool start = c.entry.start < target;
     const int64_t end = c.entry.first + c.entry.count - 1;

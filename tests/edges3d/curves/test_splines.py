@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.curves3d import spline_points
 from colmap_edges.edges3d.curves.splines import DEGREE, basis_of, fit_splines, knots_of, splines_of
 from colmap_edges.edges3d.curves.stacks import Stack
 
@@ -41,6 +42,8 @@ def test_basis_is_that_of_scipy():
             assert np.ptp(per_span) <= 1
             expected = BSpline(knots[row], np.eye(size), DEGREE)(places[first:end])
             np.testing.assert_allclose(found[first:end], expected, atol=1e-12)
+            points = spline_points(knots[row], np.eye(size), places[first:end])
+            np.testing.assert_allclose(points, expected, atol=1e-12)
 
 
 def test_stretches_are_fitted_as_each_alone():

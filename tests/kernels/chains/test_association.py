@@ -65,6 +65,29 @@ def test_association_equals_the_nearest_of_all_points(seed, max_distance, max_an
     assert again.tobytes() == found.tobytes()
 
 
+def drop_lone_reference(positions, offsets):
+    same = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    steps = np.abs(np.diff(positions, axis=0))
+    steps[same[1:] != same[:-1]] = np.nan
+    found = steps[np.isfinite(steps)]
+    linked = steps <= (4 * np.median(found) if len(found) else 0.0)
+    keep = np.zeros(positions.shape, bool)
+    keep[1:] = linked
+    keep[:-1] |= linked
+    return np.where(keep, positions, np.nan)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
+def test_lone_observations_are_dropped(share):
+    rng = np.random.default_rng(5)
+    offsets = np.array([0, 1, 1, 8, 30, 61])
+    positions = 1000 + np.cumsum(rng.standard_cauchy((61, 4)), axis=0)
+    positions[rng.random(positions.shape) < share] = np.nan
+    found = _kernels.drop_lone(positions, offsets)
+    np.testing.assert_array_equal(found, drop_lone_reference(positions, offsets))
+    assert share == 1 or 0 < np.isfinite(found).sum() < np.isfinite(positions).sum()
+
+
 def test_many_views_are_associated_as_each_alone():
     rng = np.random.default_rng(7)
     views = [edge_index(*random_chains(rng), random_pose(rng)) for _ in range(3)]
