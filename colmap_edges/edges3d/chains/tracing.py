@@ -110,13 +110,13 @@ def trace_rounds(
 ) -> tuple[Sorted, dict[str, Any]]:
     """The filtered curves of all rounds, and counts; intermediate data are released on return."""
     traced, stats = trace_round(whole, near, options, None, workers, advance)
+    # Made again at the end in a hundredth of a round's time, they take half of its memory.
+    whole.indexes.clear()
+    whole.graphs.trim()
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
-        # Made again at the end in a hundredth of a round's time, they take half of its memory.
-        whole.indexes.clear()
-        whole.graphs.trim()
         rest = what_remains(whole, kept, options.tracing)
         # Limits come from the first round, whose curves are the most reliable.
         limits = kept.limits if traced else None
