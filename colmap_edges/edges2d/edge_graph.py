@@ -19,7 +19,13 @@ from colmap_edges.core.arrays import (
     offsets_of,
     owners_of,
 )
-from colmap_edges.core.polylines import end_points, match_best_first, points_along, unit, walk_joined
+from colmap_edges.core.polylines import (
+    end_points,
+    match_best_first,
+    points_along,
+    unit,
+    walk_joined,
+)
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.corners import cut_at_corners
 from colmap_edges.edges2d.detection import Chains
