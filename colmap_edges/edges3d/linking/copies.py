@@ -40,7 +40,7 @@ CHANCE_RATE = 0.1  # probability that a view observes an edge where there is non
 MAX_COPY_SIGMAS = 3.0  # distance of duplicates that count as the same position
 WEAK_RATIO = 1.0  # ratio of observations
 # numbers of points or matches, and of pairs of pieces, per block, which limit memory
-BLOCK, PAIRS = 1 << 13, 1 << 9
+BLOCK, PAIRS = 1 << 11, 1 << 9
 OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
 
 
