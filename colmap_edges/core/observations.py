@@ -52,7 +52,7 @@ class ChainObservations:
     @classmethod
     def concatenated(cls: type[Kind], parts: Sequence[Kind]) -> Kind:
         """The concatenated observations of all parts."""
-        parts = [cls.none(), *parts]
+        parts = parts or [cls.none()]
         lengths = np.concatenate([part.counts for part in parts])
         arrays = {n: np.concatenate([getattr(part, n) for part in parts]) for n in cls._rows()}
         return cls(offsets=offsets_of(lengths), **arrays)
@@ -126,6 +126,22 @@ class Observations(ChainObservations):
     def none(cls) -> Observations:
         """No observations, of no points."""
         return cls.of_pixels(np.zeros(1, np.int64), np.zeros(0, np.int32), np.zeros((0, 2)))
+
+    @classmethod
+    def of_positions(cls, observed: ChainObservations) -> Observations:
+        """Observations whose chains, pixels and normals are arrays without columns.
+
+        `edges2d.edge_index.look_up` finds these in the end, since they take most of the memory.
+        """
+        count = len(observed.views)
+        return cls(
+            offsets=observed.offsets,
+            views=observed.views,
+            positions=observed.positions,
+            chains=np.zeros((count, 0), np.int32),
+            pixels=np.zeros((count, 0)),
+            normals=np.zeros((count, 0), np.float32),
+        )
 
     @classmethod
     def of_pixels(cls, offsets: IntArray, views: Int32Array, pixels: FloatArray) -> Observations:

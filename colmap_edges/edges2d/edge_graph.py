@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -13,13 +12,20 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import (
     BoolArray,
     ByteArray,
+    Float32Array,
     FloatArray,
     Int32Array,
     IntArray,
     offsets_of,
     owners_of,
 )
-from colmap_edges.core.polylines import end_points, match_best_first, points_along, walk_joined
+from colmap_edges.core.polylines import (
+    end_points,
+    match_best_first,
+    points_along,
+    unit,
+    walk_joined,
+)
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.corners import cut_at_corners
 from colmap_edges.edges2d.detection import Chains
@@ -34,11 +40,14 @@ DIRECTION_STEP = 5  # points over which the direction of a chain's end is measur
 class EdgeGraph:
     """The 2D edge graph of one image: polylines between nodes, dense and sub-pixel.
 
+    Coordinates are in single precision, a thousandth of their noise: graphs are most of a run's
+    memory.
+
     Attributes:
-        points: (N, 2) float64 dense chain points, image pixels, COLMAP's origin; those of one
+        points: (N, 2) float32 dense chain points, image pixels, COLMAP's origin; those of one
             polyline are contiguous, and about a pixel of the upsampled image apart.
-        undistorted: (N, 2) float64 the same points in undistorted pixels.
-        normals: (N, 2) float64 unit normals of the edge, dark to bright, in undistorted pixels.
+        undistorted: (N, 2) float32 the same points in undistorted pixels.
+        normals: (N, 2) float32 unit normals of the edge, dark to bright, in undistorted pixels.
         sides: (N, 2) uint8 intensity on the dark and on the bright side.
         colors: (N, 3) uint8 RGB of the image there; black if not sampled.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
@@ -50,9 +59,9 @@ class EdgeGraph:
         smoothed_offsets: (P + 1,) int64 CSR of `smoothed` by polyline.
     """
 
-    points: FloatArray
-    undistorted: FloatArray
-    normals: FloatArray
+    points: Float32Array
+    undistorted: Float32Array
+    normals: Float32Array
     sides: ByteArray
     colors: ByteArray
     polyline_offsets: IntArray
@@ -67,7 +76,7 @@ class EdgeGraph:
         """Number of polylines."""
         return len(self.closed)
 
-    @cached_property
+    @property
     def polyline_ids(self) -> Int32Array:
         """(N,) polyline of each point."""
         lengths = np.diff(self.polyline_offsets)
@@ -176,9 +185,9 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
         chains.points, chains.offsets, options.max_smoothing_distance_px
     )
     return EdgeGraph(
-        points=points,
-        undistorted=undistorted,
-        normals=across / (np.linalg.norm(across, axis=1, keepdims=True) + 1e-12),
+        points=points.astype(np.float32),
+        undistorted=undistorted.astype(np.float32),
+        normals=unit(across).astype(np.float32),
         sides=chains.sides,
         colors=np.zeros((len(undistorted), 3), np.uint8),
         polyline_offsets=chains.offsets,

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
+from colmap_edges.core.arrays import ByteArray, Float32Array, FloatArray, IntArray
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -53,12 +53,9 @@ def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observat
     normals = np.zeros((count, 2), np.float32)
     for view, rows in observed.by_view():
         graph, positions = given.graph(view), observed.positions[rows]
-        low = positions.astype(np.int64)
-        chains[rows] = graph.polyline_ids[low]
+        chains[rows] = graph.polyline_ids[positions.astype(np.int64)]
         pixels[rows], colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
-        ends = np.concatenate([low, next_points(graph, low)]).astype(np.float64)
-        first, second = np.split(_kernels.chain_points(given.index(view), ends)[1], 2)
-        normals[rows] = across(between(first, second, (positions - low)[:, None]))
+        normals[rows] = across(tangents_at(graph, given.index(view), positions))
     seen = Observations(
         offsets=observed.offsets,
         views=observed.views,
@@ -70,6 +67,15 @@ def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observat
     return seen, colors
 
 
+def tangents_at(graph: EdgeGraph, index: _kernels.EdgeIndex, positions: FloatArray) -> FloatArray:
+    """(M, 2) tangents at positions on a view's chains, linear between its points."""
+    low = positions.astype(np.int64)
+    ends = np.stack([low, next_points(graph, low)]).astype(np.float64)
+    before, behind = _kernels.chain_points(index, ends.ravel())[1].reshape(2, -1, 2)
+    weight = (positions - low)[:, None]
+    return np.asarray((1 - weight) * before + weight * behind)
+
+
 def across(tangents: FloatArray) -> FloatArray:
     """(N, 2) unit normals of (N, 2) tangents."""
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -78,7 +84,7 @@ def across(tangents: FloatArray) -> FloatArray:
 
 
 def at_positions(
-    graph: EdgeGraph, positions: FloatArray, *values: FloatArray | ByteArray
+    graph: EdgeGraph, positions: FloatArray, *values: FloatArray | Float32Array | ByteArray
 ) -> list[FloatArray]:
     """(M, k) interpolation of the (N, k) values of a graph's points at (M,) positions."""
     low = positions.astype(np.int64)

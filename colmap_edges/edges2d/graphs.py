@@ -182,8 +182,8 @@ class Graphs:
 
 
 def graph_bytes(graph: EdgeGraph) -> int:
-    """Size of a graph's arrays in bytes, including `polyline_ids`."""
-    return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph)) + 4 * len(graph.points)
+    """Size of a graph's arrays in bytes."""
+    return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph))
 
 
 class Kept(Generic[T]):

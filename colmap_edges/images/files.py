@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, Picture
+from colmap_edges.core.arrays import ByteArray, Float32Array, FloatArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -193,7 +193,7 @@ def gray_of(image: Picture) -> Picture:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def colors_at(image: Picture, points: FloatArray) -> ByteArray:
+def colors_at(image: Picture, points: FloatArray | Float32Array) -> ByteArray:
     """(N, 3) uint8 RGB of a BGR picture (H, W, 3) at (N, 2) image pixels, COLMAP's origin."""
     values = np.rint(_kernels.bilinear(image, points - 0.5)).astype(np.uint8)
     return np.ascontiguousarray(values[:, ::-1])

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Int32Array, Picture
+from colmap_edges.core.arrays import Float32Array, FloatArray, Int32Array, Picture
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.images.files import gray_of
@@ -76,7 +76,7 @@ def darkened(image: Picture) -> Picture:
     return np.asarray(cv2.cvtColor(gray_of(image) // 2, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def fixed_point(points: FloatArray) -> Int32Array:
+def fixed_point(points: FloatArray | Float32Array) -> Int32Array:
     """Image pixels in OpenCV's fixed-point drawing coordinates, in units of 1/16 px."""
     return np.rint((points - 0.5) * (1 << SHIFT)).astype(np.int32)
 

@@ -281,12 +281,12 @@ def test_distorted_lines_are_straight_in_undistorted_pixels():
     assert sag.max() > 3
     graph = build(make_chains((image, 1)), view)
     assert graph.num_polylines == 1
-    np.testing.assert_array_equal(graph.points, image)
-    np.testing.assert_allclose(graph.undistorted, undistorted, atol=1e-5)
+    np.testing.assert_array_equal(graph.points, image.astype(np.float32))
+    np.testing.assert_allclose(graph.undistorted, undistorted, atol=2e-5)
     direction = (undistorted[-1] - undistorted[0]) / np.linalg.norm(
         undistorted[-1] - undistorted[0]
     )
-    np.testing.assert_allclose(np.linalg.norm(graph.normals, axis=1), 1)
+    np.testing.assert_allclose(np.linalg.norm(graph.normals, axis=1), 1, rtol=1e-6)
     assert cross(direction, graph.normals).min() > 0.98  # across; square only without distortion
 
 

@@ -12,6 +12,7 @@ import scenes
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
@@ -150,6 +151,13 @@ def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
         "smoothed_offsets": offsets,
     }
     return EdgeGraph(**plain | arrays)
+
+
+def unplaced(offsets, views) -> Observations:
+    """Observations by these views, at unknown positions."""
+    nowhere = np.full(len(views), np.nan)
+    found = ChainObservations(offsets=offsets, views=views, positions=nowhere)
+    return Observations.of_positions(found)
 
 
 def model_of(views, points=None, observed=None) -> Model:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D, TracedEdges, mean_colors
-from colmap_edges.core.observations import ChainObservations
+from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.chains.filtering import Sorted, Traced
 from colmap_edges.edges3d.chains.merging import merge_traced
@@ -25,15 +26,15 @@ from colmap_edges.options import PipelineOptions
 
 def link(
     given: TracingInput,
-    kept: Sorted,
+    pieces: TracedEdges,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[TracedEdges, dict[str, Any]]:
-    """Link the kept pieces to edges and contours.
+    """Link pieces to edges and contours.
 
     Args:
         given: the views with their whole edge graphs.
-        kept: the pieces, at positions on these graphs.
+        pieces: the pieces, as made by `merged_pieces`.
         options: how pieces are linked, and how they must be observed in between.
         num_threads: threads to use; the result does not depend on it.
 
@@ -45,34 +46,53 @@ def link(
         goes_on = partial(are_observed, pieces, given, options, num_threads)
         return link_edges(pieces, options.linking, goes_on)
 
-    once, merged = merge_traced(given, kept, options, num_threads)
-    edges, contours = make_edges(given, once.edges), make_edges(given, once.contours)
-    num_pieces = edges.num_edges
     # One name for all, so that no step's tables outlast the next one.
-    edges = linked(edges)
+    edges = linked(pieces.edges)
     edges = linked(edges)  # again, since longer pieces have more accurate directions
     edges = join_circles(edges, given, options, num_threads)
     edges = meet_at_corners(cut_at_bends(edges), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
-    return TracedEdges(edges=edges, contours=linked(contours)), merged | {
-        "pieces": num_pieces,
+    traced = TracedEdges(
+        edges=with_look_up(given, edges), contours=with_look_up(given, linked(pieces.contours))
+    )
+    return traced, {
+        "pieces": pieces.edges.num_edges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": len(edges.nodes.points),
         "junctions": int((edges.nodes.through_points >= 0).sum()),
     }
 
 
-def make_edges(given: TracingInput, parts: list[Traced]) -> Edges3D:
-    """Combine the curves of all reference views to 3D edges with tracks."""
+def merged_pieces(
+    given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
+) -> tuple[TracedEdges, dict[str, int]]:
+    """The kept pieces of all reference views without duplicates, and counts."""
+    once, merged = merge_traced(given, kept, options, num_threads)
+    return TracedEdges(edges=make_edges(once.edges), contours=make_edges(once.contours)), merged
+
+
+def make_edges(parts: list[Traced]) -> Edges3D:
+    """Combine the curves of all reference views to 3D edges, observed at positions on chains."""
     lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.offsets) for part in parts)])
     places = ChainObservations.concatenated([part.observations for part in parts])
-    observations, colors = look_up(given, places)
+    points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)])
     return Edges3D(
-        points=np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]),
+        points=points,
         edge_offsets=offsets_of(lengths),
         closed=np.zeros(len(lengths), bool),
-        observations=observations,
+        observations=Observations.of_positions(places),
         sigmas=np.concatenate([np.zeros(0), *(part.sigmas for part in parts)]),
         end_nodes=np.full((len(lengths), 2), -1, np.int32),
-        colors=mean_colors(colors, observations.offsets),
+        colors=np.zeros(points.shape, np.uint8),
     )
+
+
+def with_look_up(given: TracingInput, edges: Edges3D) -> Edges3D:
+    """The edges with chains, pixels and normals of all observations, and colours of all points."""
+    seen, colors = look_up(given, edges.observations)
+    of_nodes, node_colors = look_up(given, edges.nodes.observations)
+    nodes = replace(
+        edges.nodes, observations=of_nodes, colors=mean_colors(node_colors, of_nodes.offsets)
+    )
+    colors_of_points = mean_colors(colors, seen.offsets)
+    return replace(edges, observations=seen, colors=colors_of_points, nodes=nodes)

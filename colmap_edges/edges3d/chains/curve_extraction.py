@@ -56,7 +56,7 @@ def find_curves(
     normal = graph.normals[indices]
     sides = np.where(tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0] >= 0, 1, -1)
     curves = Curves(
-        undistorted=graph.undistorted[indices],
+        undistorted=graph.undistorted[indices].astype(np.float64),
         inverse_depths=inverse,
         indices=indices,
         offsets=offsets_of(lengths),

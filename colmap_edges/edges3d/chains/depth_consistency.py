@@ -45,7 +45,7 @@ def world_points(view: View, graph: EdgeGraph, depths: ChainDepths) -> FloatArra
     """(S, 3) world points of the samples of one view; NaN where no depth was found."""
     found = depths.found
     inverse = np.where(found, depths.inverse_depths, np.nan)
-    return lift(view, graph.undistorted[depths.samples], inverse)
+    return lift(view, graph.undistorted[depths.samples].astype(np.float64), inverse)
 
 
 def depths_at(

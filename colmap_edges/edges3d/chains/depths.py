@@ -115,7 +115,7 @@ def compute_chain_depths(
         [given.index(neighbor) for neighbor in neighbors.tolist()],
         samples,
         offsets,
-        depth_range.at(graph.undistorted[samples]),
+        depth_range.at(graph.undistorted[samples].astype(np.float64)),
         steps=float(options.sample_step_points),
         max_disagreement_px=options.max_disagreement_px,
         side_likelihoods=given.sides.table,

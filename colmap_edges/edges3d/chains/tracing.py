@@ -20,7 +20,7 @@ from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import View, lift
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.a_contrario import chance_of_observations
-from colmap_edges.edges3d.chains.assembly import link
+from colmap_edges.edges3d.chains.assembly import link, merged_pieces
 from colmap_edges.edges3d.chains.coverage import (
     in_whole_graphs,
     mark_covered,
@@ -77,16 +77,15 @@ def trace_edges(
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
-    kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
-    kept, repeated = without_repeats(whole, kept, options.tracing)
+    pieces, stats = trace_pieces(model, whole, near, options, num_threads, advance, workers)
     graphs.trim()
-    result, linked = link(whole, kept, options, num_threads)
+    result, linked = link(whole, pieces, options, num_threads)
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
         "max_side_difference": whole.sides.limit,
     }
-    return result, about | stats | repeated | linked
+    return result, about | stats | linked
 
 
 def with_side_likelihoods(
@@ -97,6 +96,23 @@ def with_side_likelihoods(
         given, near.ranges, options.chain_depth, options.random_seed, num_threads
     )
     return replace(given, sides=learned)
+
+
+def trace_pieces(
+    model: Model,
+    whole: TracingInput,
+    near: Neighborhood,
+    options: PipelineOptions,
+    num_threads: int,
+    advance: Callable[[], None],
+    workers: Workers,
+) -> tuple[TracedEdges, dict[str, Any]]:
+    """The pieces of all rounds without duplicates, and counts; tables are released on return."""
+    kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
+    kept, repeated = without_repeats(whole, kept, options.tracing)
+    whole.graphs.trim()
+    pieces, merged = merged_pieces(whole, kept, options, num_threads)
+    return pieces, stats | repeated | merged
 
 
 def trace_rounds(
@@ -110,13 +126,13 @@ def trace_rounds(
 ) -> tuple[Sorted, dict[str, Any]]:
     """The filtered curves of all rounds, and counts; intermediate data are released on return."""
     traced, stats = trace_round(whole, near, options, None, workers, advance)
+    # Made again at the end in a hundredth of a round's time, they take half of its memory.
+    whole.indexes.clear()
+    whole.graphs.trim()
     kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
-        # Made again at the end in a hundredth of a round's time, they take half of its memory.
-        whole.indexes.clear()
-        whole.graphs.trim()
         rest = what_remains(whole, kept, options.tracing)
         # Limits come from the first round, whose curves are the most reliable.
         limits = kept.limits if traced else None

@@ -26,6 +26,7 @@ SURE = 0.95  # probability of the F test
 MAX_MISS_SPACINGS = 0.5  # maximum distance of both sides' tangents to their meeting point
 MAX_ASIDE_SPACINGS = 0.85  # maximum distance of that point to the edge; larger at fillets
 MIN_APART = 3  # minimum number of points between two bends
+BLOCK = 1 << 12  # number of pairs whose polynomials are in memory at once
 
 
 def cut_at_bends(edges: Edges3D) -> Edges3D:
@@ -145,12 +146,13 @@ def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
         return one_and_two(points, weights.astype(np.float64), degree)
 
     smooth = np.zeros(len(a), bool)
-    left = np.flatnonzero(least >= FEWEST)
-    cubic, lines = squares(left, 1)
-    left = left[by_chance(counts[left], 4) * cubic < lines]
-    quintic, parabolas = squares(left, 2)
-    bent = quintic > by_chance(counts[left], 6) * parabolas
-    smooth[left] = ~(bent & (least[left] >= fewest))
+    for start in range(0, len(a), BLOCK):
+        left = start + np.flatnonzero(least[start : start + BLOCK] >= FEWEST)
+        cubic, lines = squares(left, 1)
+        left = left[by_chance(counts[left], 4) * cubic < lines]
+        quintic, parabolas = squares(left, 2)
+        bent = quintic > by_chance(counts[left], 6) * parabolas
+        smooth[left] = ~(bent & (least[left] >= fewest))
     return smooth
 
 

@@ -19,10 +19,10 @@ from colmap_edges.core.arrays import (
     ranges_of,
     ranks_of,
 )
-from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import end_points, match_best_first
-from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
 from colmap_edges.edges3d.curves.cutting import (
     ARC_FREEDOM,
     LINE_FREEDOM,
@@ -109,8 +109,8 @@ def join_circles(
     skip = np.zeros(len(partner), np.int64)
     skip[pairs[used]] = strays[used]
     points = np.flatnonzero(seen & used[gaps.owners])
-    found = look_up(given, observed.select(points))
-    return filled(without_tips(edges, skip), gaps.select(points), partner, *found)
+    found = Observations.of_positions(observed.select(points))
+    return filled(without_tips(edges, skip), gaps.select(points), partner, found)
 
 
 def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntArray:
@@ -253,9 +253,7 @@ def without_tips(edges: Edges3D, skip: IntArray) -> Edges3D:
     return edges.reordered(order, offsets_of(last - first), edges.closed, edges.end_nodes)
 
 
-def filled(
-    edges: Edges3D, gaps: Gaps, partner: IntArray, observations: Observations, colors: FloatArray
-) -> Edges3D:
+def filled(edges: Edges3D, gaps: Gaps, partner: IntArray, observations: Observations) -> Edges3D:
     """Join (2E,) ends to their partners, with the points in gaps as edges in between."""
     _, first, owners = np.unique(gaps.owners, return_index=True, return_inverse=True)
     sizes, count = np.bincount(owners, minlength=len(first)), edges.num_edges + len(first)
@@ -272,6 +270,6 @@ def filled(
         observations=Observations.concatenated([edges.observations, observations]),
         sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[gaps.ends]].max(axis=1)]),
         end_nodes=np.full((count, 2), -1, np.int32),
-        colors=np.concatenate([edges.colors, mean_colors(colors, observations.offsets)]),
+        colors=np.concatenate([edges.colors, np.zeros(gaps.points.shape, np.uint8)]),
     )
     return joined(longer, find_ends(longer), partner)

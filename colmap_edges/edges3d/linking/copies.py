@@ -16,7 +16,15 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, owners_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    entries_of,
+    order_of,
+    owners_of,
+)
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.polylines import curve_tangents
 from colmap_edges.core.view import View
@@ -31,7 +39,8 @@ SAMPLES = 3  # positions along a pair of pieces at which observations are compar
 CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
 MAX_COPY_SIGMAS = 3.0  # distance of duplicates that count as the same position
 WEAK_RATIO = 1.0  # ratio of observations
-BLOCK = 1 << 13  # number of points or matches per block, which limits the memory of their tables
+# numbers of points or matches, and of pairs of pieces, per block, which limit memory
+BLOCK, PAIRS = 1 << 11, 1 << 9
 OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
 
 
@@ -229,25 +238,29 @@ def log_ratios(
     """(P,) log likelihood ratio of two edges against one edge for each pair of pieces."""
     ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
     rows = spread(pairs, SAMPLES)
-    chosen = matches.select(rows)
+    chosen, of = matches.select(rows), pairs[rows]
     seen = seen_by(pieces, chosen)
     llr = view_ratios(pieces, chosen, seen, given, options, num_threads)
     # The ratios along two pieces are not independent: their mean counts once per view.
-    keys = pairs[rows][seen.matches] * len(pieces.views) + seen.views
-    each, place = np.unique(keys, return_inverse=True)
-    told = np.bincount(each // len(pieces.views), mean_of(place, llr), len(ratios))
-    return np.asarray(ratios + told, np.float64)
+    owners = of[seen.matches]
+    for first in range(0, len(ratios), PAIRS):
+        some = ratios[first : first + PAIRS]
+        part = slice(*np.searchsorted(owners, (first, first + PAIRS)))
+        keys = (owners[part] - first) * len(pieces.views) + seen.views[part]
+        each, place = np.unique(keys, return_inverse=True)
+        some += np.bincount(each // len(pieces.views), mean_of(place, llr[part]), len(some))
+    return ratios
 
 
 def spread(groups: IntArray, count: int) -> IntArray:
-    """Indices of at most `count` evenly spread rows of each of (M,) groups."""
+    """Indices of at most `count` evenly spread rows of each of (M,) groups, group by group."""
     order = np.argsort(groups, kind="stable")
     sizes = np.bincount(groups)
     ranks = np.arange(len(groups)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     own = sizes[groups[order]]
     step = np.maximum(own / count, 1)
     picked = np.floor((ranks + 1) / step) > np.floor(ranks / step)
-    return np.sort(order[picked])
+    return order[picked]
 
 
 def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
@@ -271,21 +284,20 @@ class Seen:
     """R pairs of a match and a view that observes at least one of its two points.
 
     Attributes:
-        matches: (R,) the match.
+        matches: (R,) the match, ascending.
         views: (R,) the view.
         positions: (R, 2) positions that observe the point and the other; -1 where none.
     """
 
-    matches: IntArray
-    views: IntArray
+    matches: Int32Array
+    views: Int32Array
     positions: FloatArray
 
 
 def seen_by(pieces: Pieces, matches: Matches) -> Seen:
     """The views that observe either point of each match."""
-    parts = [
-        Seen(matches=np.zeros(0, np.int64), views=np.zeros(0, int), positions=np.zeros((0, 2)))
-    ]
+    none = np.zeros(0, np.int32)
+    parts = [Seen(matches=none, views=none, positions=np.zeros((0, 2)))]
     for start in range(0, len(matches.points), BLOCK):
         part = seen_at(
             pieces, matches.points[start : start + BLOCK], matches.others[start : start + BLOCK]
@@ -308,7 +320,8 @@ def seen_at(pieces: Pieces, first: IntArray, second: IntArray) -> Seen:
     each, place = np.unique(keys, return_inverse=True)
     table = np.full((len(each), 2), -1.0)
     table[place, sides] = positions
-    return Seen(matches=each // num_views, views=each % num_views, positions=table)
+    matches, views = (of.astype(np.int32) for of in np.divmod(each, num_views))
+    return Seen(matches=matches, views=views, positions=table)
 
 
 def view_ratios(
@@ -331,7 +344,7 @@ def view_ratios(
     llr = np.zeros(len(seen.views))
     points = matches.points
     places = pieces.points[points], matches.offsets, pieces.steps[points]
-    order = np.argsort(seen.views, kind="stable")
+    order = order_of(seen.views, len(pieces.views))
     for rows in np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1):
         if len(rows) == 0:
             continue
@@ -341,7 +354,7 @@ def view_ratios(
         )
         apart = np.nan_to_num(apart)
         llr[rows] = np.clip(expected * (2 * apart - expected) / (2 * noise2), -one, both)
-    return np.nan_to_num(llr)
+    return np.nan_to_num(llr, copy=False)
 
 
 def seen_ratios(options: PipelineOptions) -> tuple[float, float]:

@@ -21,10 +21,10 @@ from colmap_edges.core.arrays import (
     offsets_of,
     ranges_of,
 )
-from colmap_edges.core.edges3d import Edges3D, mean_colors
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import end_points, unit
-from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up, positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
 from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials
 from colmap_edges.edges3d.linking.joining import (
     SHORT_GAP,
@@ -129,20 +129,17 @@ def meet_at_corners(
     least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
     met = corners.select(observed.counts >= least)
     left = observed.select(np.flatnonzero(np.isin(corners.members, met.members)))
-    longer = with_points(edges, met, *look_up(given, left))
+    longer = with_points(edges, met, Observations.of_positions(left))
     return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
 
 
-def with_points(
-    edges: Edges3D, met: Corners, observations: Observations, colors: FloatArray
-) -> Edges3D:
+def with_points(edges: Edges3D, met: Corners, observations: Observations) -> Edges3D:
     """Append a point for each end that meets others after all points of the edges.
 
     Args:
         edges: the edges.
         met: the M ends and their corners.
         observations: observations of the corners of these ends.
-        colors: (T, 3) RGB at the observations.
     """
     tips, _ = end_points(edges.edge_offsets, 0)
     return replace(
@@ -150,7 +147,7 @@ def with_points(
         points=np.concatenate([edges.points, met.points]),
         observations=Observations.concatenated([edges.observations, observations]),
         sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[met.members]]]),
-        colors=np.concatenate([edges.colors, mean_colors(colors, observations.offsets)]),
+        colors=np.concatenate([edges.colors, np.zeros(met.points.shape, np.uint8)]),
     )
 
 

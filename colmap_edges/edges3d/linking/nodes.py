@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
-from colmap_edges.core.edges3d import Edges3D, Nodes, mean_colors
+from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import curve_tangents, end_points
-from colmap_edges.edges2d.edge_index import IndexedGraphs, look_up
+from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.edges3d.linking.corners3d import (
     MAX_MISS_SPACINGS,
@@ -76,13 +76,12 @@ def meet_at_nodes(
     lines = fit_lines(edges)
     meetings = with_junctions(edges, lines, meeting_ends(edges, lines, options), options)
     meetings, observed = observed_meetings(edges, lines, meetings, given, options, num_threads)
-    observations, colors = look_up(given, observed)
     corners = meetings.corners
     nodes = Nodes(
         points=corners.positions,
         sigmas=node_sigmas(edges, lines, meetings),
-        observations=observations,
-        colors=mean_colors(colors, observations.offsets),
+        observations=Observations.of_positions(observed),
+        colors=np.zeros(corners.positions.shape, np.uint8),
         through_points=meetings.through,
     )
     return run_to_nodes(edges, lines, corners, nodes)

@@ -55,12 +55,6 @@ inline void CheckViews(const Ints& views, size_t num_views) {
   }
 }
 
-inline std::vector<Vec2> ToVec2(const Points2D& points) {
-  std::vector<Vec2> result(points.shape(0));
-  for (size_t i = 0; i < result.size(); ++i) result[i] = {points(i, 0), points(i, 1)};
-  return result;
-}
-
 inline std::vector<int64_t> ToVector(const Longs& values) {
   return {values.data(), values.data() + values.size()};
 }

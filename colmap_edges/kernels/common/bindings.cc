@@ -18,12 +18,20 @@ namespace {
 
 using namespace nb::literals;
 
-void InitEdgeIndex(EdgeIndex* self, Points2D points, Points2D normals,
-                   InArray<uint8_t, nb::shape<-1, 2>> sides, Longs offsets, Bools closed,
-                   Rotation rotation, Translation translation, double focal) {
-  std::vector<Sides> grays(sides.shape(0));
-  for (size_t i = 0; i < grays.size(); ++i) grays[i] = {sides(i, 0), sides(i, 1)};
-  new (self) EdgeIndex(ToVec2(points), ToVec2(normals), grays, ToVector(offsets),
+template <typename T>
+using Pairs = InArray<T, nb::shape<-1, 2>>;
+
+template <typename T>
+std::vector<std::array<T, 2>> ToPairs(const Pairs<T>& rows) {
+  std::vector<std::array<T, 2>> pairs(rows.shape(0));
+  for (size_t i = 0; i < pairs.size(); ++i) pairs[i] = {rows(i, 0), rows(i, 1)};
+  return pairs;
+}
+
+void InitEdgeIndex(EdgeIndex* self, Pairs<float> points, Pairs<float> normals, Pairs<uint8_t> sides,
+                   Longs offsets, Bools closed, Rotation rotation, Translation translation,
+                   double focal) {
+  new (self) EdgeIndex(ToPairs(points), ToPairs(normals), ToPairs(sides), ToVector(offsets),
                        {closed.data(), closed.data() + closed.size()},
                        MakePinholeView(rotation.data(), translation.data(), focal));
 }

@@ -41,7 +41,7 @@ class EdgeIndex {
  public:
   // points, normals: (N, 2) undistorted pixels; sides: (N, 2) intensities of the dark and the
   // bright side; offsets: (P + 1) CSR of the points by polyline; closed: (P).
-  EdgeIndex(const std::vector<Vec2>& points, const std::vector<Vec2>& normals,
+  EdgeIndex(const std::vector<Vec2f>& points, const std::vector<Vec2f>& normals,
             const std::vector<Sides>& sides, std::vector<int64_t> offsets,
             std::vector<uint8_t> closed, const PinholeView& pose)
       : points_(points.size()),
@@ -57,10 +57,10 @@ class EdgeIndex {
     if (!(pose.focal_px > 0)) throw std::invalid_argument("focal must be positive");
     for (int32_t p = 0; p < num_polylines(); ++p) {
       for (int64_t i = first(p); i <= last(p); ++i) {
-        if (!std::isfinite(points[i].x) || !std::isfinite(points[i].y)) {
+        if (!std::isfinite(points[i][0]) || !std::isfinite(points[i][1])) {
           throw std::invalid_argument("edge points must be finite");
         }
-        points_[i] = {Narrowed(points[i]), Narrowed(normals[i]), {1, 0}, p, sides[i], i == last(p)};
+        points_[i] = {points[i], normals[i], {1, 0}, p, sides[i], i == last(p)};
       }
     }
     for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Narrowed(FindTangent(i));

@@ -6,7 +6,6 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.linking.circles import join_circles
 from colmap_edges.options import PipelineOptions
 
@@ -28,15 +27,13 @@ def arc(first_deg, last_deg, **circle):
 def edges_of(pieces, closed=False):
     """Edges that all views observe."""
     points, count = np.concatenate(pieces), len(VIEWS)
-    pixels = np.stack([view.project(points)[0] for view in VIEWS], axis=1)
     return Edges3D(
         points=points,
         edge_offsets=offsets_of(np.array([len(piece) for piece in pieces])),
         closed=np.full(len(pieces), closed),
-        observations=Observations.of_pixels(
-            offsets=count * np.arange(len(points) + 1),
-            views=np.tile(np.arange(count, dtype=np.int32), len(points)),
-            pixels=pixels.reshape(-1, 2),
+        observations=known.unplaced(
+            count * np.arange(len(points) + 1),
+            np.tile(np.arange(count, dtype=np.int32), len(points)),
         ),
         sigmas=np.full(len(points), NOISE),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),

@@ -6,7 +6,7 @@ import pytest
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
+from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
@@ -27,15 +27,13 @@ def edges_of(pieces, observing, closed):
     observing = list(observing)
     points = np.concatenate(pieces)
     count = len(points) * len(observing)
-    pixels = np.stack([VIEWS[v].project(points)[0] for v in observing], axis=1)
     return Edges3D(
         points=points,
         edge_offsets=offsets_of(np.array([len(piece) for piece in pieces])),
         closed=np.full(len(pieces), closed),
-        observations=Observations.of_pixels(
-            offsets=np.arange(0, count + 1, len(observing)),
-            views=np.tile(np.array(observing, np.int32), len(points)),
-            pixels=pixels.reshape(-1, 2),
+        observations=known.unplaced(
+            np.arange(0, count + 1, len(observing)),
+            np.tile(np.array(observing, np.int32), len(points)),
         ),
         sigmas=np.arange(1.0, len(points) + 1),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
@@ -54,11 +52,15 @@ def short_of(axis, missing, corner=CORNER):
 
 def met(pieces, chains, num_threads=1, observing=range(6), closed=False, **linking):
     """The edges in views with such chains each, led to their corners."""
-    graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
-    given = known.tracing_input(VIEWS, graphs)
     options = PipelineOptions(linking=LinkingOptions(**linking))
     edges = edges_of(pieces, observing, closed)
-    return meet_at_corners(edges, given, options, num_threads)
+    return meet_at_corners(edges, views_of(chains), options, num_threads)
+
+
+def views_of(chains):
+    """The views with such chains each."""
+    graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
+    return known.tracing_input(VIEWS, graphs)
 
 
 def all_arms():
@@ -86,12 +88,13 @@ def test_three_edges_end_in_one_corner(missing, num_threads):
 
 def test_the_corner_is_observed_where_it_is_seen():
     pieces = [short_of(axis, 0.06) for axis in AXES]
-    edges = met(pieces, [all_arms()] * 4 + [[]] * 2)
+    chains = [all_arms()] * 4 + [[]] * 2
+    edges = met(pieces, chains)
     for tip in edges.edge_offsets[:-1]:
-        rows = slice(edges.observations.offsets[tip], edges.observations.offsets[tip + 1])
-        assert edges.observations.views[rows].tolist() == [0, 1, 2, 3]
+        seen, _ = look_up(views_of(chains), edges.observations.select(np.array([tip])))
+        assert seen.views.tolist() == [0, 1, 2, 3]
         expected = [VIEWS[v].project(CORNER[None])[0][0] for v in range(4)]
-        np.testing.assert_allclose(edges.observations.pixels[rows], expected, atol=0.1)
+        np.testing.assert_allclose(seen.pixels, expected, atol=0.1)
         assert edges.sigmas[tip] == edges.sigmas[tip + 1]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
+from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.linking.nodes import meet_at_nodes
 from colmap_edges.options import PipelineOptions
 
@@ -26,23 +26,26 @@ def arm(start, axis, missing=0.0):
 
 def met(pieces, curves, num_seeing=6, sigmas=SIGMA):
     points = np.concatenate(pieces)
-    pixels = np.stack([view.project(points)[0] for view in VIEWS], axis=1)
     edges = Edges3D(
         points=points,
         edge_offsets=offsets_of(np.array([len(piece) for piece in pieces])),
         closed=np.zeros(len(pieces), bool),
-        observations=Observations.of_pixels(
-            offsets=np.arange(0, 6 * len(points) + 1, 6),
-            views=np.tile(np.arange(6, dtype=np.int32), len(points)),
-            pixels=pixels.reshape(-1, 2),
+        observations=known.unplaced(
+            np.arange(0, 6 * len(points) + 1, 6),
+            np.tile(np.arange(6, dtype=np.int32), len(points)),
         ),
         sigmas=np.repeat(np.full(len(pieces), sigmas), [len(piece) for piece in pieces]),
         end_nodes=np.full((len(pieces), 2), -1, np.int32),
         colors=np.zeros((len(points), 3), np.uint8),
     )
+    return meet_at_nodes(edges, views_of(curves, num_seeing), PipelineOptions(), 1)
+
+
+def views_of(curves, num_seeing=6):
+    """Views of which so many have chains along the curves."""
     chains = [curves] * num_seeing + [[]] * (6 - num_seeing)
     graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
-    return meet_at_nodes(edges, known.tracing_input(VIEWS, graphs), PipelineOptions(), 1)
+    return known.tracing_input(VIEWS, graphs)
 
 
 def arms_from(start, *axes):
@@ -59,7 +62,8 @@ def test_three_ends_share_one_point_with_a_track():
     assert 0.2 * SIGMA < nodes.sigmas[0] < 2 * SIGMA
     assert nodes.observations.views.tolist() == list(range(6))
     expected = [view.project(CORNER[None])[0][0] for view in VIEWS]
-    np.testing.assert_allclose(nodes.observations.pixels, expected, atol=0.3)
+    seen, _ = look_up(views_of(arms_from(CORNER, *AXES)), nodes.observations)
+    np.testing.assert_allclose(seen.pixels, expected, atol=0.3)
     first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
     tips = [first[0], last[1], first[2]]
     np.testing.assert_array_equal(edges.points[tips], nodes.points[[0, 0, 0]])
