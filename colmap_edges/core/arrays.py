@@ -84,6 +84,23 @@ def ranks_of(lengths: IntArray) -> IntArray:
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
 
 
+def grown(mask: BoolArray) -> BoolArray:
+    """`mask` dilated by one entry to both sides."""
+    result = mask.copy()
+    result[1:] |= mask[:-1]
+    result[:-1] |= mask[1:]
+    return result
+
+
+def long_runs(mask: BoolArray, least: int) -> BoolArray:
+    """`mask` without runs of fewer than `least` true entries."""
+    begins = np.ones(len(mask), bool)
+    begins[1:] = mask[1:] != mask[:-1]
+    runs = np.cumsum(begins) - 1
+    result: BoolArray = mask & (np.bincount(runs)[runs] >= least)
+    return result
+
+
 def flattened(record: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
     """The arrays of a dataclass of arrays and of such dataclasses, by dotted name."""
     arrays: dict[str, NDArray[Any]] = {}

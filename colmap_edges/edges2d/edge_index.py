@@ -93,7 +93,9 @@ def at_positions(
 
 
 def between(
-    first: FloatArray | ByteArray, second: FloatArray | ByteArray, share: FloatArray
+    first: FloatArray | Float32Array | ByteArray,
+    second: FloatArray | Float32Array | ByteArray,
+    share: FloatArray,
 ) -> FloatArray:
     """Linear interpolation: `first` at share 0, `second` at share 1."""
     values: FloatArray = (1 - share) * first + share * second

@@ -22,6 +22,8 @@ from colmap_edges.core.arrays import (
     Int32Array,
     IntArray,
     entries_of,
+    grown,
+    long_runs,
     order_of,
     owners_of,
 )
@@ -390,20 +392,3 @@ def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) ->
             kept[first:last] = long_runs(grown(left) & ~ghosts[first:last], min_points)
     gives = ~kept[same.others] & kept[same.points]
     return Merging(kept=kept, takers=same.points[gives], givers=same.others[gives])
-
-
-def grown(mask: BoolArray) -> BoolArray:
-    """`mask` dilated by one entry to both sides."""
-    result = mask.copy()
-    result[1:] |= mask[:-1]
-    result[:-1] |= mask[1:]
-    return result
-
-
-def long_runs(mask: BoolArray, least: int) -> BoolArray:
-    """`mask` without runs of fewer than `least` true entries."""
-    begins = np.ones(len(mask), bool)
-    begins[1:] = mask[1:] != mask[:-1]
-    runs = np.cumsum(begins) - 1
-    result: BoolArray = mask & (np.bincount(runs)[runs] >= least)
-    return result
