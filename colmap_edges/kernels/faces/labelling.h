@@ -26,11 +26,12 @@ constexpr int32_t kBorderReach = 8;  // cells
 using ViewLabels = std::vector<std::vector<int32_t>>;  // of the cells of all views; -1: no plane
 
 // What labels cost in a view: its planes, then none.
-inline LabelProblem ProblemOf(const FaceView& view, const BorderCosts& borders, ViewCosts costs) {
+inline LabelProblem ProblemOf(const FaceView& view, const BorderCosts& borders,
+                              const ViewCosts& costs) {
   LabelProblem problem;
   problem.num_nodes = view.num_cells(), problem.num_labels = int32_t(costs.planes.size()) + 1;
   problem.edges = CellPairs(view.columns, view.rows);
-  problem.costs = std::move(costs.costs), problem.depths = std::move(costs.depths);
+  problem.costs = costs.costs, problem.depths = costs.depths;
   problem.crossing_factor = borders.crossing_factor;
   const Slopes slopes(view);
   for (const NodePair& pair : problem.edges)
@@ -99,7 +100,7 @@ inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& mad
   std::vector<int32_t> first;
   for (const int32_t cell : cells) first.push_back(labels[cell]);
   near_borders.Start(first);
-  const std::vector<int32_t>& found = near_borders.Run(1);
+  const std::vector<int32_t>& found = near_borders.Run(max_sweeps);
   for (size_t i = 0; i < cells.size(); ++i) labels[cells[i]] = found[i];
   for (int32_t& label : labels) label = label == none ? -1 : made.planes[label];
   return labels;

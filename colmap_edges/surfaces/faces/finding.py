@@ -98,7 +98,7 @@ def find_faces(
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
     believed = are_believed(samples) & within(bodies, samples.points)
-    believed &= are_enclosed(samples, labels, model, pictures, evidence, planes)
+    believed &= are_enclosed(samples, labels, model, pictures, evidence, planes, num_threads)
     accepted = np.flatnonzero(believed)
     return Faces(
         faces=outline_faces(samples, accepted, planes, model.camera_centers),

@@ -15,6 +15,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
     order_of,
     owners_of,
+    parts_of,
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
@@ -27,7 +28,7 @@ ON_SLOPE = 3 * MAX_SLOPE  # maximum sine of the angle between a short piece of a
 REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
 NUM_SIDES = 16  # number of sides of the polygon around a plane's points
 INNER = 0.995  # share of the points inside each side
-MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; further ones change little
+MAX_SWEEPS = 1  # sweeps of alpha expansion over all planes; a second one makes faces worse
 
 
 class EvidenceWeights(NamedTuple):
@@ -155,12 +156,13 @@ def extents_of(
         (K * D, 3) directions on the planes, and (K * D, 2) least and largest components of the
         points in them.
     """
-    owners = owners_of(offsets)[order_of(rows, len(planes.normals))]
-    ends = np.cumsum(np.bincount(rows, minlength=len(planes.normals)))
+    num_planes = len(planes.normals)
+    owners = owners_of(offsets)[order_of(rows, num_planes)]
+    members = parts_of(owners, offsets_of(np.bincount(rows, minlength=num_planes)))
     angles = np.arange(NUM_SIDES // 2) * np.pi / (NUM_SIDES // 2)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     directions, extents = [], []
-    for normal, own in zip(planes.normals, np.split(owners, ends[:-1]), strict=True):
+    for normal, own in zip(planes.normals, members, strict=True):
         directions.append(circle @ np.linalg.svd(normal[None])[2][1:])
         at = np.ascontiguousarray((evidence.points[own] @ directions[-1].T).T)
         margin = np.median(evidence.sigmas[own]) if len(own) else 0.0
