@@ -41,8 +41,8 @@ SAMPLES = 3  # positions along a pair of pieces at which observations are compar
 CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
 MAX_COPY_SIGMAS = 3.0  # distance of duplicates that count as the same position
 WEAK_RATIO = 1.0  # ratio of observations
-# numbers of points or matches, and of pairs of pieces, per block, which limit memory
-BLOCK, PAIRS = 1 << 11, 1 << 9
+BLOCK = 1 << 11  # number of points or matches per block, which limits memory
+PAIRS = 1 << 9  # number of pairs of pieces per block, which limits memory
 OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
 
 

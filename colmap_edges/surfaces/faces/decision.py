@@ -28,12 +28,12 @@ from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
-# Maximum distances, in sides of cells, between a triangle and the face that it represents; and the
-# shares that a mesh must lack: of the accepted cells of all planes, and of the area of a plane.
-# One in ten accepted cells is wrong or lies where nothing was measured, so where a mesh has nothing
-# within a cell of few of them, the rest is likely an error of faces.
-NEAR_CELLS, MIN_LACKING = 1.0, 1 / 8
-SAME_CELLS, MIN_LACKING_OF_PLANE = 0.25, 1 / 5
+# Minimum share of the accepted cells of all planes from which a mesh is NEAR_CELLS or farther: one
+# in ten accepted cells is wrong, so where a mesh is near most of them, the rest is likely an error.
+MIN_LACKING = 1 / 8
+NEAR_CELLS = 1.0  # distance between a triangle and an accepted cell, in sides of the cell
+MIN_LACKING_OF_PLANE = 1 / 5  # minimum share of a plane's area that a mesh lacks
+SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 NUM_NEAR = 8  # nearest samples of triangles that a face point is compared with
 MAX_SPREAD = 300_000  # number of samples of triangles, in addition to one for each triangle
