@@ -40,6 +40,7 @@ LIBRARIES = {
         "report.pictures",
         "report.rerun_viewer",
         "report.still",
+        "surfaces.faces.decision",
         "surfaces.faces.faint_lines",
         "surfaces.faces.grids",
         "surfaces.faces.outlines",

@@ -130,8 +130,12 @@ def options_page() -> str:
         lines += [f"## {group or 'The whole run'}", "", "| flag | values | default | meaning |"]
         lines += ["|---|---|---|---|", *(row(f) for f in flags if group_of(f) == group), ""]
     lines += ["## `--quality` and `--method paper`", "", "| preset | sets |", "|---|---|"]
-    for name, groups in PRESETS.items():
-        values = [f"`{g}.{k}` {v}" for g, options in groups.items() for k, v in options.items()]
+    for name, sets in PRESETS.items():
+        values = [
+            f"`{key}{option and '.'}{option}` {value}"
+            for key, given in sets.items()
+            for option, value in (given if isinstance(given, dict) else {"": given}).items()
+        ]
         lines.append(f"| {name} | {', '.join(values) or 'the defaults'} |")
     return HEAD + "\n".join(lines) + "\n"
 

@@ -10,7 +10,7 @@ from colmap_edges.options.whole import PipelineOptions
 
 METHODS = ("chains", "paper")
 # Values set by --quality; medium keeps the defaults.
-QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
+QUALITIES: dict[str, dict[str, Any]] = {
     "low": {
         "detection": {"min_blur_px": 0.1},  # downsamples soft images but never upsamples
         "view_selection": {"num_neighbors": 5, "num_later_neighbors": 5, "num_observing_views": 20},
@@ -29,7 +29,7 @@ QUALITIES: dict[str, dict[str, dict[str, Any]]] = {
 
 # Values set by --method paper: those of Bignoli et al., the mesher votes of their published
 # program, and no step beyond theirs.
-PAPER: dict[str, dict[str, Any]] = {
+PAPER: dict[str, Any] = {
     "detection": {"min_blur_px": 0.0, "faint_noises": 0.0},
     "edge_graph": {
         "filter_regular_length": True,
@@ -47,6 +47,7 @@ PAPER: dict[str, dict[str, Any]] = {
         "vote_threshold": 2.1,
         "min_segment_factor": 0.0,
     },
+    "use_faces": False,
 }
 PRESETS = {**QUALITIES, "paper": PAPER}
 
@@ -64,11 +65,11 @@ def preset(name: str) -> PipelineOptions:
     if name not in PRESETS:
         raise OptionError(f"there is no preset {name!r}; choose one of: {', '.join(PRESETS)}")
     defaults = PipelineOptions()
-    groups = {
-        group: replace(getattr(defaults, group), **values)
-        for group, values in PRESETS[name].items()
+    changed = {
+        key: replace(getattr(defaults, key), **value) if isinstance(value, dict) else value
+        for key, value in PRESETS[name].items()
     }
-    return replace(defaults, **groups)
+    return replace(defaults, **changed)
 
 
 def chosen_preset(method: str | None, quality: str | None) -> PipelineOptions:

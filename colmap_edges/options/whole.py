@@ -46,9 +46,8 @@ class PipelineOptions(Options):
     meshing: MeshingOptions = field(default_factory=MeshingOptions)
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes SfM points only")
     use_faces: bool = option(
-        False,
-        "Find planar faces between edges, mesh them and write faces.json; for rooms and objects "
-        "with plain surfaces",
+        True,
+        "Find planar faces between edges, write faces.json, and mesh those that the mesh lacks",
     )
     report: bool = option(True, "Write report.html, a page with a 3D viewer")
     refine_poses: bool = option(
@@ -74,10 +73,6 @@ class PipelineOptions(Options):
         if self.refine_poses and not self.use_edges:
             raise OptionError(
                 "refine_poses is 1 and use_edges 0, but poses are refined on edges; set use_edges 1"
-            )
-        if self.use_faces and not self.use_edges:
-            raise OptionError(
-                "use_faces is 1 and use_edges 0, but faces are found between edges; set use_edges 1"
             )
         if self.masks_are_background and not self.use_edges:
             raise OptionError(

@@ -42,7 +42,7 @@ class EdgeReconstruction:
         residuals_px: (T,) reprojection error of each observation, pixels.
         background: background rays for `mesh`, of a plain backdrop or, with
             `masks_are_background`, of masked pixels; empty without a background.
-        faces: planar faces between the edges, for `mesh`; empty unless `use_faces` is set.
+        faces: planar faces between the edges, for `mesh`; empty if `use_faces` is 0.
         stages: records of the stages, as in report.json.
         findings: steps at which edges were lost, with remedies; empty if there is no problem.
     """

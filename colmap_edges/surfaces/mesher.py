@@ -63,7 +63,7 @@ def mesh(
         num_threads: number of threads, 0 for all cores; does not affect the result.
         background: background rays and silhouette points, as found by `reconstruct`.
         contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
-        faces: planar faces between the edges, as found by `reconstruct` with `use_faces`.
+        faces: planar faces between the edges, as found by `reconstruct`.
 
     Raises:
         ColmapEdgesError: if the model cannot be read, its points span no volume, or the mesher is
@@ -92,7 +92,7 @@ def mesh_with_faces(
     With a background, silhouettes already bound the bodies, and no points of faces are added.
     """
     found = mesh_with_curves(model, curves, options, num_threads, background)
-    if background and options.background_weight:
+    if (background and options.background_weight) or not len(faces.planes):
         return found
     added = lacking_points(faces, model.views, found)
     if not len(added.points):

@@ -192,7 +192,6 @@ def test_usage_errors_exit_2(flags, tmp_path, args, message):
         (["--Tracing.num_rounds", "2147483647"], "it must be from 1 to 10"),
         (["--output_type", "PLY"], "'PLY' is not one of: BIN, TXT"),
         (["--refine_poses", "1", "--use_edges", "0"], "--refine_poses is 1 and --use_edges 0"),
-        (["--use_faces", "1", "--use_edges", "0"], "--use_faces is 1 and --use_edges 0"),
         (["--masks_are_background", "1"], "there are no masks; give --mask_path"),
         (["--scheduler", "tcp://localhost:1"], "a --scheduler needs --cache_path"),
     ],

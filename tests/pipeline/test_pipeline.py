@@ -29,7 +29,7 @@ from colmap_edges.runtime.stages import Stages
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
-WITH_FACES = PipelineOptions(use_faces=True, num_threads=2)
+WITHOUT_FACES = PipelineOptions(use_faces=False, num_threads=2)
 
 
 def paths_of(scene_paths, output):
@@ -291,9 +291,9 @@ def meshed(scene_paths, tmp_path_factory):
 def test_mesh_writes_every_file(meshed, scene_model):
     output, report = meshed
     edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
-    others = {"mesh.ply", "report.html", "report.json", "sparse"}
+    others = {"faces.json", "mesh.ply", "report.html", "report.json", "sparse"}
     assert {path.name for path in output.iterdir()} == edges | others
-    names = ["read", "detect", "trace", "write", "background", "mesh", "report"]
+    names = ["read", "detect", "trace", "write", "background", "faces", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     edge_points = report["stages"][3]["counts"]["edge_points"]
     written = load_model(output / "sparse")
@@ -333,15 +333,8 @@ def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
 
 
-@pytest.fixture(scope="module")
-def with_faces(scene_paths, tmp_path_factory):
-    """Output of `mesh --use_faces 1` on the scene, and its report."""
-    output = tmp_path_factory.mktemp("faces") / "out"
-    return output, run("mesh", paths_of(scene_paths, output), WITH_FACES)
-
-
-def test_faces_are_meshed_and_written_when_asked_for(with_faces, meshed):
-    output, report = with_faces
+def test_faces_are_meshed_and_written_unless_turned_off(scene_paths, meshed, tmp_path):
+    output, report = meshed
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     faces = counts["faces"]
     assert 0 < faces["planar_faces"] < faces["cells_believed"] <= faces["cells_on_planes"]
@@ -355,12 +348,14 @@ def test_faces_are_meshed_and_written_when_asked_for(with_faces, meshed):
     page = (output / "report.html").read_text(encoding="utf-8")
     assert f"{len(listed)} planar faces and a mesh of" in page
     assert f"planar faces: {len(listed)}" in describe(output)
-    assert not (meshed[0] / "faces.json").exists()
+    without = run("mesh", paths_of(scene_paths, tmp_path / "out"), WITHOUT_FACES)
+    assert "faces" not in [stage["name"] for stage in without["stages"]]
+    assert not (tmp_path / "out" / "faces.json").exists()
 
 
-def test_faces_in_python_are_those_of_a_run(scene_paths, with_faces, tmp_path):
-    output = with_faces[0]
-    result = colmap_edges.reconstruct(scene_paths[1], scene_paths[0], WITH_FACES)
+def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, tmp_path):
+    output = meshed[0]
+    result = colmap_edges.reconstruct(scene_paths[1], scene_paths[0])
     read = colmap_edges.read_edges(output)
     assert len(result.faces.faces) == len(read.faces) > 0
     for face, again in zip(result.faces.faces, read.faces, strict=True):
@@ -370,7 +365,7 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, with_faces, tmp_path):
             assert all(map(np.array_equal, one, other)) if rings else np.array_equal(one, other)
     curves = {"contours": result.contours, "background": result.background}
     given = colmap_edges.mesh(scene_paths[1], result.edges, faces=result.faces, **curves)
-    assert len(given.faces) == with_faces[1]["stages"][-2]["counts"]["faces"]
+    assert len(given.faces) == meshed[1]["stages"][-2]["counts"]["faces"]
     # The mesh of this scene's points and edges lacks nothing of its faces.
     without = colmap_edges.mesh(scene_paths[1], result.edges, **curves)
     assert np.array_equal(without.vertices, given.vertices)
@@ -392,7 +387,7 @@ def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_pat
     np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
     np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
-    assert [stage["name"] for stage in result.stages] == ["detect", "trace", "background"]
+    assert [stage["name"] for stage in result.stages] == ["detect", "trace", "background", "faces"]
     mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
     with_edge_points = colmap_edges.mesh(result.reconstruction)
     assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0

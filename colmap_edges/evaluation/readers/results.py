@@ -36,7 +36,7 @@ class WrittenEdges:
         curves: the lines, arcs, circles, ellipses and splines that they consist of.
         point3D_ids: (N,) int64 ids of the edge points in the model; -1 for LIMAP's lines.
         model: the model with the edge points, to whose views observations refer by index.
-        faces: planar faces between the edges, if `use_faces` was set.
+        faces: planar faces between the edges, unless `use_faces` was 0.
     """
 
     edges: Edges3D

@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
+#include <numeric>
 
 #include "common/arrays.h"
 #include "common/parallel.h"
@@ -36,12 +37,14 @@ nb::tuple MinimumCutArrays(Longs terminals, Pairs edges, Longs along, Longs agai
   {
     nb::gil_scoped_release release;
     MaxFlow solver(int32_t(count), pairs);
-    for (size_t i = 0; i < count; ++i) solver.SetTerminal(int32_t(i), terminals(i));
+    std::vector<int32_t> nodes(count);
+    std::iota(nodes.begin(), nodes.end(), 0);
+    for (const int32_t i : nodes) solver.SetTerminal(i, terminals(i));
     for (size_t e = 0; e < pairs.size(); ++e) {
       Require(along(e) >= 0 && against(e) >= 0, "capacities must not be negative");
       solver.SetEdge(int64_t(e), along(e), against(e));
     }
-    flow = solver.Solve();
+    flow = solver.Solve(nodes);
     for (size_t i = 0; i < count; ++i) sides[i] = solver.IsSource(int32_t(i));
   }
   return nb::make_tuple(flow, ToArray(std::move(sides), {count}));

@@ -43,7 +43,7 @@ struct ObservedPoint {
 struct ViewCosts {
   std::vector<int32_t> planes;       // of the labels
   std::vector<float> costs, depths;  // (cells, planes + 1)
-  std::vector<bool> hopeless;        // (cells, planes + 1), of which other views are not asked
+  std::vector<uint8_t> hopeless;     // (cells, planes + 1), of which other views are not asked
 };
 
 class FaceScene {
@@ -71,7 +71,7 @@ class FaceScene {
       if (!view.Project(points.points[p], &pixel, &depth)) continue;
       const int32_t cell = view.CellAt(pixel);
       seen.push_back({p, cell, depth});
-      if (!(nearest[cell] <= depth)) nearest[cell] = depth;
+      if (!(nearest[cell] <= depth)) nearest[cell] = float(depth);
     }
   }
   void Allocate() {
@@ -100,7 +100,7 @@ class FaceScene {
   void AddCorrelation(int32_t v, ViewCosts* made) const;
 
   std::vector<std::vector<ObservedPoint>> sights_;
-  std::vector<std::vector<double>> nearest_;
+  std::vector<std::vector<float>> nearest_;
   std::vector<std::vector<Vec3>> inverse_depths_;  // of the planes, see `InverseDepthOf`
 };
 
@@ -138,23 +138,22 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
   const size_t size = size_t(view.num_cells()) * (num_planes + 1);
   std::vector<float> on(size, 0), before(size, 0), behind(size, 0);
   const double tolerance = weights.depth_tolerance;
-  std::vector<uint8_t> is_on(num_planes);
+  std::vector<float> is_on(num_planes);
   for (const ObservedPoint& sight : sights_[v]) {
     for (int32_t k = 0; k < num_planes; ++k) is_on[k] = IsOn(sight.point, made->planes[k]);
+    const float nearest = float(sight.depth * (1 - tolerance));
+    const float farthest = float(sight.depth * (1 + tolerance));
     const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
     for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
       for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
         const float weight = i == x && j == y ? 1.f : 0.15f;
         const size_t row = (size_t(j) * view.columns + i) * (num_planes + 1);
+        const float* depths = &made->depths[row];
         for (int32_t k = 0; k < num_planes; ++k) {
-          const double depth = made->depths[row + k];
-          if (is_on[k]) {
-            on[row + k] += weight;
-          } else if (depth < sight.depth * (1 - tolerance)) {
-            before[row + k] += weight;
-          } else if (depth > sight.depth * (1 + tolerance)) {
-            behind[row + k] += weight;
-          }
+          const float off = weight * (1 - is_on[k]);
+          on[row + k] += weight * is_on[k];
+          before[row + k] += depths[k] < nearest ? off : 0;
+          behind[row + k] += depths[k] > farthest ? off : 0;
         }
       }
     }
@@ -168,42 +167,94 @@ inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& ot
   return plane.Distance(one.pose.center) * plane.Distance(other.pose.center) > 0;
 }
 
-// Where the places along rays of a view lie in its neighbours.
+// Where planes meet the rays of a row of cells; only those of which other views are asked.
+struct RowPlaces {
+  double y;                      // pixel, of the row
+  std::vector<float> x, depths;  // pixels
+  std::vector<int32_t> planes;   // their places among the labels
+  std::vector<size_t> entries;   // of the view's costs
+
+  RowPlaces(const FaceView& view, const ViewCosts& costs, int32_t row)
+      : y((row + 0.5) * FaceView::kCellPx) {
+    const int32_t num_planes = int32_t(costs.planes.size());
+    for (int32_t column = 0; column < view.columns; ++column) {
+      const size_t begin = (size_t(row) * view.columns + column) * (num_planes + 1);
+      for (int32_t k = 0; k < num_planes; ++k) {
+        if (costs.hopeless[begin + k]) continue;
+        x.push_back((column + 0.5f) * FaceView::kCellPx), depths.push_back(costs.depths[begin + k]);
+        planes.push_back(k), entries.push_back(begin + k);
+      }
+    }
+  }
+  size_t size() const { return entries.size(); }
+};
+
+// The same places as a neighbour sees them.
+struct SeenPlaces {
+  std::vector<int32_t> cells;       // -1 outside its picture
+  std::vector<float> x, y, depths;  // pixels
+};
+
+// The neighbours of a view, as they see places on its rays.
 class Neighborhood {
  public:
   Neighborhood(const FaceScene& scene, int32_t v, const std::vector<int32_t>& planes)
-      : view_(scene.views[v]) {
+      : view_(scene.views[v]), num_planes_(planes.size()) {
     for (const int32_t u : scene.neighbors[v]) {
       const FaceView& other = scene.views[u];
       others_.push_back(&other);
       origins_.push_back(other.pose.FromWorld(view_.pose.center));
+      turns_.push_back(MultiplyByTransposed(other.pose.R, view_.pose.R));
       for (const int32_t plane : planes)
         same_sides_.push_back(SameSide(scene.planes[plane], view_, other));
     }
-    directions_.resize(others_.size());
-    num_planes_ = planes.size();
   }
 
   size_t size() const { return others_.size(); }
   bool IsSameSide(size_t j, int32_t k) const { return same_sides_[j * num_planes_ + k]; }
-  // Turns to the ray of a cell.
-  void TurnTo(int32_t cell) {
-    const Vec3 ray = view_.RayOfCell(cell);
-    for (size_t j = 0; j < others_.size(); ++j) directions_[j] = others_[j]->pose.Rotate(ray);
-  }
-  // Pixel, cell and depth in a neighbour of the place at a depth; false outside its picture.
-  bool Find(size_t j, double depth, Vec2* pixel, int32_t* cell, double* at) const {
+  void See(size_t j, const RowPlaces& places, SeenPlaces* seen) const {
+    const size_t count = places.size();
+    seen->cells.resize(count), seen->depths.resize(count);
+    seen->x.resize(count), seen->y.resize(count);
     const FaceView& other = *others_[j];
-    if (!other.ProjectLocal(origins_[j] + depth * directions_[j], pixel, at)) return false;
-    *cell = other.CellAt(*pixel);
-    return true;
+    const Vec3& origin = origins_[j];
+    const float ox = float(origin.x), oy = float(origin.y), oz = float(origin.z);
+    // The ray through pixel x of the row is (at + x * per_px).
+    const double f = view_.pose.focal_px, dy = (places.y - view_.principal.y) / f;
+    std::array<float, 3> at, per_px;
+    for (int i = 0; i < 3; ++i) {
+      const double* turn = &turns_[j][3 * i];
+      per_px[i] = float(turn[0] / f);
+      at[i] = float(turn[1] * dy + turn[2] - turn[0] / f * view_.principal.x);
+    }
+    const float focal = float(other.pose.focal_px);
+    const float middle_x = float(other.principal.x), middle_y = float(other.principal.y);
+    const float width = float(other.width()), height = float(other.height());
+    const int32_t columns = other.columns;
+    const float* __restrict from = places.x.data();
+    const float* __restrict along = places.depths.data();
+    float* __restrict to_x = seen->x.data();
+    float* __restrict to_y = seen->y.data();
+    float* __restrict to_z = seen->depths.data();
+    int32_t* __restrict cells = seen->cells.data();
+    for (size_t i = 0; i < count; ++i) {
+      const float z = oz + along[i] * (at[2] + from[i] * per_px[2]);
+      const float x = focal * (ox + along[i] * (at[0] + from[i] * per_px[0])) / z + middle_x;
+      const float y = focal * (oy + along[i] * (at[1] + from[i] * per_px[1])) / z + middle_y;
+      to_x[i] = x, to_y[i] = y, to_z[i] = z;
+      const bool inside = (z > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height);
+      const int32_t right = int32_t(std::min(std::max(0.f, x), width)) / FaceView::kCellPx;
+      const int32_t down = int32_t(std::min(std::max(0.f, y), height)) / FaceView::kCellPx;
+      cells[i] = (down * columns + right + 1) * inside - 1;
+    }
   }
 
  private:
   const FaceView& view_;
   std::vector<const FaceView*> others_;
-  std::vector<Vec3> origins_, directions_;  // of the ray, in the coordinates of the neighbours
-  std::vector<uint8_t> same_sides_;         // whether both views see the same side of a plane
+  std::vector<Vec3> origins_;        // the view's centre, in the coordinates of the neighbours
+  std::vector<Mat3> turns_;          // from the view's coordinates to those of the neighbours
+  std::vector<uint8_t> same_sides_;  // whether both views see the same side of a plane
   size_t num_planes_;
 };
 
@@ -228,28 +279,29 @@ struct NeighborLabels {
 };
 
 inline void FaceScene::AddSights(int32_t v, ViewCosts* made) const {
-  const int32_t num_planes = int32_t(made->planes.size());
-  const double tolerance = weights.depth_tolerance;
-  Neighborhood around(*this, v, made->planes);
-  for (int32_t cell = 0; cell < views[v].num_cells(); ++cell) {
-    around.TurnTo(cell);
-    for (int32_t k = 0; k < num_planes; ++k) {
-      const size_t i = size_t(cell) * (num_planes + 1) + k;
-      made->hopeless[i] = std::isnan(made->depths[i]) || made->costs[i] > kHopeless;
-      if (made->hopeless[i]) continue;
-      int through = 0, there = 0;
-      for (size_t j = 0; j < around.size(); ++j) {
-        Vec2 pixel;
-        int32_t theirs;
-        double at;
-        if (!around.Find(j, made->depths[i], &pixel, &theirs, &at)) continue;
-        const double nearest = nearest_[neighbors[v][j]][theirs];
-        through += nearest > at * (1 + 2 * tolerance);
-        there += std::abs(nearest - at) < tolerance / 2 * at && around.IsSameSide(j, k);
+  const float tolerance = float(weights.depth_tolerance);
+  for (size_t i = 0; i < made->costs.size(); ++i)
+    made->hopeless[i] = std::isnan(made->depths[i]) || made->costs[i] > kHopeless;
+  const Neighborhood around(*this, v, made->planes);
+  SeenPlaces seen;
+  std::vector<float> through, there;
+  for (int32_t row = 0; row < views[v].rows; ++row) {
+    const RowPlaces places(views[v], *made, row);
+    through.assign(places.size(), 0), there.assign(places.size(), 0);
+    for (size_t j = 0; j < around.size(); ++j) {
+      around.See(j, places, &seen);
+      const std::vector<float>& nearest = nearest_[neighbors[v][j]];
+      for (size_t i = 0; i < places.size(); ++i) {
+        if (seen.cells[i] < 0) continue;
+        const float observed = nearest[seen.cells[i]], at = seen.depths[i];
+        through[i] += observed > at * (1 + 2 * tolerance);
+        there[i] +=
+            std::abs(observed - at) < tolerance / 2 * at && around.IsSameSide(j, places.planes[i]);
       }
-      made->costs[i] += float(weights.seen_through * Saturated(through, 2) -
-                              weights.seen_there * Saturated(there, 2));
     }
+    for (size_t i = 0; i < places.size(); ++i)
+      made->costs[places.entries[i]] += float(weights.seen_through * Saturated(through[i], 2) -
+                                              weights.seen_there * Saturated(there[i], 2));
   }
 }
 
@@ -305,31 +357,30 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
 
 inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels,
                                  ViewCosts* made) const {
-  const int32_t num_planes = int32_t(made->planes.size());
-  Neighborhood around(*this, v, made->planes);
-  for (int32_t cell = 0; cell < views[v].num_cells(); ++cell) {
-    around.TurnTo(cell);
-    for (int32_t k = 0; k < num_planes; ++k) {
-      const size_t i = size_t(cell) * (num_planes + 1) + k;
-      if (made->hopeless[i]) continue;
-      NeighborLabels votes;
-      for (size_t j = 0; j < around.size(); ++j) {
-        Vec2 pixel;
-        int32_t theirs;
-        double at;
-        if (!around.Find(j, made->depths[i], &pixel, &theirs, &at)) continue;
-        const int32_t u = neighbors[v][j], label = labels[u][theirs];
+  const Neighborhood around(*this, v, made->planes);
+  SeenPlaces seen;
+  std::vector<NeighborLabels> votes;
+  for (int32_t row = 0; row < views[v].rows; ++row) {
+    const RowPlaces places(views[v], *made, row);
+    votes.assign(places.size(), {});
+    for (size_t j = 0; j < around.size(); ++j) {
+      around.See(j, places, &seen);
+      const int32_t u = neighbors[v][j];
+      for (size_t i = 0; i < places.size(); ++i) {
+        if (seen.cells[i] < 0) continue;
+        const int32_t k = places.planes[i], label = labels[u][seen.cells[i]];
         const bool same_side = around.IsSameSide(j, k);
         if (label == made->planes[k]) {
-          votes.agree += same_side;
+          votes[i].agree += same_side;
         } else if (label >= 0) {
           const Vec3& inverse = inverse_depths_[u][label];
-          votes.Add(inverse.x * pixel.x + inverse.y * pixel.y + inverse.z, at,
-                    weights.depth_tolerance, same_side);
+          votes[i].Add(inverse.x * seen.x[i] + inverse.y * seen.y[i] + inverse.z, seen.depths[i],
+                       weights.depth_tolerance, same_side);
         }
       }
-      made->costs[i] += float(votes.Cost(weights));
     }
+    for (size_t i = 0; i < places.size(); ++i)
+      made->costs[places.entries[i]] += float(votes[i].Cost(weights));
   }
 }
 

@@ -49,7 +49,10 @@ struct LabelProblem {
 class Expansion {
  public:
   explicit Expansion(const LabelProblem& problem)
-      : problem_(problem), flow_(problem.num_nodes, problem.edges) {
+      : problem_(problem),
+        flow_(problem.num_nodes, problem.edges),
+        is_free_(problem.num_nodes),
+        change_(problem.num_nodes) {
     labels_.resize(problem.num_nodes);
     for (int32_t i = 0; i < problem.num_nodes; ++i) {
       const float* costs = problem.costs.data() + size_t(i) * problem.num_labels;
@@ -67,11 +70,12 @@ class Expansion {
     for (int sweep = 0; sweep < max_sweeps; ++sweep) {
       for (const int32_t label : ByFrequency()) {
         if (unchanged == problem_.num_labels) return labels_;
+        ++unchanged;
         std::vector<int32_t> expanded = Expanded(label);
+        if (expanded == labels_) continue;
         const double lower = problem_.Energy(expanded);
-        const bool better = lower < energy - 1e-9 * std::abs(energy);
-        unchanged = better ? 1 : unchanged + 1;
-        if (better) labels_.swap(expanded), energy = lower;
+        if (lower < energy - 1e-9 * std::abs(energy))
+          labels_.swap(expanded), energy = lower, unchanged = 1;
       }
     }
     return labels_;
@@ -98,34 +102,53 @@ class Expansion {
   // The best labels among those that are kept or become `label` (all but the best where pairs
   // of labels break the triangle inequality; the caller checks).
   std::vector<int32_t> Expanded(int32_t label) {
-    std::vector<int64_t> change(problem_.num_nodes);  // cost of changing less that of keeping
-    for (int32_t i = 0; i < problem_.num_nodes; ++i)
-      change[i] = Whole(problem_.Cost(i, label)) - Whole(problem_.Cost(i, labels_[i]));
-    for (size_t e = 0; e < problem_.edges.size(); ++e) {
-      const auto& [a, b] = problem_.edges[e];
-      const int32_t p = labels_[a], q = labels_[b];
-      const int64_t only_b = Whole(problem_.Between(int64_t(e), p, label));
-      int64_t kept = 0, only_a = only_b;
-      if (p != q) {
-        kept = Whole(problem_.Between(int64_t(e), p, q));
-        only_a = std::max(Whole(problem_.Between(int64_t(e), label, q)), kept - only_b);
-      }
-      // kept + (only_a - kept) x_a - only_a x_b + (only_a + only_b - kept) (1 - x_a) x_b
-      change[a] += only_a - kept, change[b] -= only_a;
-      flow_.SetEdge(int64_t(e), only_a + only_b - kept, 0);
+    free_.clear();
+    for (int32_t i = 0; i < problem_.num_nodes; ++i) {
+      is_free_[i] = labels_[i] != label && std::isfinite(problem_.Cost(i, label));
+      if (!is_free_[i]) continue;
+      free_.push_back(i);
+      change_[i] = Whole(problem_.Cost(i, label)) - Whole(problem_.Cost(i, labels_[i]));
     }
+    for (size_t e = 0; e < problem_.edges.size(); ++e) AddEdge(int64_t(e), label);
     // The source's side keeps, the sink's changes: an edge a -> b is cut where b alone changes.
-    for (int32_t i = 0; i < problem_.num_nodes; ++i) flow_.SetTerminal(i, change[i]);
-    flow_.Solve();
+    for (const int32_t i : free_) flow_.SetTerminal(i, change_[i]);
+    flow_.Solve(free_);
     std::vector<int32_t> expanded = labels_;
-    for (int32_t i = 0; i < problem_.num_nodes; ++i)
-      if (!flow_.IsSource(i) && std::isfinite(problem_.Cost(i, label))) expanded[i] = label;
+    for (const int32_t i : free_)
+      if (!flow_.IsSource(i)) expanded[i] = label;
     return expanded;
+  }
+
+  // What an edge costs if its free nodes keep their labels, and if they become `label`.
+  void AddEdge(int64_t edge, int32_t label) {
+    const auto& [a, b] = problem_.edges[edge];
+    if (!is_free_[a] && !is_free_[b]) return;
+    const int32_t p = labels_[a], q = labels_[b];
+    const int64_t kept = Whole(problem_.Between(edge, p, q));
+    if (!is_free_[b]) {
+      change_[a] += Whole(problem_.Between(edge, label, q)) - kept;
+      flow_.SetEdge(edge, 0, 0);
+      return;
+    }
+    const int64_t only_b = Whole(problem_.Between(edge, p, label));
+    if (!is_free_[a]) {
+      change_[b] += only_b - kept;
+      flow_.SetEdge(edge, 0, 0);
+      return;
+    }
+    int64_t only_a = only_b;
+    if (p != q) only_a = std::max(Whole(problem_.Between(edge, label, q)), kept - only_b);
+    // kept + (only_a - kept) x_a - only_a x_b + (only_a + only_b - kept) (1 - x_a) x_b
+    change_[a] += only_a - kept, change_[b] -= only_a;
+    flow_.SetEdge(edge, only_a + only_b - kept, 0);
   }
 
   const LabelProblem& problem_;
   MaxFlow flow_;
   std::vector<int32_t> labels_;
+  std::vector<int32_t> free_;  // nodes that may become the label that expands
+  std::vector<uint8_t> is_free_;
+  std::vector<int64_t> change_;  // cost of becoming it less that of keeping
 };
 
 }  // namespace colmap_edges

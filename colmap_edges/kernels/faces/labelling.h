@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "common/parallel.h"
@@ -21,7 +22,8 @@ struct BorderCosts {
   double crossing_factor = 0.35;  // part of it where the two planes cross
 };
 
-constexpr int32_t kBorderReach = 8;  // cells
+// Cells within so many of a border may change their label, to any within as many.
+constexpr int32_t kBorderReach = 8;
 
 using ViewLabels = std::vector<std::vector<int32_t>>;  // of the cells of all views; -1: no plane
 
@@ -53,19 +55,24 @@ struct Blocks {
   }
 };
 
-// The cells within reach of a border of labels.
-inline std::vector<int32_t> CellsNearBorders(const FaceView& view,
-                                             const std::vector<int32_t>& labels, int32_t reach) {
-  std::vector<int32_t> cells;
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-    const int32_t x = cell % view.columns, y = cell / view.columns;
-    bool same = true;
-    for (int32_t j = std::max(y - reach, 0); j <= std::min(y + reach, view.rows - 1); ++j)
-      for (int32_t i = std::max(x - reach, 0); i <= std::min(x + reach, view.columns - 1); ++i)
-        same &= labels[j * view.columns + i] == labels[cell];
-    if (!same) cells.push_back(cell);
-  }
-  return cells;
+// Which labels lie within `reach` of every cell, each way: (cells, labels).
+inline std::vector<uint8_t> NearLabels(const FaceView& view, const std::vector<int32_t>& labels,
+                                       int32_t num_labels, int32_t reach) {
+  const auto spread = [&](const std::vector<uint8_t>& from, bool along_rows) {
+    const int32_t count = along_rows ? view.columns : view.rows;
+    const int32_t step = along_rows ? 1 : view.columns;
+    std::vector<uint8_t> to(from.size(), 0);
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+      const int32_t at = along_rows ? cell % view.columns : cell / view.columns;
+      for (int32_t i = std::max(-reach, -at); i <= std::min(reach, count - 1 - at); ++i)
+        for (int32_t k = 0; k < num_labels; ++k)
+          to[size_t(cell) * num_labels + k] |= from[(cell + i * step) * size_t(num_labels) + k];
+    }
+    return to;
+  };
+  std::vector<uint8_t> near(labels.size() * num_labels, 0);
+  for (size_t cell = 0; cell < labels.size(); ++cell) near[cell * num_labels + labels[cell]] = 1;
+  return spread(spread(near, true), false);
 }
 
 // Labels of a view's cells from what they cost: of blocks of cells at first, then of cells near
@@ -94,8 +101,18 @@ inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& mad
   const std::vector<int32_t>& of_blocks = expansion.Run(max_sweeps);
   std::vector<int32_t> labels;
   for (const int32_t block : blocks.of_cells) labels.push_back(of_blocks[block]);
-  const std::vector<int32_t> cells = CellsNearBorders(view, labels, kBorderReach);
-  const LabelProblem restricted = Restricted(problem, cells, labels);
+  const int32_t num_labels = problem.num_labels;
+  const std::vector<uint8_t> near = NearLabels(view, labels, num_labels, kBorderReach);
+  std::vector<int32_t> cells;
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const auto begin = near.begin() + ptrdiff_t(cell) * num_labels;
+    if (std::count(begin, begin + num_labels, 1) > 1) cells.push_back(cell);
+  }
+  LabelProblem restricted = Restricted(problem, cells, labels);
+  for (size_t i = 0; i < cells.size(); ++i)
+    for (int32_t k = 0; k < num_labels; ++k)
+      if (!near[size_t(cells[i]) * num_labels + k])
+        restricted.costs[i * num_labels + k] = std::numeric_limits<float>::infinity();
   Expansion near_borders(restricted);
   std::vector<int32_t> first;
   for (const int32_t cell : cells) first.push_back(labels[cell]);

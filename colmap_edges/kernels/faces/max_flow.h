@@ -40,9 +40,10 @@ class MaxFlow {
     arc.residual = along, arcs_[arc.sister].residual = against;
   }
 
-  // The maximum flow. Terminals and edges have to be set anew before the next call.
-  int64_t Solve() {
-    Start();
+  // The maximum flow through some nodes; nothing may flow along edges between them and others.
+  // Their terminals and edges have to be set anew before the next call.
+  int64_t Solve(const std::vector<int32_t>& nodes) {
+    Start(nodes);
     int32_t current = kNone;
     while (true) {
       int32_t i = current;
@@ -79,10 +80,12 @@ class MaxFlow {
     bool sink = false, active = false;
   };
 
-  void Start() {
+  void Start(const std::vector<int32_t>& nodes) {
     flow_ = 0, time_ = 1;
     active_.clear(), orphans_.clear();
-    for (int32_t i = 0; i < int32_t(nodes_.size()); ++i) {
+    for (const int32_t i : reached_) nodes_[i].parent = kFree;
+    reached_ = nodes;
+    for (const int32_t i : nodes) {
       Node& node = nodes_[i];
       node.parent = kFree, node.active = false, node.time = 0, node.distance = 1;
       node.sink = node.excess < 0;
@@ -221,6 +224,7 @@ class MaxFlow {
 
   std::vector<Node> nodes_;
   std::vector<int32_t> first_, forward_;
+  std::vector<int32_t> reached_;  // nodes of the last call
   std::vector<Arc> arcs_;
   std::deque<int32_t> active_, orphans_;
   int32_t time_ = 0;

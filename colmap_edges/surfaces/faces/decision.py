@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -16,22 +17,25 @@ from colmap_edges.core.arrays import (
     IntArray,
     entries_of,
     offsets_of,
+    order_of,
+    parts_of,
     ranks_of,
     row_numbers,
 )
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
-from colmap_edges.surfaces.faces.labelling import EvidenceWeights
+from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cells_in
+from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
-# Minimum share of the accepted cells of all planes from which a mesh is NEAR_CELLS or farther: one
-# in ten accepted cells is wrong, so where a mesh is near most of them, the rest is likely an error.
-MIN_LACKING = 1 / 8
-NEAR_CELLS = 1.0  # distance between a triangle and an accepted cell, in sides of the cell
+# Minimum share of the accepted cells that are PLAIN_CELLS or farther from all observed points:
+# where points lie on most faces, the mesh follows them, and faces add their errors only.
+MIN_PLAIN = 1 / 4
+PLAIN_CELLS = 2.0
 MIN_LACKING_OF_PLANE = 1 / 5  # minimum share of a plane's area that a mesh lacks
 SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
@@ -110,7 +114,27 @@ def are_believed(samples: Samples) -> BoolArray:
     return believed
 
 
-def thinned(samples: Samples, accepted: IntArray) -> tuple[IntArray, IntArray]:
+def are_plain(
+    samples: Samples, views: Sequence[View], grids: Sequence[Grid], evidence: Evidence
+) -> BoolArray:
+    """(S,) whether a place is `PLAIN_CELLS` or farther from all points that its view observes."""
+    own = samples.views[samples.offsets[:-1]]
+    sampled = parts_of(
+        order_of(own, len(views)), offsets_of(np.bincount(own, minlength=len(views)))
+    )
+    offsets, observed = observed_points(evidence, len(views))
+    plain = np.zeros(len(samples.points), bool)
+    for view, grid, rows, seen in zip(
+        views, grids, sampled, parts_of(observed, offsets), strict=True
+    ):
+        open_ = np.ones(np.array(grid.gray.shape) // CELL_PX, np.uint8)
+        open_[cells_in(view, grid, evidence.points[seen])] = 0
+        distances = cv2.distanceTransform(open_, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        plain[rows] = distances[cells_in(view, grid, samples.points[rows])] >= PLAIN_CELLS
+    return plain
+
+
+def thinned(samples: Samples, accepted: IntArray) -> IntArray:
     """One sample of each plane in every cube of about a cell: the one that most views agree on.
 
     Args:
@@ -118,17 +142,17 @@ def thinned(samples: Samples, accepted: IntArray) -> tuple[IntArray, IntArray]:
         accepted: indices of those to choose from.
 
     Returns:
-        (P,) chosen samples, and (P,) how many each stands for.
+        (P,) chosen samples.
     """
     if not len(accepted):
-        return accepted, accepted
+        return accepted
     order = accepted[np.argsort(-samples.agreeing[accepted], kind="stable")]
     side = SPACING_CELLS * np.median(samples.sizes[order])
     cubes = np.floor(samples.points[order] / side).astype(np.int64)
     cubes = np.column_stack([cubes, samples.planes[order]])
-    _, first, counts = np.unique(row_numbers(cubes), return_index=True, return_counts=True)
-    ascending = np.argsort(order[first])
-    return order[first][ascending], counts[ascending]
+    _, first = np.unique(row_numbers(cubes), return_index=True)
+    chosen: IntArray = order[np.sort(first)]
+    return chosen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,59 +162,46 @@ class FacePoints:
     Attributes:
         seen: P points; the first view of each is the one in which it is sampled.
         planes: (P,) int32 planes that they lie on.
-        num_cells: (P,) number of accepted cells, of all views, that each stands for.
     """
 
     seen: SeenPoints
     planes: Int32Array
-    num_cells: IntArray
-
-    def take(self, chosen: IntArray) -> FacePoints:
-        """The chosen points."""
-        seen = SeenPoints(
-            self.seen.points[chosen],
-            offsets_of(np.diff(self.seen.track_offsets)[chosen]),
-            self.seen.track_views[entries_of(self.seen.track_offsets, chosen)],
-        )
-        return FacePoints(seen=seen, planes=self.planes[chosen], num_cells=self.num_cells[chosen])
 
 
-NO_FACE_POINTS = FacePoints(
-    seen=NO_POINTS, planes=np.zeros(0, np.int32), num_cells=np.zeros(0, np.int64)
-)
+NO_FACE_POINTS = FacePoints(seen=NO_POINTS, planes=np.zeros(0, np.int32))
 
 
 def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
     """Accepted samples, thinned, as points that some of the agreeing views see."""
-    chosen, num_cells = thinned(samples, accepted)
+    chosen = thinned(samples, accepted)
     counts = np.diff(samples.offsets)[chosen]
     entries = entries_of(samples.offsets, chosen)[ranks_of(counts) % EACH_VIEW == 0]
     seen = SeenPoints(
         samples.points[chosen], offsets_of(-(-counts // EACH_VIEW)), samples.views[entries]
     )
-    return FacePoints(seen=seen, planes=samples.planes[chosen], num_cells=num_cells)
+    return FacePoints(seen=seen, planes=samples.planes[chosen])
 
 
 def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
     """All points of those planes of which a mesh lacks at least `MIN_LACKING_OF_PLANE`.
 
-    None, if it lacks less than `MIN_LACKING` of the accepted cells of all views. Points on faces
-    that a mesh already has disturb it: a plate that gets points on one side alone is pierced by
-    their cells.
+    Points on faces that a mesh already has disturb it: a plate that gets points on one side alone
+    is pierced by their cells.
 
     Args:
         faces: points on faces.
         views: all views.
         surface: mesh of points and edges without faces.
     """
-    if not len(faces.planes):
-        return faces.seen
-    gaps = gaps_to_mesh(faces.seen, views, surface)
-    if faces.num_cells[gaps > NEAR_CELLS].sum() < MIN_LACKING * faces.num_cells.sum():
-        return NO_POINTS
-    lacking = np.bincount(faces.planes, gaps > SAME_CELLS)
+    seen = faces.seen
+    lacking = np.bincount(faces.planes, gaps_to_mesh(seen, views, surface) > SAME_CELLS)
     share = lacking / np.maximum(np.bincount(faces.planes), 1)
-    return faces.take(np.flatnonzero(share[faces.planes] >= MIN_LACKING_OF_PLANE)).seen
+    chosen = np.flatnonzero(share[faces.planes] >= MIN_LACKING_OF_PLANE)
+    return SeenPoints(
+        seen.points[chosen],
+        offsets_of(np.diff(seen.track_offsets)[chosen]),
+        seen.track_views[entries_of(seen.track_offsets, chosen)],
+    )
 
 
 def gaps_to_mesh(points: SeenPoints, views: Sequence[View], surface: Mesh) -> FloatArray:

@@ -8,19 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.surfaces.faces.decision import (
+    MIN_PLAIN,
     NO_FACE_POINTS,
     FacePoints,
+    Samples,
     are_believed,
+    are_plain,
     points_of_samples,
     sample_cells,
 )
 from colmap_edges.surfaces.faces.enclosure import are_enclosed
-from colmap_edges.surfaces.faces.evidence import gather_evidence, joined
+from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
-from colmap_edges.surfaces.faces.hypotheses import find_planes
+from colmap_edges.surfaces.faces.hypotheses import Planes, find_planes
 from colmap_edges.surfaces.faces.labelling import (
     EvidenceWeights,
     label_cells,
@@ -74,6 +78,9 @@ def find_faces(
 ) -> Faces:
     """Find the planar faces between 3D edges and SfM points.
 
+    Where points are on nearly all faces, the mesh has them already: it gets no points of faces, and
+    those of a first labelling are returned.
+
     Args:
         model: gives the V views and the SfM points.
         edges: its 3D edges.
@@ -87,24 +94,65 @@ def find_faces(
     planes = find_planes(evidence, np.random.default_rng(random_seed))
     if not len(planes.offsets):
         return NO_FACES
-    scene = make_scene(model, pictures, evidence, planes, num_threads)
     # Gray is not compared yet, which takes the most time: any plane near the true one will do.
     weights = EvidenceWeights(correlation=0.0)
-    first = split_by_view(label_cells(scene, 1, num_threads, weights), pictures)
-    evidence = joined(evidence, find_faint_lines(model, pictures, first, planes))
+    given = (model, pictures, bodies, num_threads)
+    first = label_scene(*given, evidence, planes, 1, weights)
+    plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
+    if not len(plain) or plain.mean() < MIN_PLAIN:
+        return first.faces(model, NO_FACE_POINTS)
+    labels = split_by_view(first.labels, pictures)
+    evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
     planes = find_planes(evidence, np.random.default_rng(random_seed))
+    last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
+    return last.faces(model, points_of_samples(last.samples, last.accepted))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelledScene:
+    """Planes, labels of all views' cells with them, and what was accepted of these.
+
+    Attributes:
+        planes: the plane hypotheses.
+        labels: of the cells of all views, -1 where there is no plane.
+        samples: places that labelled cells see.
+        accepted: indices of the accepted samples.
+    """
+
+    planes: Planes
+    labels: Int32Array
+    samples: Samples
+    accepted: IntArray
+
+    def faces(self, model: Model, points: FacePoints) -> Faces:
+        """The accepted faces, and points on them."""
+        return Faces(
+            faces=outline_faces(self.samples, self.accepted, self.planes, model.camera_centers),
+            points=points,
+            num_planes=len(self.planes.offsets),
+            num_cells=self.labels.size,
+            num_labelled=int(np.sum(self.labels >= 0)),
+            num_believed=len(self.accepted),
+        )
+
+
+def label_scene(
+    model: Model,
+    pictures: Sequence[Grid],
+    bodies: Sequence[Body],
+    num_threads: int,
+    evidence: Evidence,
+    planes: Planes,
+    num_rounds: int,
+    weights: EvidenceWeights,
+) -> LabelledScene:
+    """Label the cells of all views with planes, and accept what views agree on."""
     scene = make_scene(model, pictures, evidence, planes, num_threads)
-    labels = label_cells(scene, NUM_ROUNDS, num_threads)
+    labels = label_cells(scene, num_rounds, num_threads, weights)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
     believed = are_believed(samples) & within(bodies, samples.points)
     believed &= are_enclosed(samples, labels, model, pictures, evidence, planes, num_threads)
-    accepted = np.flatnonzero(believed)
-    return Faces(
-        faces=outline_faces(samples, accepted, planes, model.camera_centers),
-        points=points_of_samples(samples, accepted),
-        num_planes=len(planes.offsets),
-        num_cells=labels.size,
-        num_labelled=int(np.sum(labels >= 0)),
-        num_believed=len(accepted),
+    return LabelledScene(
+        planes=planes, labels=labels, samples=samples, accepted=np.flatnonzero(believed)
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, Picture
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
@@ -67,6 +67,18 @@ def blank_grid(view: View) -> Grid:
     principal = np.array([camera.principal_point_x, camera.principal_point_y]) * factor
     gray = np.zeros((height, width), np.uint8)
     return Grid(gray=gray, focal_px=view.focal_px / view.scale * factor, principal=principal)
+
+
+def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the cells in which (N, 3) points before a view lie in its picture.
+
+    Points outside the picture count to the nearest cell.
+    """
+    local = points @ view.rotation.T + view.translation
+    pixels = grid.focal_px * local[:, :2] / local[:, 2:] + grid.principal
+    last = np.array(grid.gray.shape[::-1]) // CELL_PX - 1
+    cells = np.clip(np.floor(pixels / CELL_PX), 0, last).astype(np.int64)
+    return cells[:, 1], cells[:, 0]
 
 
 class GridTaker:

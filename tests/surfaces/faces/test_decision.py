@@ -9,9 +9,11 @@ import pytest
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import (
     EACH_VIEW,
+    PLAIN_CELLS,
     SAME_CELLS,
     FacePoints,
     are_believed,
+    are_plain,
     gaps_to_mesh,
     lacking_points,
     points_of_samples,
@@ -51,13 +53,11 @@ def four_views():
     return tuple(views)
 
 
-def support(labels_below):
-    """What views say of a plate from z = -0.3 to 0, whose upper side the views above show."""
-    views = four_views()
-    grids = [blank_grid(view) for view in views]
+def corners_of_plate():
+    """Corners of a plate's upper side as evidence that all views observe."""
     corners = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
     count = len(corners)
-    evidence = Evidence(
+    return Evidence(
         points=corners,
         tangents=np.zeros((count, 3)),
         rays=np.tile([0.0, 0, 1], (count, 1)),
@@ -67,6 +67,13 @@ def support(labels_below):
         offsets=np.arange(count + 1) * 4,
         views=np.tile(np.arange(4, dtype=np.int32), count),
     )
+
+
+def support(labels_below):
+    """What views say of a plate from z = -0.3 to 0, whose upper side the views above show."""
+    views = four_views()
+    grids = [blank_grid(view) for view in views]
+    evidence = corners_of_plate()
     planes = Planes(normals=np.tile([0.0, 0, 1], (3, 1)), offsets=np.array([0, -0.3, 1.5]))
     scene = make_scene(SimpleNamespace(views=views), grids, evidence, planes, 1)
     cells = grids[0].gray.size // 16
@@ -154,8 +161,7 @@ def taken_points(surface, counts):
     has, lacks = [0.3, 0.2, 0.0], [0.3, 0.2, 0.5]
     points = [place for had, lacked in counts for place in [has] * had + [lacks] * lacked]
     planes = np.repeat(np.arange(len(counts), dtype=np.int32), [sum(pair) for pair in counts])
-    num_cells = np.ones(len(planes), np.int64)
-    faces = FacePoints(seen=points_seen(points, 0), planes=planes, num_cells=num_cells)
+    faces = FacePoints(seen=points_seen(points, 0), planes=planes)
     return lacking_points(faces, four_views(), surface)
 
 
@@ -165,37 +171,29 @@ def test_all_points_of_planes_that_a_mesh_lacks_are_taken(square):
     assert np.sum(taken.points[:, 2] == 0) == 2
 
 
-def test_nothing_is_taken_where_a_mesh_lacks_little_of_all_planes(square):
-    assert len(taken_points(square, [(95, 1), (2, 2)]).points) == 0
-
-
-def test_nothing_is_taken_where_a_mesh_is_near_all_planes(square):
-    seen = points_seen([[0.3, 0.2, 0.03]] * 4, 0)  # three quarters of a cell before it
-    one = np.ones(4, np.int64)
-    faces = FacePoints(seen=seen, planes=np.zeros(4, np.int32), num_cells=one)
-    assert missing(square, [0.3, 0.2, 0.03], 0)
-    assert len(lacking_points(faces, four_views(), square).points) == 0
-
-
 def test_everything_is_taken_without_a_mesh(empty):
     assert len(taken_points(empty, [(2, 1)]).points) == 3
 
 
-def test_points_count_as_many_cells_as_they_stand_for(square):
-    seen = points_seen([[0.3, 0.2, 0.0], [0.3, 0.2, 0.5]], 0)
-    planes = np.zeros(2, np.int32)
-    for cells, taken in (([30, 1], 0), ([1, 1], 2)):
-        faces = FacePoints(seen=seen, planes=planes, num_cells=np.array(cells))
-        assert len(lacking_points(faces, four_views(), square).points) == taken
+def test_places_far_from_all_points_of_their_view_are_plain():
+    samples, upper = support([1, 1])
+    views = four_views()
+    grids = [blank_grid(view) for view in views]
+    plain = are_plain(samples, views, grids, corners_of_plate())
+    cell = 3 * ANGLES[0]  # side of a cell of the views above, on the plate
+    corners = np.abs(samples.points[:, :2]) - 0.5
+    gaps = np.linalg.norm(corners, axis=1) / cell
+    assert plain[upper & (gaps > PLAIN_CELLS + 1)].all()
+    assert not plain[upper & (gaps < PLAIN_CELLS - 1)].any()
+    assert 0 < np.sum(upper & ~plain) < np.sum(upper & plain)
 
 
 def test_samples_are_thinned_to_points_of_every_third_view():
     samples, _ = support([1, 1])
     accepted = np.arange(len(samples.points))
-    chosen, counts = thinned(samples, accepted)
-    assert counts.sum() == len(accepted) > len(chosen)
+    chosen = thinned(samples, accepted)
+    assert 0 < len(chosen) < len(accepted)
     made = points_of_samples(samples, accepted)
-    assert np.array_equal(made.num_cells, counts)
     assert np.array_equal(made.planes, samples.planes[chosen])
     assert np.array_equal(made.seen.points, samples.points[chosen])
     for row, sample in enumerate(chosen):
