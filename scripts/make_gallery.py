@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Draw the mesh, the 3D edges and the faces of a run for docs/gallery.md.
 
-Writes NAME_mesh.webp, NAME_edges.webp and, for a run with --use_faces 1, NAME_faces.webp.
+Writes NAME_mesh.webp, NAME_edges.webp and, for a run with faces, NAME_faces.webp.
 """
 
 from __future__ import annotations

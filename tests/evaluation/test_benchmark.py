@@ -245,8 +245,9 @@ def test_the_papers_way_is_a_method():
     options = benchmark.pipeline_options(benchmark.METHODS["paper"])
     assert (options.tracing.method, options.meshing.method) == ("paper", "manifold")
     assert options.use_edges
-    same = benchmark.pipeline_options(benchmark.METHODS["edges"])
-    assert same == PipelineOptions()
+    assert benchmark.pipeline_options(benchmark.METHODS["faces"]) == PipelineOptions()
+    edges = benchmark.pipeline_options(benchmark.METHODS["edges"])
+    assert edges == PipelineOptions(use_faces=False)
     alone = benchmark.pipeline_options(benchmark.METHODS["SfM-paper"])
     assert not alone.use_edges
     assert alone.meshing == options.meshing
