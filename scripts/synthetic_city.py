@@ -210,16 +210,23 @@ def flight(num_views: int, side: int, rng: np.random.Generator) -> tuple[FloatAr
     return np.array(poses), np.array(targets)
 
 
-def write_city(city: City, folder: Path, seed: int = 0) -> None:
-    """Write the model with its SfM points, binary."""
+def without_points(poses: FloatArray, size: tuple[int, int]) -> Any:
+    """A pycolmap.Reconstruction of images of one camera with (V, 3, 4) poses."""
     empty = pycolmap.Reconstruction()
     camera = pycolmap.Camera.create_from_model_name(
-        1, "SIMPLE_PINHOLE", FOCAL_RATIO * city.size[0], *city.size
+        1, "SIMPLE_PINHOLE", FOCAL_RATIO * size[0], *size
     )
     empty.add_camera_with_trivial_rig(camera)
-    for index, pose in enumerate(city.poses):
+    for index, pose in enumerate(poses):
         image = pycolmap.Image(f"view_{index:05d}.png", [], 1, index + 1)
         empty.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    return empty
+
+
+def write_city(city: City, folder: Path, seed: int = 0) -> None:
+    """Write the model with its SfM points, binary."""
+    empty = without_points(city.poses, city.size)
+    camera = empty.cameras[1]
     folder.mkdir(parents=True, exist_ok=True)
     empty.write_binary(str(folder))
     owners, images, pixels = observations(city, camera, seed)

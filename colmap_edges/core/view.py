@@ -21,6 +21,8 @@ def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> Flo
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 MAX_LENS_ERROR_PX = 0.1  # maximum round-trip error of undistorting and distorting
+# Points that are projected at once: the overhead of a call is small, the arrays stay in the cache.
+GROUP_SIZE = 5_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +98,35 @@ class View:
         undistorted, depths = self.project_undistorted(points)
         return self.image_from_undistorted(undistorted), depths
 
-    def holds_local(self, local: FloatArray) -> BoolArray:
-        """(N,) whether (N, 3) points in camera coordinates are in the image."""
-        depths = local[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rays = local / np.where(depths > 0, depths, np.nan)[:, None]
-        return self.holds(np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2), depths)
-
     def holds(self, pixels: FloatArray, depths: FloatArray) -> BoolArray:
         """(N,) whether (N, 2) projections with (N,) depths are in front and inside the image."""
         x, y = pixels.T  # one by one: reductions of two elements are slow
         inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
         return np.asarray(inside & (depths > 0))
+
+
+def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
+    """(V, N) whether (N, 3) world points are in the images of V views.
+
+    Views of one camera are projected together, since each call of pycolmap has an overhead.
+    """
+    inside = np.zeros((len(views), len(points)), bool)
+    cameras = np.array([view.camera.camera_id for view in views], np.int64)
+    most = max(GROUP_SIZE // max(len(points), 1), 1)
+    for camera in np.unique(cameras):
+        alike = np.flatnonzero(cameras == camera)
+        for first in range(0, len(alike), most):
+            rows = alike[first : first + most]
+            group = [views[row] for row in rows.tolist()]
+            turned = np.concatenate([view.rotation for view in group]) @ points.T
+            local = turned.reshape(len(rows), 3, -1).transpose(0, 2, 1)
+            local = (local + np.array([view.translation for view in group])[:, None]).reshape(-1, 3)
+            depths = local[:, 2]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rays = local / np.where(depths > 0, depths, np.nan)[:, None]
+            pixels = np.asarray(group[0].camera.img_from_cam(rays)).reshape(-1, 2)
+            inside[rows] = group[0].holds(pixels, depths).reshape(len(rows), -1)
+    return inside
 
 
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:

@@ -66,6 +66,12 @@ def test_mesher_on_a_made_up_scene():
     assert {name: one[name] for name in same} == {name: two[name] for name in same}
 
 
+def test_neighbours_of_views_without_points():
+    done = run_script("benchmark_neighbors.py", "--num_views", 60)
+    found = float(done.stdout.splitlines()[-1].split()[0])
+    assert 3 < found < 40
+
+
 def test_city_is_reconstructed(tmp_path):
     """Edges of a tiny city lie on its curves: within a hundredth of a block."""
     arguments = ("--num_views", 9, "--points_per_view", 100, "--folder", tmp_path)

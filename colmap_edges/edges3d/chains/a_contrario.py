@@ -6,13 +6,11 @@ accidental observations is estimated from the same curve displaced in depth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-
 import numpy as np
 from scipy.special import bdtrc
 
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.core.view import View, lift
+from colmap_edges.core.view import View, in_images, lift
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
 from colmap_edges.edges3d.chains.observing import associate, drop_lone
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -21,8 +19,6 @@ from colmap_edges.options import RefinementOptions
 DISPLACEMENT_PX = 12.0  # displacement of the curve in depth, larger than its error
 CLOSE_SIGMAS = 2.5  # maximum residual of observations that count, in standard deviations of a chain
 PRIOR_TRIALS = 20  # pseudo-count of trials with one hit, the prior of the accidental rate
-# Points that are projected at once: the overhead of a call is small, the arrays stay in the cache.
-GROUP_SIZE = 5_000
 MIN_LOG = -12.0  # lower bound of the log probability of a single point
 
 
@@ -50,7 +46,8 @@ def chance_of_observations(
     """
     ids, count = curves.curve_ids, len(curves.offsets) - 1
     close_px = CLOSE_SIGMAS * options.noise_px
-    visible = count_in_image(lift(reference, curves.undistorted, curves.inverse_depths), views)
+    points = lift(reference, curves.undistorted, curves.inverse_depths)
+    visible = in_images(views, points).sum(axis=0)
     observed = np.sum(np.abs(residuals) <= close_px, axis=1)
     signs = np.where(ids % 2 == 0, 1, -1)
     moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
@@ -66,24 +63,3 @@ def chance_of_observations(
         logs = np.log10(bdtrc(observed - 1, trials_each, rates[ids]))
     result: FloatArray = np.maximum(logs, MIN_LOG)
     return result
-
-
-def in_groups(cameras: Iterable[list[View]], most: int) -> Iterator[list[View]]:
-    """The views of each camera, at most so many at a time."""
-    return (
-        alike[first : first + most] for alike in cameras for first in range(0, len(alike), most)
-    )
-
-
-def count_in_image(points: FloatArray, views: list[View]) -> FloatArray:
-    """(N,) number of views whose image (N, 3) world points fall into."""
-    counts = np.zeros(len(points))
-    cameras: dict[int, list[View]] = {}
-    for view in views:
-        cameras.setdefault(view.camera.camera_id, []).append(view)
-    for alike in in_groups(cameras.values(), max(GROUP_SIZE // max(len(points), 1), 1)):
-        turned = np.concatenate([view.rotation for view in alike]) @ points.T
-        local = turned.reshape(len(alike), 3, -1).transpose(0, 2, 1)
-        local = local + np.array([view.translation for view in alike])[:, None]
-        counts += alike[0].holds_local(local.reshape(-1, 3)).reshape(len(alike), -1).sum(axis=0)
-    return counts

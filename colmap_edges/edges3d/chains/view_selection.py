@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.view import in_images
 from colmap_edges.options import ViewSelectionOptions
 
 # margin of a view's range of inverse depths, on both sides, relative to the range
@@ -268,10 +269,10 @@ def pose_scores(
     other_rays = points[None] - model.camera_centers[candidates, None]
     weights = angle_weights(rays, other_rays.reshape(-1, 3), options)
     weights = weights.reshape(2, -1, len(points))
+    useful = weights.any(axis=(0, 2))
+    inside = in_images([model.views[other] for other in candidates[useful].tolist()], points)
     scores = np.zeros((2, len(model.views)))
-    for row in np.flatnonzero(weights.any(axis=(0, 2))):
-        other = model.views[candidates[row]]
-        scores[:, candidates[row]] = weights[:, row] @ other.holds(*other.project(points))
+    scores[:, candidates[useful]] = (weights[:, useful] * inside).sum(axis=2)
     return scores
 
 

@@ -15,7 +15,6 @@ from colmap_edges.edges3d.chains.a_contrario import (
     MIN_LOG,
     PRIOR_TRIALS,
     chance_of_observations,
-    count_in_image,
 )
 from colmap_edges.edges3d.chains.curves import Curves
 from colmap_edges.options import RefinementOptions
@@ -132,15 +131,3 @@ def test_logs_fall_with_every_view_that_observes(counts):
 
 
 NO_CHAINS = chains_of(OTHERS)
-
-
-def test_points_are_counted_where_they_are_in_the_image():
-    views = known.row(2, step=1.0, depth=5.0)  # 640 x 480 pixels at 600: 5.33 by 4 wide at z = 0
-    points = np.array(
-        [(0, 0, 0), (2.6, 0, 0), (-2.6, 0, 0), (0, 1.99, 0), (0, 2.01, 0), (0, 0, -6.0)]
-    )
-    shown = [view.project(points)[0] for view in views]
-    assert np.isfinite(shown[0][:5]).all()
-    assert count_in_image(points, list(views)).tolist() == [2, 2, 1, 2, 0, 0]
-    assert count_in_image(points, []).tolist() == [0] * 6
-    assert count_in_image(np.zeros((0, 3)), list(views)).shape == (0,)
