@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from threading import Lock
@@ -97,10 +97,6 @@ class CacheBackend:
     def read(self, view: int) -> EdgeGraph:
         """Read a graph written by the task of its image."""
         return load_graph(self.cache, self.keys[view])
-
-    def part(self, views: Iterable[int]) -> CacheBackend:
-        """The backend restricted to some views, to be sent to a worker."""
-        return CacheBackend(self.cache, {view: self.keys[view] for view in views})
 
 
 class Graphs:

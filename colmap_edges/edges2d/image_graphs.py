@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Picture
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Picture, flattened
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains, detect_chains
 from colmap_edges.edges2d.edge_graph import EdgeGraph, build_edge_graph
@@ -290,7 +290,7 @@ def graph_key(
 
 def arrays_of(found: DetectedEdges) -> Arrays:
     """The arrays of a cache entry."""
-    arrays = {entry.name: getattr(found.graph, entry.name) for entry in fields(EdgeGraph)}
+    arrays = flattened(found.graph)
     counts = np.array([found.num_chains, found.num_chain_pixels])
     arrays |= {"dropped": found.dropped, "num_chains_and_pixels": counts}
     return arrays | {
@@ -302,7 +302,7 @@ def edges_from(arrays: Arrays) -> DetectedEdges:
     """The inverse of `arrays_of`."""
     num_chains, num_chain_pixels = arrays["num_chains_and_pixels"].tolist()
     return DetectedEdges(
-        graph=EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)}),
+        graph=graph_from(arrays),
         dropped=arrays["dropped"],
         num_chains=num_chains,
         num_chain_pixels=num_chain_pixels,
@@ -310,6 +310,16 @@ def edges_from(arrays: Arrays) -> DetectedEdges:
             **{e.name: arrays[f"background_mask_{e.name}"] for e in fields(BackgroundMask)}
         ),
     )
+
+
+def graph_from(arrays: Arrays) -> EdgeGraph:
+    """The edge graph among the arrays of a cache entry."""
+    return EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)})
+
+
+def save_graph(cache: Cache, key: str, graph: EdgeGraph) -> None:
+    """Write an edge graph alone as a cache entry."""
+    cache.save(KIND, key, flattened(graph))
 
 
 def load_graph(cache: Cache, key: str) -> EdgeGraph:
@@ -323,4 +333,4 @@ def load_graph(cache: Cache, key: str) -> EdgeGraph:
         raise ColmapEdgesError(
             f"{cache.path(KIND, key)} is missing or damaged; do not change the cache during a run"
         )
-    return edges_from(entry).graph
+    return graph_from(entry)

@@ -13,12 +13,12 @@ import logging
 import os
 import re
 import stat
+import struct
 import time
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -33,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap")
+HEAD_LENGTH = struct.Struct("<Q")
+ALIGNMENT = 16  # bytes at multiples of which arrays start
 DIGEST_BYTES = hashlib.sha256().digest_size
 UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # unfinished files older than this were left by killed runs
@@ -73,28 +75,25 @@ class Cache:
             return None
         with suppress(OSError):  # of another user, or read-only
             os.utime(path)  # marks the entry as recently used
-        packed = memoryview(data)[DIGEST_BYTES:]
-        if seal(kind, key, packed) == data[:DIGEST_BYTES]:
+        if seal(kind, key, memoryview(data)[DIGEST_BYTES:]) == data[:DIGEST_BYTES]:
             try:
-                with np.load(BytesIO(packed), allow_pickle=False) as arrays:
-                    return dict(arrays)
-            except ValueError:
+                return unpacked(bytearray(data)[DIGEST_BYTES:])
+            except (ValueError, TypeError, struct.error):
                 pass  # not an entry of this cache
         logger.warning("cache entry %s is damaged; it is made again", path)
         return None
 
     def save(self, kind: str, key: str, arrays: Arrays) -> bool:
         """Write arrays as an entry, atomically; returns False, with a warning, on failure."""
-        packed = BytesIO()
-        np.savez(packed, **arrays)  # type: ignore[arg-type]
+        data = packed(arrays)
         path = self.path(kind, key)
         unfinished = self.unfinished / uuid4().hex
         try:
             make_own_folder(path.parent.parent)
             make_own_folder(path.parent)
             with unfinished.open("xb") as file:
-                file.write(seal(kind, key, packed.getbuffer()))
-                file.write(packed.getbuffer())
+                file.write(seal(kind, key, data))
+                file.write(data)
             unfinished.replace(path)
         except OSError as error:
             with suppress(OSError):  # read-only folders also refuse to remove missing files
@@ -115,6 +114,33 @@ class Cache:
         return False
 
 
+def packed(arrays: Arrays) -> bytes:
+    """The bytes of arrays, after their names, types and shapes as JSON; npz is five times slower."""
+    rows = [(name, array.dtype.str, array.shape) for name, array in arrays.items()]
+    head = json.dumps(rows).encode()
+    parts = [HEAD_LENGTH.pack(len(head)), head, *(array.tobytes() for array in arrays.values())]
+    return b"".join(part + bytes(-len(part) % ALIGNMENT) for part in parts)
+
+
+def unpacked(data: bytearray) -> Arrays:
+    """The inverse of `packed`; arrays share the memory of `data`.
+
+    Raises:
+        ValueError, TypeError, struct.error: if the bytes are not from `packed`.
+    """
+    (length,) = HEAD_LENGTH.unpack_from(data)
+    at = ALIGNMENT + length + -length % ALIGNMENT
+    arrays: Arrays = {}
+    for name, kind, shape in json.loads(data[ALIGNMENT : ALIGNMENT + length]):
+        dtype = np.dtype(kind)
+        if dtype.hasobject:
+            raise ValueError("objects are not read: their bytes would be addresses")
+        array: NDArray[Any] = np.ndarray(shape, dtype, data, at)
+        arrays[name] = array
+        at += array.nbytes + -array.nbytes % ALIGNMENT
+    return arrays
+
+
 def can_be_entered(folder: Path) -> bool:
     """Whether files in a folder can be opened by name."""
     try:
@@ -124,10 +150,10 @@ def can_be_entered(folder: Path) -> bool:
     return True
 
 
-def seal(kind: str, key: str, packed: memoryview) -> bytes:
+def seal(kind: str, key: str, data: bytes | memoryview) -> bytes:
     """The checksum at the start of an entry, which reveals damage."""
     found = hashlib.sha256(f"{kind} {key} ".encode())
-    found.update(packed)
+    found.update(data)
     return found.digest()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,9 +14,11 @@ from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph, keep_points
 from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges2d.graphs import CacheBackend, Graphs, Kept
+from colmap_edges.edges2d.image_graphs import save_graph
 from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods
 from colmap_edges.edges3d.chains.view_selection import Neighborhood
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.runtime.cache import key_of
 from colmap_edges.runtime.executors import Workers
 
 T = TypeVar("T")
@@ -41,6 +43,7 @@ class TracingInput:
         free: per view the traced points of the whole graph; None for all.
         parts: graphs of those points.
         indexes: search indices of the graphs.
+        part_keys: by view the key of that part in the cache, if it was written for a cluster.
         is_sent: whether this was sent to a worker of a cluster.
     """
 
@@ -53,6 +56,7 @@ class TracingInput:
     free: ByView[BoolArray] | None = None
     parts: Kept[EdgeGraph]
     indexes: Kept[Any]
+    part_keys: dict[int, str] = field(default_factory=dict)
     is_sent: bool = False
 
     @property
@@ -69,7 +73,7 @@ class TracingInput:
 
     def index(self, view: int) -> _kernels.EdgeIndex:
         """The search index of the traced edge graph of a view."""
-        if not (self.is_sent and self.free is None):
+        if not self.is_sent:
             return self.indexes.get(view, lambda: self.make_index(view))
         pose = np.column_stack([self.views[view].rotation, self.views[view].translation])
         backend = self.graphs.backend
@@ -90,15 +94,27 @@ class TracingInput:
         return replace(
             self,
             views=chosen(self.views, places),
-            graphs=Graphs(0, backend.part(places)),
+            graphs=Graphs(0, CacheBackend(backend.cache, {v: self.key_of(v) for v in places})),
             neighbors=chosen(self.neighbors, [view]),
             observing_views=chosen(self.observing_views, [view]),
             polyline_offsets={},
-            free=None if self.free is None else chosen(self.free, places),
-            parts=Kept(len(places)),
-            indexes=Kept(len(places)),
+            free=None,
+            parts=Kept(1),
+            part_keys={},
+            indexes=Kept(1),
             is_sent=True,
         )
+
+    def key_of(self, view: int) -> str:
+        """The key in the cache of the traced graph of a view; its part is written there once."""
+        backend = self.graphs.backend
+        assert isinstance(backend, CacheBackend)
+        if self.free is None:
+            return backend.keys[view]
+        if view not in self.part_keys:
+            self.part_keys[view] = key_of("part", backend.keys[view], self.free[view])
+            save_graph(backend.cache, self.part_keys[view], self.graph(view))
+        return self.part_keys[view]
 
 
 def chosen(items: ByView[T], views: Sequence[int]) -> dict[int, T]:
@@ -129,6 +145,8 @@ def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
         free: per view (P,) bool, the points that remain.
     """
     num_kept = max(whole.graphs.num_kept, 1)
-    rest = replace(whole, free=free, parts=Kept(num_kept), indexes=Kept(num_kept))
+    rest = replace(
+        whole, free=free, parts=Kept(num_kept), part_keys={}, indexes=Kept(num_kept)
+    )
     offsets = [rest.graph(view).polyline_offsets for view in range(len(free))]
     return replace(rest, polyline_offsets=offsets)
