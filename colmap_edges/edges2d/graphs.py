@@ -132,6 +132,11 @@ class Graphs:
         """Number of graphs that fit in memory."""
         return len(self.kept)
 
+    def num_fitting(self, share: float) -> int:
+        """Number of graphs, as large as those in memory, that fit in a share of `max_bytes`."""
+        size = self.num_bytes / max(len(self.kept), 1)
+        return int(min(share * self.max_bytes / max(size, 1), 1e6))
+
     def put(self, view: int, graph: EdgeGraph) -> None:
         """Store the graph of a view."""
         with self.lock:
@@ -202,7 +207,7 @@ class Kept(Generic[T]):
         """The value of `key`, made by `make` if it is not kept."""
         if key not in self.things:
             self.things[key] = make()
-            if len(self.things) > self.num_kept:
+            while len(self.things) > self.num_kept:
                 self.things.popitem(last=False)
         self.things.move_to_end(key)
         return self.things[key]

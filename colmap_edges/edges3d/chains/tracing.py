@@ -44,7 +44,7 @@ from colmap_edges.edges3d.chains.filtering import (
     sort_out,
 )
 from colmap_edges.edges3d.chains.refinement import refine_curves
-from colmap_edges.edges3d.chains.tracing_input import NUM_KEPT, TracingInput, make_input
+from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
 from colmap_edges.runtime.executors import Call, Workers, local_workers, run_all, run_scheduled
@@ -229,9 +229,8 @@ def trace_views(
             )
         advance()
 
-    num_kept = NUM_KEPT if workers.remote else given.indexes.num_kept
     needed = [given.observing_views[view] for view in range(len(order))]
-    schedule = Schedule(order, needed, num_kept)
+    schedule = Schedule(order, needed, given.num_kept(workers))
     run_scheduled(workers, schedule, call, finish)
     return [traced[view] for view in order.tolist() if view in traced], int(in_runs.sum())
 

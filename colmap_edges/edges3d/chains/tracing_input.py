@@ -24,7 +24,8 @@ from colmap_edges.runtime.executors import Workers
 T = TypeVar("T")
 ByView = Sequence[T] | Mapping[int, T]  # an item per view, of all or of those used by a task
 
-NUM_KEPT = 64  # search indices that a worker keeps, more than a view has neighbours
+NUM_KEPT = 64  # least number of search indices that a worker keeps, more than a task needs
+WORKERS_SHARE = 0.25  # part of the memory for graphs that a worker may use: machines have several
 # On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
 KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
 
@@ -78,6 +79,7 @@ class TracingInput:
         pose = np.column_stack([self.views[view].rotation, self.views[view].translation])
         backend = self.graphs.backend
         assert isinstance(backend, CacheBackend)
+        KEPT_BY_WORKER.num_kept = self.indexes.num_kept
         identity = (backend.cache.folder, backend.keys[view], pose.tobytes())
         return KEPT_BY_WORKER.get(identity, lambda: self.make_index(view))
 
@@ -101,9 +103,15 @@ class TracingInput:
             free=None,
             parts=Kept(1),
             part_keys={},
-            indexes=Kept(1),
+            indexes=Kept(self.num_kept(workers)),
             is_sent=True,
         )
+
+    def num_kept(self, workers: Workers) -> int:
+        """Number of search indices that a process which runs tasks keeps."""
+        if workers.remote:
+            return max(self.graphs.num_fitting(WORKERS_SHARE), NUM_KEPT)
+        return self.indexes.num_kept
 
     def key_of(self, view: int) -> str:
         """The key in the cache of the traced graph of a view; its part is written there once."""
