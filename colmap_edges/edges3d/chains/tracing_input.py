@@ -153,8 +153,6 @@ def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
         free: per view (P,) bool, the points that remain.
     """
     num_kept = max(whole.graphs.num_kept, 1)
-    rest = replace(
-        whole, free=free, parts=Kept(num_kept), part_keys={}, indexes=Kept(num_kept)
-    )
+    rest = replace(whole, free=free, parts=Kept(num_kept), part_keys={}, indexes=Kept(num_kept))
     offsets = [rest.graph(view).polyline_offsets for view in range(len(free))]
     return replace(rest, polyline_offsets=offsets)
