@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.view import rows_by_view
 
 MAX_OBSERVED = 100_000  # SfM points per view; COLMAP extracts 8,192 features per image by default
 
@@ -28,9 +27,12 @@ def thinned(model: Model, random_seed: int, max_observed: int = MAX_OBSERVED) ->
     if counts.max(initial=0) <= max_observed:
         return model
     ranks = np.random.default_rng(random_seed).permutation(len(model.point3D_ids))
-    kept = np.zeros(len(model.track_views), bool)
-    for rows in rows_by_view(model.track_views, len(model.views)):
-        first = np.argsort(ranks[model.track_points[rows]], kind="stable")[:max_observed]
-        kept[rows[first]] = True
+    kept = np.ones(len(model.track_views), bool)
+    for view in np.flatnonzero(counts > max_observed):
+        rows = np.flatnonzero(model.track_views == view)
+        of_rows = ranks[model.track_points[rows]]
+        last = np.partition(of_rows, max_observed - 1)[max_observed - 1]
+        kept[rows] = of_rows < last
+        kept[rows[of_rows == last][: max_observed - int(kept[rows].sum())]] = True
     lengths = np.bincount(model.track_points[kept], minlength=len(model.point3D_ids))
     return model.selected(lengths > 0, kept)

@@ -79,8 +79,9 @@ def count_around(
     neighbours, but have no counts of their own, since there may be millions of them.
     """
     undistorted, depths = view.project_undistorted(points)
+    x, y = np.abs(undistorted.T)  # one by one: reductions of two elements are slow
     with np.errstate(invalid="ignore"):
-        ahead = np.flatnonzero((depths > 0) & (np.abs(undistorted) < FARTHEST_PX).all(axis=1))
+        ahead = np.flatnonzero((depths > 0) & (x < FARTHEST_PX) & (y < FARTHEST_PX))
     counts = _kernels.count_around(
         undistorted[ahead],
         depths[ahead],

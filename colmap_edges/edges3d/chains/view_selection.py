@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -13,6 +12,7 @@ from scipy.spatial import cKDTree
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.view import in_images
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
 
 # margin of a view's range of inverse depths, on both sides, relative to the range
@@ -42,36 +42,26 @@ class DepthRange:
         """(N, 2) smallest and largest inverse depth at (N, 2) undistorted pixels.
 
         That of the SfM points nearest to the centre of the pixel's cell, with a margin for surfaces
-        in front of or behind them.
+        in front of or behind them. Cells are square, of about four SfM points each.
         """
         if len(self.pixels) <= NEAR_POINTS:
             return np.tile(self.overall, (len(undistorted), 1))
-        corner, size, ranges = self.cells
-        column, row = np.clip(
-            (undistorted - corner) // size, 0, np.subtract(ranges.shape[1::-1], 1)
-        ).T
-        found: FloatArray = ranges[row.astype(np.int64), column.astype(np.int64)]
-        return found
-
-    @cached_property
-    def cells(self) -> tuple[FloatArray, float, FloatArray]:
-        """Ranges at the centres of square cells of about four SfM points each.
-
-        Returns:
-            Corner and size of the first cell in undistorted pixels, (rows, columns, 2) ranges.
-        """
         low, high = self.overall
-        corner, extent = self.pixels.min(axis=0), np.maximum(np.ptp(self.pixels, axis=0), 1.0)
+        # column by column: numpy reduces rows of two elements slowly
+        corner = np.array([column.min() for column in self.pixels.T])
+        extent = np.maximum([np.ptp(column) for column in self.pixels.T], 1.0)
         size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
         # Points near the camera's plane may project anywhere: no more cells in a row than points.
         size = max(size, float(extent.max()) / len(self.pixels))
-        x, y = (np.arange(0, length, size) + size / 2 for length in extent)
-        middles = np.stack(np.meshgrid(x, y), axis=-1) + corner
-        _, near = cKDTree(self.pixels).query(middles, NEAR_POINTS)
-        inverse = self.inverse_depths[near]
+        last = np.ceil(extent / size) - 1
+        columns, rows = np.clip((undistorted - corner) // size, 0, last).T
+        cells, own = np.unique(rows * (last[0] + 1) + columns, return_inverse=True)
+        places = np.column_stack([cells % (last[0] + 1), cells // (last[0] + 1)])
+        inverse = _kernels.nearest_ranges(
+            self.pixels, self.inverse_depths, places * size + size / 2 + corner, size, NEAR_POINTS
+        )
         margin = NEAR_MARGIN * (high - low)
-        ranges = np.stack([inverse.min(axis=-1) - margin, inverse.max(axis=-1) + margin], axis=-1)
-        return corner, size, np.clip(ranges, low, high)
+        return np.clip(inverse[own] + (-margin, margin), low, high)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,12 +37,13 @@ class PointRows {
     }
     SortBy(steps);
     starts_ = SortBy(rows);
+    points_.reserve(points.size()), steps_.reserve(points.size());
     for (const int32_t i : order_) points_.push_back(points[i]), steps_.push_back(steps[i]);
   }
 
   static constexpr int64_t kNumRows = 1 << 16;
 
-  // Calls use(k, j, end) for each point k in a row and ranges [j, end) of sorted points that
+  // Calls use(k, j, end) for each point k of a curve in a row and ranges [j, end) of sorted points that
   // contain all its neighbours within the radius.
   template <typename Use>
   void ForNeighbors(int64_t row, const Use& use) const {
@@ -53,6 +54,7 @@ class PointRows {
       int32_t from = starts_[beside], to = from;
       const int32_t stop = starts_[beside + 1];
       for (int32_t k = first; k < last; ++k) {
+        if (points_[k].curve < 0) continue;  // has no counts
         while (from < stop && steps_[from] < steps_[k] - kParts - 1) ++from;
         while (to < stop && steps_[to] <= steps_[k] + kParts + 1) ++to;
         use(k, from, to);
@@ -95,7 +97,6 @@ inline Crowd CountAround(const std::vector<SeenPoint>& points, double radius_px,
   ParallelBlocks(PointRows::kNumRows, num_threads, 16, [&](int64_t row) {
     rows.ForNeighbors(row, [&](int32_t k, int32_t from, int32_t to) {
       const SeenPoint& own = rows.point(k);
-      if (own.curve < 0) return;
       int32_t nearer = 0, agreeing = 0;
       for (int32_t j = from; j < to; ++j) {
         const SeenPoint& other = rows.point(j);
