@@ -61,7 +61,8 @@ class DepthRange:
             self.pixels, self.inverse_depths, places * size + size / 2 + corner, size, NEAR_POINTS
         )
         margin = NEAR_MARGIN * (high - low)
-        return np.clip(inverse[own] + (-margin, margin), low, high)
+        ranges: FloatArray = np.clip(inverse[own] + (-margin, margin), low, high)
+        return ranges
 
 
 @dataclass(frozen=True, kw_only=True)
