@@ -43,8 +43,8 @@ class PointRows {
 
   static constexpr int64_t kNumRows = 1 << 16;
 
-  // Calls use(k, j, end) for each point k of a curve in a row and ranges [j, end) of sorted points that
-  // contain all its neighbours within the radius.
+  // Calls use(k, j, end) for each point k of a curve in a row and ranges [j, end) of sorted points
+  // that contain all its neighbours within the radius.
   template <typename Use>
   void ForNeighbors(int64_t row, const Use& use) const {
     const int32_t first = starts_[row], last = starts_[row + 1];
