@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, order_of, ranks_of
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, order_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.input_files import open_file, read_bytes
@@ -80,36 +80,67 @@ def read_points(folder: Path) -> ModelPoints:
     """
     images, points3D = folder / "images.bin", folder / "points3D.bin"
     data = read_bytes(images)
-    points2D = {
-        image.image_id: np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
-        for image in image_records(data, images)
-    }
+    points2D = points2D_of(data, image_records(data, images))
     data = read_bytes(points3D)
-    heads = gather(data, point3D_records(data, points3D)[0], POINT3D)
-    return ModelPoints(points2D, heads[np.argsort(heads["id"])])
+    return ModelPoints(points2D, by_id(gather(data, point3D_records(data, points3D)[0], POINT3D)))
 
 
-def check_model_files(folder: Path, parameters_of_model: dict[int, int]) -> None:
-    """Check sizes, counts and references of a binary model; text models are not checked.
+def points2D_of(data: bytes, images: list[ImageSpan]) -> dict[int, NDArray[np.void]]:
+    """By image id, (n,) `POINT2D` records in the bytes of images.bin."""
+    return {
+        image.image_id: np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
+        for image in images
+    }
+
+
+def by_id(heads: NDArray[np.void]) -> NDArray[np.void]:
+    """(N,) `POINT3D` records, ids ascending."""
+    ids = heads["id"]
+    return heads if (ids[1:] > ids[:-1]).all() else heads[np.argsort(ids)]
+
+
+def read_checked(folder: Path, parameters_of_model: dict[int, int]) -> ModelPoints | None:
+    """Check sizes, counts and references of a binary model, and read its points.
 
     Args:
         folder: folder of cameras.bin, images.bin and points3D.bin.
         parameters_of_model: number of parameters by COLMAP's camera model id.
 
+    Returns:
+        The points; None for a text model, which is not checked.
+
     Raises:
         ColmapEdgesError: if a file is truncated, too long, or has invalid references.
     """
     if not is_binary(folder):
-        return
-    files = {name: folder / f"{name}.bin" for name in ("cameras", "images", "points3D")}
-    check_cameras(files["cameras"], parameters_of_model)
-    data = read_bytes(files["images"])
-    images = image_records(data, files["images"])
-    check_image_points(data, images, files["images"])
+        return None
+    check_small_files(folder, parameters_of_model)
+    path = folder / "images.bin"
+    data = read_bytes(path)
+    images = image_records(data, path)
+    points2D = points2D_of(data, images)
+    check_image_points(images, points2D, path)
     if not (folder / "frames.bin").is_file():
         for image in images:
-            check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], files["images"])
-    check_points3D(files["points3D"], images)
+            check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], path)
+    return ModelPoints(points2D, read_points3D(folder / "points3D.bin", images))
+
+
+def check_complete(folder: Path, parameters_of_model: dict[int, int]) -> None:
+    """Check that files of a binary model that pycolmap wrote are not truncated.
+
+    `append_points` checks images.bin.
+
+    Raises:
+        ColmapEdgesError: if one is.
+    """
+    check_small_files(folder, parameters_of_model)
+    point3D_records(read_bytes(folder / "points3D.bin"), folder / "points3D.bin")
+
+
+def check_small_files(folder: Path, parameters_of_model: dict[int, int]) -> None:
+    """Check the cameras, rigs and frames of a binary model."""
+    check_cameras(folder / "cameras.bin", parameters_of_model)
     for name, check in (("rigs", check_rigs), ("frames", check_frames)):
         if (folder / f"{name}.bin").is_file():
             check(folder / f"{name}.bin")
@@ -227,38 +258,38 @@ def image_records(data: bytes, path: Path) -> list[ImageSpan]:
     return records
 
 
-def check_image_points(data: bytes, images: list[ImageSpan], path: Path) -> None:
+def check_image_points(
+    images: list[ImageSpan], points2D: dict[int, NDArray[np.void]], path: Path
+) -> None:
     """Check that image ids are unique and that every point2D is a finite pixel."""
-    if len({image.image_id for image in images}) != len(images):
+    if len(points2D) != len(images):
         raise damaged(path, "two images have the same id")
-    for image in images:
-        points = np.frombuffer(data, POINT2D, image.num_points2D, image.points_start)
+    for image_id, points in points2D.items():
         if not np.isfinite(points["xy"]).all():
-            raise damaged(path, f"image {image.image_id} has a point2D that is not finite")
+            raise damaged(path, f"image {image_id} has a point2D that is not finite")
 
 
-def check_points3D(path: Path, images: list[ImageSpan]) -> None:
-    """Check the records of points3D.bin and that all tracks refer to existing points2D."""
+def read_points3D(path: Path, images: list[ImageSpan]) -> NDArray[np.void]:
+    """(N,) `POINT3D` records of points3D.bin, ids ascending; tracks must be of existing points2D.
+
+    Raises:
+        ColmapEdgesError: if the file is damaged.
+    """
     data = read_bytes(path)
     starts, lengths = point3D_records(data, path)
-    heads = gather(data, starts, POINT3D)
-    if len(np.unique(heads["id"])) != len(heads):
+    heads = by_id(gather(data, starts, POINT3D))
+    if (heads["id"][1:] == heads["id"][:-1]).any():
         raise damaged(path, "two points have the same id")
     if not np.isfinite(heads["xyz"]).all():
         raise damaged(path, "a point is not finite")
-    within = ranks_of(lengths)
-    tracks = gather(
-        data,
-        np.repeat(starts + POINT3D.itemsize, lengths) + within * TRACK_ELEMENT.itemsize,
-        TRACK_ELEMENT,
-    )
     ids = np.array(sorted((image.image_id, image.num_points2D) for image in images), np.int64)
-    ids = ids.reshape(-1, 2)
-    rows = np.minimum(np.searchsorted(ids[:, 0], tracks["image_id"]), max(len(ids) - 1, 0))
-    if len(tracks) and (not len(ids) or (ids[rows, 0] != tracks["image_id"]).any()):
-        raise damaged(path, "a track names an image that is not in images.bin")
-    if len(tracks) and (ids[rows, 1] <= tracks["point2D_idx"]).any():
-        raise damaged(path, "a track names a point2D that its image does not have")
+    ids, counts = np.ascontiguousarray(ids.reshape(-1, 2).T)
+    every = np.frombuffer(data, np.uint8)
+    fault = _kernels.check_tracks(every, starts, lengths, POINT3D.itemsize, ids, counts)
+    if fault:
+        named = "an image that is not in images.bin", "a point2D that its image does not have"
+        raise damaged(path, f"a track names {named[fault - 1]}")
+    return heads
 
 
 def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:
@@ -311,15 +342,20 @@ def append_points(folder: Path, points: NewPoints) -> None:
 
 
 def append_points2D(path: Path, points: NewPoints) -> IntArray:
-    """Append the observations to their images; returns their (T,) point2D indices."""
+    """Append the observations to their images; returns their (T,) point2D indices.
+
+    Raises:
+        ColmapEdgesError: if the file is truncated or too long.
+    """
     data = read_bytes(path)
+    images = image_records(data, path)
     owners = np.repeat(points.ids, np.diff(points.track_offsets))
     indices = np.empty(len(owners), np.int64)
     order = order_of(points.track_image_ids, int(points.track_image_ids.max(initial=0)) + 1)
     sorted_ids = points.track_image_ids[order]
     with path.open("wb") as file:
         file.write(data[: COUNT.size])
-        for image in image_records(data, path):
+        for image in images:
             first, last = np.searchsorted(sorted_ids, [image.image_id, image.image_id + 1])
             rows = order[first:last]
             indices[rows] = image.num_points2D + np.arange(len(rows))

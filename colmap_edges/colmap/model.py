@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from colmap_edges.colmap.binary_files import (
     NO_POINT3D,
-    POINT2D,
     ModelPoints,
     check_are_files,
-    check_model_files,
-    is_binary,
+    read_checked,
     read_points,
 )
 from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
@@ -116,9 +114,8 @@ def load_model(path: Path | str) -> Model:
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
         check_are_files(path)
-        check_model_files(path, camera_parameter_counts())
+        points = read_checked(path, camera_parameter_counts())
         reconstruction = pycolmap.Reconstruction(str(path))
-        points = read_points(path) if is_binary(path) else None
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
@@ -249,20 +246,32 @@ def tracks_by_point(
     Raises:
         ColmapEdgesError: if a view observes an unknown point.
     """
-    observed = [of_view[of_view["point3D_id"] != NO_POINT3D] for of_view in points2D]
-    every = np.concatenate([np.zeros(0, POINT2D), *observed])
-    ids = every["point3D_id"].astype(np.int64)
-    points = np.searchsorted(point3D_ids, ids)
-    known = np.append(point3D_ids, -1)[points] == ids
-    if not known.all():
+    # Column by column, as records are copied slowly.
+    ids = np.concatenate([np.zeros(0, np.uint64), *(of["point3D_id"] for of in points2D)])
+    pixels = np.concatenate([np.zeros((0, 2)), *(of["xy"] for of in points2D)])
+    views = np.repeat(np.arange(len(points2D), dtype=np.int32), [len(of) for of in points2D])
+    seen = ids != NO_POINT3D
+    if not seen.all():
+        ids, pixels, views = ids[seen], pixels[seen], views[seen]
+    points = places_among(point3D_ids, ids.astype(np.int64))
+    if (points < 0).any():
         raise ColmapEdgesError(
-            f"the images of the model observe point3D {ids[~known][0]}, which it does "
+            f"the images of the model observe point3D {ids[points < 0][0]}, which it does "
             "not have; its images and points3D files do not belong together"
         )
     order = np.argsort(points, kind="stable")
     offsets = offsets_of(np.bincount(points, minlength=len(point3D_ids)))
-    views = np.repeat(np.arange(len(observed), dtype=np.int32), [len(rows) for rows in observed])
-    return offsets, views[order], every["xy"][order]
+    return offsets, views[order], pixels[order]
+
+
+def places_among(ids: IntArray, wanted: IntArray) -> IntArray:
+    """(n,) indices of the wanted ids among (N,) ascending ones; -1 for others."""
+    if len(ids) and ids[0] >= 0 and ids[-1] < 4 * len(ids):  # a table is faster than a search
+        table = np.full(ids[-1] + 2, -1)
+        table[ids] = np.arange(len(ids))
+        return np.asarray(table[np.where(wanted < 0, ids[-1] + 1, np.minimum(wanted, ids[-1] + 1))])
+    places = np.searchsorted(ids, wanted)
+    return np.where(np.append(ids, -1)[places] == wanted, places, -1)
 
 
 def observation_residuals(model: Model, edges: Edges3D) -> FloatArray:

@@ -14,7 +14,7 @@ import pycolmap
 from colmap_edges.colmap.binary_files import (
     NewPoints,
     append_points,
-    check_model_files,
+    check_complete,
     check_text_files,
 )
 from colmap_edges.colmap.model import (
@@ -82,7 +82,7 @@ def write_model(
     try:
         if output_type == "BIN":
             model.reconstruction.write_binary(str(path))
-            check_model_files(path, camera_parameter_counts())
+            check_complete(path, camera_parameter_counts())
             append_points(path, points)
         else:
             write_text(with_points(model.reconstruction, points), path)
@@ -133,7 +133,7 @@ def with_points(reconstruction: Any, points: NewPoints) -> Any:
     """A copy of `reconstruction` with `points`, made through files, which is fastest."""
     with tempfile.TemporaryDirectory() as folder:
         reconstruction.write_binary(folder)
-        check_model_files(Path(folder), camera_parameter_counts())
+        check_complete(Path(folder), camera_parameter_counts())
         append_points(Path(folder), points)
         return pycolmap.Reconstruction(folder)
 

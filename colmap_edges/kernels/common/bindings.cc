@@ -48,6 +48,22 @@ nb::tuple WalkRecordsArrays(InArray<uint8_t, nb::ndim<1>> data, int64_t first, u
                         ToArray(std::move(found.counts), {count}), found.end);
 }
 
+int CheckTracksArrays(InArray<uint8_t, nb::ndim<1>> data, Longs starts, Longs counts,
+                      int64_t head_size, Longs image_ids, Longs num_points2D) {
+  Require(starts.size() == counts.size() && image_ids.size() == num_points2D.size(),
+          "starts and counts, or image_ids and num_points2D, differ in length");
+  for (size_t i = 0; i < starts.size(); ++i) {
+    const int64_t left = int64_t(data.size()) - head_size - starts(i);
+    Require(
+        starts(i) >= 0 && counts(i) >= 0 && head_size >= 0 && left >= 0 && counts(i) <= left / 8,
+        "a track is outside the data");
+  }
+  const nb::gil_scoped_release release;
+  return int(CheckTracks(data.data(), starts.data(), counts.data(), int64_t(starts.size()),
+                         head_size, image_ids.data(), num_points2D.data(),
+                         int64_t(image_ids.size())));
+}
+
 nb::tuple ChainPointsArrays(const EdgeIndex& chains, Doubles positions) {
   const size_t count = positions.size();
   std::vector<double> points(2 * count), tangents(2 * count);
@@ -170,6 +186,10 @@ void BindCommon(nb::module_& m) {
       "Byte offsets (N,) int64 of consecutive records in the (n,) bytes of a file, each a header\n"
       "that ends with a count (8 bytes) followed by the elements; the (N,) int64 counts; and the\n"
       "end of the last record, n + 1 if the data end within a record.");
+  m.def("check_tracks", &CheckTracksArrays, "data"_a, "starts"_a, "counts"_a, "head_size"_a,
+        "image_ids"_a, "num_points2D"_a,
+        "1 if a track names an image that is not among the ascending ids, 2 if a point2D that its "
+        "image does not have, else 0. Tracks are pairs of uint32 behind the heads at `starts`.");
   m.def("chain_points", &ChainPointsArrays, "index"_a, "positions"_a,
         "(N, 2) undistorted pixels and (N, 2) unit tangents at fractional positions on chains.");
   m.def("douglas_peucker", &DouglasPeuckerArrays, "points"_a, "offsets"_a, "distance"_a,

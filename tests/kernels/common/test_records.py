@@ -41,3 +41,25 @@ def test_counts_beyond_all_data():
         walk(data, len(data) + 1)
     with pytest.raises(ValueError, match="heads"):
         walk(data, 0, 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("track", "fault"),
+    [
+        ([], 0),
+        ([(3, 0), (8, 4)], 0),
+        ([(3, 0), (4, 0)], 1),
+        ([(9, 0)], 1),
+        ([(8, 5), (3, 0)], 2),
+        ([(3, 2**32 - 1)], 2),
+    ],
+)
+def test_tracks_of_unknown_images_and_points(track, fault):
+    good = struct.pack("<QII", 1, 8, 0)
+    data = good + struct.pack(f"<Q{2 * len(track)}I", len(track), *sum(track, ()))
+    every = np.frombuffer(data, np.uint8)
+    starts, counts = np.array([0, 16]), np.array([1, len(track)])
+    ids, num_points = np.array([3, 8]), np.array([1, 5])
+    assert _kernels.check_tracks(every, starts, counts, 8, ids, num_points) == fault
+    with pytest.raises(ValueError, match="outside"):
+        _kernels.check_tracks(every, starts, counts + 1, 8, ids, num_points)
