@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    ranges_of,
+    row_numbers,
+)
 from colmap_edges.core.curves3d import ARC, CIRCLE
 from colmap_edges.edges3d.curves.choosing import FREEDOM, MAX_DOUBT, Choice
 from colmap_edges.edges3d.curves.cutting import Noise, log_counts
@@ -105,11 +112,18 @@ def candidate_pairs(
         return np.zeros((0, 2), np.int64)
     centers, radii = groups.frames[known, 0], np.linalg.norm(groups.frames[known, 1], axis=1)
     most = np.maximum(groups.doubts[known], MAX_DOUBT)
-    found = cKDTree(samples[:, 1]).query_ball_point(centers, (1 + most) * radii)
-    rows = np.repeat(np.arange(len(known)), [len(near) for near in found])
-    curves = np.concatenate([np.zeros(0, np.int64), *(np.array(near, np.int64) for near in found)])
+    rounded = np.isfinite(groups.doubts[groups.members])
+    rows, curves = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for which, among in (
+        (most <= MAX_DOUBT, np.ones(len(first), bool)),
+        (most > MAX_DOUBT, rounded),
+    ):
+        circles, others = np.flatnonzero(which), np.flatnonzero(among)
+        reach = (1 + most[circles]) * radii[circles]
+        found = cKDTree(samples[others, 1]).query_ball_point(centers[circles], reach)
+        rows = np.concatenate([rows, np.repeat(circles, [len(near) for near in found])])
+        curves = np.concatenate([curves, *(others[near] for near in found)])
     other = groups.members[curves] != known[rows]
-    other &= (most[rows] <= MAX_DOUBT) | np.isfinite(groups.doubts[groups.members[curves]])
     rows, curves = rows[other], curves[other]
     away = samples[curves] - centers[rows, None]
     normals = np.cross(groups.frames[known[rows], 1], groups.frames[known[rows], 2])
@@ -121,15 +135,20 @@ def candidate_pairs(
     doubt = np.minimum(doubt, most[rows] * radii[rows])[:, None]
     near = np.hypot(across, inside) <= MISFIT * np.hypot(spread[curves], doubt)
     near = near.sum(axis=1) >= 2
-    pairs = np.unique(np.column_stack([known[rows], groups.members[curves]])[near], axis=0)
+    pairs = distinct(np.column_stack([known[rows], groups.members[curves]])[near])[0]
     pairs = pairs[fresh[pairs].any(axis=1)]
     # Of two circles of different edges each must lie on the other.
     tried = (groups.doubts[pairs] <= MAX_TRIAL_DOUBT).all(axis=1)
     pairs[tried] = np.sort(pairs[tried], axis=1)
     tried &= np.diff(choice.edges[pairs], axis=1)[:, 0] != 0
-    mutual, times = np.unique(pairs[tried], axis=0, return_counts=True)
-    pairs = np.concatenate([np.unique(pairs[~tried], axis=0), mutual[times >= 2]])
-    return np.asarray(pairs, np.int64)
+    mutual, times = distinct(pairs[tried])
+    return np.concatenate([distinct(pairs[~tried])[0], mutual[times >= 2]])
+
+
+def distinct(pairs: IntArray) -> tuple[IntArray, IntArray]:
+    """The distinct ones of (n, 2) pairs, in lexicographic order, and how often each occurs."""
+    _, first, times = np.unique(row_numbers(pairs), return_index=True, return_counts=True)
+    return pairs[first], times
 
 
 def combine(
@@ -139,7 +158,9 @@ def combine(
 
     Changes `groups`; returns the (C,) groups that were changed.
     """
-    stack, arcs = stack_of(points, noise, choice, groups, pairs)
+    order = np.argsort(groups.members, kind="stable")
+    offsets = offsets_of(np.bincount(groups.members, minlength=len(groups.members)))
+    stack, arcs = stack_of(points, noise, choice, order, offsets, pairs)
     fits = fit_circles(stack)
     lengths = np.diff(stack.offsets)
     shares = noise.shares(lengths)[stack.owners]
@@ -159,7 +180,7 @@ def combine(
             continue
         changed[pair] = True
         kept, gone = int(pair.min()), int(pair.max())
-        groups.members[groups.members == gone] = kept
+        groups.members[order[offsets[gone] : offsets[gone + 1]]] = kept
         groups.costs[kept], groups.doubts[kept], groups.doubts[gone] = (
             costs[row],
             doubts[row],
@@ -177,11 +198,17 @@ def as_frames(fits: Circles) -> tuple[FloatArray, FloatArray]:
 
 
 def stack_of(
-    points: FloatArray, noise: Noise, choice: Choice, groups: Groups, pairs: IntArray
+    points: FloatArray,
+    noise: Noise,
+    choice: Choice,
+    order: IntArray,
+    offsets: IntArray,
+    pairs: IntArray,
 ) -> tuple[Stack, IntArray]:
-    """Stack of the points of (n, 2) pairs of groups, and their (n,) numbers of open curves."""
-    order = np.argsort(groups.members, kind="stable")
-    offsets = offsets_of(np.bincount(groups.members, minlength=len(groups.members)))
+    """Stack of the points of (n, 2) pairs of groups, and their (n,) numbers of open curves.
+
+    `order` has the curves group by group, with CSR `offsets`.
+    """
     spans = offsets[pairs.ravel()], offsets[pairs.ravel() + 1]
     curves = order[ranges_of(*spans)]
     counts = (spans[1] - spans[0]).reshape(-1, 2).sum(axis=1)
