@@ -47,7 +47,7 @@ class PipelineOptions(Options):
     use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes SfM points only")
     use_faces: bool = option(
         True,
-        "Find planar faces between edges, write faces.json, and mesh those that the mesh lacks",
+        "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
     )
     report: bool = option(True, "Write report.html, a page with a 3D viewer")
     refine_poses: bool = option(

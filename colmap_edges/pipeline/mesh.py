@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.export.meshes import write_mesh
@@ -15,7 +17,7 @@ from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.mesher import finished, mesh_with_faces
+from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 
 
@@ -68,7 +70,7 @@ def face_stage(
             "cells_believed": faces.num_believed,
             "planar_faces": len(faces.faces),
             "area": faces.area,
-            "face_points": len(faces.points.planes),
+            "face_points": int(np.count_nonzero(np.diff(faces.points.track_offsets))),
         }
     return faces
 
@@ -87,7 +89,7 @@ def mesh_stage(
     with stages.stage("mesh") as stage:
         curves = [traced.edges, traced.contours] if traced else []
         threads = thread_count(options)
-        mesh = mesh_with_faces(model, curves, options.meshing, threads, background, faces.points)
+        mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
         mesh = finished(mesh, extended, options.meshing)
         write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

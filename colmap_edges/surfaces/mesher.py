@@ -14,7 +14,6 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
-from colmap_edges.surfaces.faces.decision import NO_FACE_POINTS, FacePoints, lacking_points
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
@@ -74,30 +73,9 @@ def mesh(
     if method is not None:
         options = replace(options, method=method)
     curves = [of for of in (edges, contours) if of is not None]
-    points = faces.points if faces else NO_FACE_POINTS
-    found = mesh_with_faces(model, curves, options, num_threads, background, points)
+    points = faces.points if faces else NO_POINTS
+    found = mesh_with_curves(model, curves, options, num_threads, background, points)
     return finished(found, model, options)
-
-
-def mesh_with_faces(
-    model: Model,
-    curves: list[Edges3D],
-    options: MeshingOptions,
-    num_threads: int,
-    background: Background | None,
-    faces: FacePoints,
-) -> Mesh:
-    """Mesh points of a model, curves and silhouettes, and of the planes that the mesh lacks.
-
-    With a background, silhouettes already bound the bodies, and no points of faces are added.
-    """
-    found = mesh_with_curves(model, curves, options, num_threads, background)
-    if (background and options.background_weight) or not len(faces.planes):
-        return found
-    added = lacking_points(faces, model.views, found)
-    if not len(added.points):
-        return found
-    return mesh_with_curves(model, curves, options, num_threads, background, added)
 
 
 def mesh_with_curves(
@@ -108,7 +86,9 @@ def mesh_with_curves(
     background: Background | None = None,
     faces: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, curves, faces and silhouettes.
+    """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
+
+    Silhouettes already bound bodies before a background, so that no points of faces are added.
 
     `point3D_ids` of the result are indices of the points in this order.
     """
@@ -123,9 +103,7 @@ def mesh_with_curves(
         joined_offsets([each.edge_offsets for each in curves]),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
-    seen.append(faces)
-    if background and options.background_weight:
-        seen.append(background.silhouettes)
+    seen.append(background.silhouettes if background and options.background_weight else faces)
     return mesh_points(
         np.concatenate([part.points for part in seen]),
         joined_offsets([part.track_offsets for part in seen]),

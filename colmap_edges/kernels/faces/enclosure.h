@@ -25,7 +25,7 @@ struct EnclosureOptions {
 struct CellGrid {
   int32_t columns, rows, num_planes;
   const int32_t* labels;
-  const uint8_t* touched;  // (num_cells, num_planes)
+  const uint8_t* touched;  // (num_cells, num_planes), also where a plane ends at another one
   const uint8_t* inside;   // (num_cells) where a way that leaves the picture meets points, too
 
   int32_t num_cells() const { return columns * rows; }
@@ -98,6 +98,33 @@ inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<
   return held;
 }
 
+constexpr int32_t kMeetCells = 2;  // cells, each way, in which a plane ends at another one's cell
+
+// Planes end where they meet the plane of a cell next to theirs: walls end at the floor. Two planes
+// meet where the line in which they intersect passes through the window around a cell.
+inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
+                                 const std::vector<Plane>& planes, std::vector<uint8_t>* touched) {
+  std::vector<Vec3> inverse_depths;
+  for (const Plane& plane : planes) inverse_depths.push_back(view.InverseDepthOf(plane));
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const int32_t own = labels[cell], x = cell % view.columns, y = cell / view.columns;
+    if (own < 0) continue;
+    const Vec2 pixel = view.CellCenter(cell);
+    const int32_t right = std::min(x + kMeetCells, view.columns - 1);
+    const int32_t bottom = std::min(y + kMeetCells, view.rows - 1);
+    for (int32_t j = std::max(y - kMeetCells, 0); j <= bottom; ++j) {
+      for (int32_t i = std::max(x - kMeetCells, 0); i <= right; ++i) {
+        const int32_t other = labels[j * view.columns + i];
+        if (other < 0 || other == own) continue;
+        const Vec3 line = inverse_depths[other] - inverse_depths[own];
+        const double off = Dot(line, {pixel.x, pixel.y, 1});
+        if (std::abs(off) <= kMeetCells * FaceView::kCellPx * (std::abs(line.x) + std::abs(line.y)))
+          (*touched)[cell * planes.size() + other] = true;
+      }
+    }
+  }
+}
+
 // What is known of all views.
 struct EnclosureScene {
   std::vector<FaceView> views;
@@ -120,6 +147,7 @@ struct EnclosureScene {
       for (int64_t j = points.plane_offsets[i]; j < points.plane_offsets[i + 1]; ++j)
         cell[points.planes[j]] = true;
     }
+    TouchWherePlanesMeet(view, labels[v], planes, &touched);
     std::vector<uint8_t> inside(view.num_cells(), false);
     for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
       const int32_t label = labels[v][cell];

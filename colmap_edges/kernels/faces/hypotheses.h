@@ -59,7 +59,7 @@ class PlaneSearch {
         if (IsOpen(tried, &best)) queue.emplace(Weight(&words_[best.first], weights), key);
         continue;
       }
-      const std::optional<Plane> fitted = Fitted(best.plane);
+      const std::optional<Plane> fitted = BestOfSame(size_t(-key), tried);
       if (!fitted) continue;
       const PointSet own = On(*fitted, options_.tolerance);
       tried.emplace_back();
@@ -86,6 +86,45 @@ class PlaneSearch {
     size_t seen = 0;  // number of tried planes that it is known to differ from
   };
 
+  // The best one fitted to a candidate, or to another that would be dropped as a duplicate of it:
+  // the one with the most weight may pass through parts of several surfaces.
+  std::optional<Plane> BestOfSame(size_t chosen, const std::vector<Filled>& tried) {
+    const Candidate& first = candidates_[chosen];
+    std::optional<Plane> best = Fitted(first.plane);
+    if (!best) return best;
+    double most = Closeness(*best);
+    const auto* own = &words_[first.first];
+    int left = kMaxAlternatives;
+    for (const size_t c : by_support_) {
+      Candidate& other = candidates_[c];
+      if (other.support < kMinAlternative * first.support || left == 0) break;
+      if (c == chosen || std::abs(Dot(other.plane.normal, first.plane.normal)) < kSnapCosine)
+        continue;
+      double shared = 0;
+      for (size_t b = 0; b < points_.num_blocks(); ++b) {
+        const uint64_t both = own[b] & words_[other.first + b];
+        VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
+      }
+      if (shared <= options_.same_share * other.support || !IsOpen(tried, &other)) continue;
+      --left;
+      const std::optional<Plane> fitted = Fitted(other.plane);
+      const double closeness = fitted ? Closeness(*fitted) : 0;
+      if (closeness > most) most = closeness, best = fitted;
+    }
+    return best;
+  }
+
+  // Weight of what lies on a plane, more where it lies closer, as in MSAC (Torr, Zisserman 2000).
+  double Closeness(const Plane& plane) const {
+    double sum = 0;
+    const PointSet on = On(plane, options_.tolerance);
+    VisitPoints(on.data(), on.size(), [&](size_t i) {
+      const double off = plane.Distance(points_.point(i)) / options_.tolerance;
+      sum += whole_[i] * (1 - off * off / points_.Variance(i, plane.normal));
+    });
+    return sum;
+  }
+
   void Score(const std::vector<Plane>& planes, double least) {
     PointSet words(points_.num_blocks());
     for (const Plane& plane : planes) {
@@ -95,6 +134,11 @@ class PlaneSearch {
       candidates_.push_back({plane, support, words_.size()});
       words_.insert(words_.end(), words.begin(), words.end());
     }
+    by_support_.resize(candidates_.size());
+    std::iota(by_support_.begin(), by_support_.end(), 0);
+    std::stable_sort(by_support_.begin(), by_support_.end(), [this](size_t a, size_t b) {
+      return candidates_[a].support > candidates_[b].support;
+    });
   }
 
   // Whether not too much of a candidate lies on any tried plane.
@@ -205,6 +249,8 @@ class PlaneSearch {
   }
 
   static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
+  static constexpr int kMaxAlternatives = 30;               // that are fitted for one plane
+  static constexpr double kMinAlternative = 0.5;            // of the support of the plane
 
   const PlanePoints& points_;
   const PlaneSearchOptions options_;
@@ -212,7 +258,8 @@ class PlaneSearch {
   std::vector<double> whole_;  // weights of the points
   double total_ = 0;
   std::vector<Candidate> candidates_;
-  PointSet words_;  // of all candidates
+  std::vector<size_t> by_support_;  // candidates, those with the most first
+  PointSet words_;                  // of all candidates
 };
 
 }  // namespace colmap_edges

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -24,24 +23,20 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cells_in
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, cells_in
+from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
-from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
+from colmap_edges.surfaces.silhouettes import SeenPoints
 
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
 # Minimum share of the accepted cells that are PLAIN_CELLS or farther from all observed points:
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
-MIN_PLAIN = 1 / 4
+MIN_PLAIN = 1 / 3
 PLAIN_CELLS = 2.0
-MIN_LACKING_OF_PLANE = 1 / 5  # minimum share of a plane's area that a mesh lacks
-SAME_CELLS = 0.25  # maximum distance between a triangle and the face that it represents
+EACH_BEHIND = 4  # one in so many points on a face has one behind it
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
-NUM_NEAR = 8  # nearest samples of triangles that a face point is compared with
-MAX_SPREAD = 300_000  # number of samples of triangles, in addition to one for each triangle
-STEPS = np.array([0.7548776662466927, 0.5698402909980532])  # of the low-discrepancy sequence R2
 SPACING_CELLS = 1.2  # distance between points of a face
 
 
@@ -155,90 +150,34 @@ def thinned(samples: Samples, accepted: IntArray) -> IntArray:
     return chosen
 
 
-@dataclass(frozen=True, kw_only=True)
-class FacePoints:
-    """Points on faces for the mesher.
+def points_of_samples(
+    samples: Samples, accepted: IntArray, planes: Planes, centers: FloatArray
+) -> SeenPoints:
+    """Accepted samples, thinned, as points that some agreeing views see; then points behind them.
 
-    Attributes:
-        seen: P points; the first view of each is the one in which it is sampled.
-        planes: (P,) int32 planes that they lie on.
+    The latter are seen by no view. They keep the mesher's cells behind a face thin, so that lines
+    of sight that pass the end of a wall do not pierce it.
+
+    Args:
+        samples: all samples.
+        accepted: indices of those to choose from.
+        planes: that they lie on.
+        centers: (V, 3) of the views.
     """
-
-    seen: SeenPoints
-    planes: Int32Array
-
-
-NO_FACE_POINTS = FacePoints(seen=NO_POINTS, planes=np.zeros(0, np.int32))
-
-
-def points_of_samples(samples: Samples, accepted: IntArray) -> FacePoints:
-    """Accepted samples, thinned, as points that some of the agreeing views see."""
     chosen = thinned(samples, accepted)
     counts = np.diff(samples.offsets)[chosen]
     entries = entries_of(samples.offsets, chosen)[ranks_of(counts) % EACH_VIEW == 0]
-    seen = SeenPoints(
-        samples.points[chosen], offsets_of(-(-counts // EACH_VIEW)), samples.views[entries]
-    )
-    return FacePoints(seen=seen, planes=samples.planes[chosen])
-
-
-def lacking_points(faces: FacePoints, views: Sequence[View], surface: Mesh) -> SeenPoints:
-    """All points of those planes of which a mesh lacks at least `MIN_LACKING_OF_PLANE`.
-
-    Points on faces that a mesh already has disturb it: a plate that gets points on one side alone
-    is pierced by their cells.
-
-    Args:
-        faces: points on faces.
-        views: all views.
-        surface: mesh of points and edges without faces.
-    """
-    seen = faces.seen
-    lacking = np.bincount(faces.planes, gaps_to_mesh(seen, views, surface) > SAME_CELLS)
-    share = lacking / np.maximum(np.bincount(faces.planes), 1)
-    chosen = np.flatnonzero(share[faces.planes] >= MIN_LACKING_OF_PLANE)
+    views = samples.views[entries]
+    offsets = offsets_of(-(-counts // EACH_VIEW))
+    behind = chosen[::EACH_BEHIND]
+    normals = planes.normals[samples.planes[behind]]
+    sights = samples.points[behind] - centers[views[offsets[:-1][::EACH_BEHIND]]]
+    sides = np.sign(np.einsum("ij,ij->i", normals, sights))
+    depth = SPACING_CELLS * np.median(samples.sizes[chosen]) if len(chosen) else 0.0
     return SeenPoints(
-        seen.points[chosen],
-        offsets_of(np.diff(seen.track_offsets)[chosen]),
-        seen.track_views[entries_of(seen.track_offsets, chosen)],
+        np.concatenate(
+            [samples.points[chosen], samples.points[behind] + depth * sides[:, None] * normals]
+        ),
+        np.concatenate([offsets, np.full(len(behind), offsets[-1])]),
+        views,
     )
-
-
-def gaps_to_mesh(points: SeenPoints, views: Sequence[View], surface: Mesh) -> FloatArray:
-    """(P,) distances to triangles that face the points' first views, in sides of those' cells.
-
-    Infinite where no such triangle is near.
-    """
-    if not len(surface.faces):
-        return np.full(len(points.points), np.inf)
-    first = points.track_views[points.track_offsets[:-1]]
-    sights = points.points - np.array([view.center for view in views])[first]
-    angles = np.array([CELL_PX / blank_grid(view).focal_px for view in views])
-    sizes = np.linalg.norm(sights, axis=1) * angles[first]
-    spread, normals = spread_points(surface, float(np.quantile(sizes, 0.25)))
-    near = min(NUM_NEAR, len(spread))
-    distances, rows = cKDTree(spread).query(points.points, near)
-    distances, rows = distances.reshape(-1, near), rows.reshape(-1, near)
-    off = np.abs(np.einsum("ijk,ijk->ij", points.points[:, None] - spread[rows], normals[rows]))
-    facing = np.einsum("ijk,ik->ij", normals[rows], sights) < 0
-    here = facing & (distances <= 2 * sizes[:, None])
-    gaps: FloatArray = np.where(here, off / sizes[:, None], np.inf).min(axis=1)
-    return gaps
-
-
-def spread_points(surface: Mesh, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Points (P, 3) on a mesh about `spacing` apart, and the unit normals (P, 3) there."""
-    corners = surface.vertices[surface.faces].astype(np.float64)
-    sides = corners[:, 1:] - corners[:, :1]
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    doubled = np.linalg.norm(normals, axis=1)
-    areas = doubled / 2
-    spacing = max(spacing, float(np.sqrt(areas.sum() / MAX_SPREAD)))
-    counts = np.ceil(areas / spacing**2).astype(np.int64)
-    triangle = np.repeat(np.arange(len(counts)), counts)
-    one, other = (STEPS[:, None] * np.arange(1, len(triangle) + 1)) % 1
-    beyond = one + other > 1
-    one, other = np.where(beyond, 1 - one, one), np.where(beyond, 1 - other, other)
-    points = corners[triangle, 0] + one[:, None] * sides[triangle, 0]
-    points += other[:, None] * sides[triangle, 1]
-    return points, normals[triangle] / doubled[triangle, None]

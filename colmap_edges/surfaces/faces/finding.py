@@ -12,8 +12,6 @@ from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
-    NO_FACE_POINTS,
-    FacePoints,
     Samples,
     are_believed,
     are_plain,
@@ -32,7 +30,7 @@ from colmap_edges.surfaces.faces.labelling import (
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
-from colmap_edges.surfaces.silhouettes import Body, within
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Body, SeenPoints, within
 
 NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
 
@@ -43,7 +41,7 @@ class Faces:
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
-        points: points on them with observing views.
+        points: points on them with observing views, and points behind them without any.
         num_planes: number of plane hypotheses.
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
@@ -51,7 +49,7 @@ class Faces:
     """
 
     faces: list[Face]
-    points: FacePoints
+    points: SeenPoints
     num_planes: int
     num_cells: int
     num_labelled: int
@@ -64,7 +62,7 @@ class Faces:
 
 
 NO_FACES = Faces(
-    faces=[], points=NO_FACE_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
+    faces=[], points=NO_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
 )
 
 
@@ -100,12 +98,14 @@ def find_faces(
     first = label_scene(*given, evidence, planes, 1, weights)
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     if not len(plain) or plain.mean() < MIN_PLAIN:
-        return first.faces(model, NO_FACE_POINTS)
+        return first.faces(model, NO_POINTS)
     labels = split_by_view(first.labels, pictures)
     evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
     planes = find_planes(evidence, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
-    return last.faces(model, points_of_samples(last.samples, last.accepted))
+    return last.faces(
+        model, points_of_samples(last.samples, last.accepted, last.planes, model.camera_centers)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class LabelledScene:
     samples: Samples
     accepted: IntArray
 
-    def faces(self, model: Model, points: FacePoints) -> Faces:
+    def faces(self, model: Model, points: SeenPoints) -> Faces:
         """The accepted faces, and points on them."""
         return Faces(
             faces=outline_faces(self.samples, self.accepted, self.planes, model.camera_centers),

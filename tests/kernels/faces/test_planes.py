@@ -64,23 +64,49 @@ def fitted(evidence, weights, normal, offset, common):
     return nearest, np.average(evidence[0][near] @ nearest, weights=shares)
 
 
+def closeness(evidence, weights, normal, offset):
+    off = evidence[0] @ normal - offset
+    on = on_plane(evidence, normal, offset)
+    return weights[on] @ (1 - (off / TOLERANCE / deviations(evidence, normal))[on] ** 2)
+
+
+def best_of_same(evidence, weights, planes, common, best, members, closed):
+    """The closest plane fitted to a candidate or to the first 30 others that share most with it."""
+    plane = fitted(evidence, weights, planes[0][best], planes[1][best], common)
+    if plane is None:
+        return None
+    support = members @ weights
+    same = members @ (weights * members[best]) > OPTIONS[4] * support
+    same &= np.abs(planes[0] @ planes[0][best]) >= np.cos(np.radians(10))
+    same &= ~closed & (support >= 0.5 * support[best])
+    same &= support >= OPTIONS[1] * weights.sum()
+    same[best] = False
+    order = np.argsort(-support, kind="stable")
+    for other in order[same[order]][:30]:
+        found = fitted(evidence, weights, planes[0][other], planes[1][other], common)
+        if found and closeness(evidence, weights, *found) > closeness(evidence, weights, *plane):
+            plane = found
+    return plane
+
+
 def greedy(evidence, weights, planes, common, max_planes):
     """All candidates are weighed in every round."""
     _, min_share, explained, least_weight, same_share, _ = OPTIONS
     members = np.array([on_plane(evidence, *plane) for plane in zip(*planes, strict=True)])
     support, left, found, owned = members @ weights, weights.copy(), [], []
-    open_ = support >= min_share * weights.sum()
+    open_, closed = support >= min_share * weights.sum(), np.zeros(len(support), bool)
     while len(found) < max_planes and open_.any():
         values = np.where(open_, members @ left, 0)
         best = np.argmax(values)
         if values[best] < min_share * weights.sum():
             break
         open_[best] = False
-        plane = fitted(evidence, weights, planes[0][best], planes[1][best], common)
+        plane = best_of_same(evidence, weights, planes, common, best, members, closed)
         if plane is None:
             continue
         own = on_plane(evidence, *plane)
-        open_ &= members @ (weights * own) <= same_share * support
+        closed |= members @ (weights * own) > same_share * support
+        open_ &= ~closed
         smaller = [min(weights[own].sum(), weights[other].sum()) for other in owned]
         shared = [weights[own & other].sum() for other in owned]
         if (np.array(shared) > same_share * np.array(smaller)).any():

@@ -1,21 +1,18 @@
-"""A face is seen from one side; a mesh that is as the face says needs no points of it."""
+"""A face is seen from one side; what is behind it, no view sees."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
-import pytest
 
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import (
+    EACH_BEHIND,
     EACH_VIEW,
     PLAIN_CELLS,
-    SAME_CELLS,
-    FacePoints,
+    SPACING_CELLS,
     are_believed,
     are_plain,
-    gaps_to_mesh,
-    lacking_points,
     points_of_samples,
     sample_cells,
     thinned,
@@ -24,10 +21,9 @@ from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import blank_grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
-from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 CENTERS = np.array([[0.0, 0, 3], [0.2, 0, 3], [0, 0, -3], [0.2, 0, -3]])  # two above, two below
+PLANES = Planes(normals=np.tile([0.0, 0, 1], (3, 1)), offsets=np.array([0, -0.3, 1.5]))
 ANGLES = np.full(4, 4 / 320)  # of a cell
 
 
@@ -74,8 +70,7 @@ def support(labels_below):
     views = four_views()
     grids = [blank_grid(view) for view in views]
     evidence = corners_of_plate()
-    planes = Planes(normals=np.tile([0.0, 0, 1], (3, 1)), offsets=np.array([0, -0.3, 1.5]))
-    scene = make_scene(SimpleNamespace(views=views), grids, evidence, planes, 1)
+    scene = make_scene(SimpleNamespace(views=views), grids, evidence, PLANES, 1)
     cells = grids[0].gray.size // 16
     labels = np.repeat(np.array([0, 0, *labels_below], np.int32), cells)
     samples = sample_cells(scene, labels, CENTERS, ANGLES, 1)
@@ -106,75 +101,6 @@ def test_views_below_that_see_through_a_plate_contradict_it():
     assert not are_believed(samples)[upper].any()
 
 
-def mesh_of(corners, faces):
-    """A mesh without colours."""
-    count = len(corners)
-    none, black = np.full(count, -1, np.int64), np.zeros((count, 3), np.uint8)
-    return Mesh(vertices=corners, faces=faces, point3D_ids=none, colors=black)
-
-
-@pytest.fixture
-def square():
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return mesh_of(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))  # seen from above
-
-
-@pytest.fixture
-def empty():
-    return mesh_of(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-
-
-def missing(square, point, view):
-    """Whether a square lacks a place that a view sees in cells of 0.04."""
-    return gaps_to_mesh(points_seen([point], view), four_views(), square)[0] > SAME_CELLS
-
-
-def points_seen(points, view):
-    """Points that one view sees."""
-    count = len(points)
-    views = np.full(count, view, np.int32)
-    return SeenPoints(np.array(points, float), np.arange(count + 1), views)
-
-
-def test_places_on_a_triangle_that_faces_the_view_are_not_missing(square):
-    assert not missing(square, [0.3, 0.2, 0], 0)
-    assert not missing(square, [-0.7, 0.9, 0.005], 1)
-
-
-def test_places_off_triangles_are_missing(square):
-    assert missing(square, [0.3, 0.2, 0.03], 0)  # before it
-    assert missing(square, [1.2, 0.2, 0], 0)  # beside it
-    assert missing(square, [0.3, 0.2, 0], 2)  # on its back
-
-
-def test_nothing_is_there_of_an_empty_mesh(empty):
-    assert missing(empty, [0.3, 0.2, 0], 0)
-
-
-def taken_points(surface, counts):
-    """The points taken, where a square has some of each plane's points and lacks others.
-
-    Args:
-        surface: the square, or an empty mesh, which lacks all.
-        counts: of each plane, how many of its points the mesh has, and how many it lacks.
-    """
-    has, lacks = [0.3, 0.2, 0.0], [0.3, 0.2, 0.5]
-    points = [place for had, lacked in counts for place in [has] * had + [lacks] * lacked]
-    planes = np.repeat(np.arange(len(counts), dtype=np.int32), [sum(pair) for pair in counts])
-    faces = FacePoints(seen=points_seen(points, 0), planes=planes)
-    return lacking_points(faces, four_views(), surface)
-
-
-def test_all_points_of_planes_that_a_mesh_lacks_are_taken(square):
-    taken = taken_points(square, [(9, 1), (2, 8)])
-    assert len(taken.points) == 10  # of the second plane, also those that the mesh has
-    assert np.sum(taken.points[:, 2] == 0) == 2
-
-
-def test_everything_is_taken_without_a_mesh(empty):
-    assert len(taken_points(empty, [(2, 1)]).points) == 3
-
-
 def test_places_far_from_all_points_of_their_view_are_plain():
     samples, upper = support([1, 1])
     views = four_views()
@@ -193,10 +119,30 @@ def test_samples_are_thinned_to_points_of_every_third_view():
     accepted = np.arange(len(samples.points))
     chosen = thinned(samples, accepted)
     assert 0 < len(chosen) < len(accepted)
-    made = points_of_samples(samples, accepted)
-    assert np.array_equal(made.planes, samples.planes[chosen])
-    assert np.array_equal(made.seen.points, samples.points[chosen])
+    made = points_of_samples(samples, accepted, PLANES, CENTERS)
+    assert np.array_equal(made.points[: len(chosen)], samples.points[chosen])
     for row, sample in enumerate(chosen):
         views = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]
-        first, last = made.seen.track_offsets[row : row + 2]
-        assert made.seen.track_views[first:last].tolist() == views[::EACH_VIEW].tolist()
+        first, last = made.track_offsets[row : row + 2]
+        assert made.track_views[first:last].tolist() == views[::EACH_VIEW].tolist()
+
+
+def test_points_behind_faces_are_seen_by_no_view():
+    samples, upper = support([1, 1])
+    for accepted, side in ((upper, -1), (np.isclose(samples.points[:, 2], -0.3), 1)):
+        rows = np.flatnonzero(accepted)
+        chosen = thinned(samples, rows)
+        made = points_of_samples(samples, rows, PLANES, CENTERS)
+        behind = made.points[len(chosen) :]
+        assert len(behind) == -(-len(chosen) // EACH_BEHIND)
+        assert np.all(np.diff(made.track_offsets)[len(chosen) :] == 0)
+        off = behind - samples.points[chosen[::EACH_BEHIND]]
+        assert np.allclose(off[:, :2], 0)
+        assert np.allclose(off[:, 2], side * SPACING_CELLS * np.median(samples.sizes[chosen]))
+
+
+def test_without_accepted_samples_there_are_no_points():
+    samples, _ = support([1, 1])
+    made = points_of_samples(samples, np.zeros(0, np.int64), PLANES, CENTERS)
+    assert len(made.points) == len(made.track_views) == 0
+    assert made.track_offsets.tolist() == [0]

@@ -1,10 +1,24 @@
 """Labels are believed between the points of their plane, and not beyond the last of them."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pycolmap
+import pytest
 from scipy import ndimage
 
+from colmap_edges.core.view import View
 from colmap_edges.kernels import _kernels
-from colmap_edges.surfaces.faces.enclosure import DIRECTIONS, ENCLOSED_SHARE, MAX_OPEN
+from colmap_edges.surfaces.faces.decision import Samples
+from colmap_edges.surfaces.faces.enclosure import (
+    DIRECTIONS,
+    ENCLOSED_SHARE,
+    MAX_OPEN,
+    are_enclosed,
+)
+from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
+from colmap_edges.surfaces.faces.hypotheses import Planes
 
 
 def enclosed_cells(shown, touched, inside):
@@ -98,3 +112,49 @@ def test_pieces_are_connected_along_sides():
             expected |= (pieces == piece) & (enclosed[pieces == piece].mean() >= ENCLOSED_SHARE)
     held = _kernels.whole_pieces(shown, enclosed.astype(np.uint8), ENCLOSED_SHARE)
     assert np.array_equal(held, expected)
+
+
+@pytest.mark.parametrize(("depth_of_wall", "enclosed"), [(4.0, True), (8.0, False)])
+def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
+    """The floor has a line of points next to the view, and a wall is shown from a depth of 4 on."""
+    view = View(
+        image_id=1,
+        name="0.png",
+        width=320,
+        height=240,
+        camera=pycolmap.Camera(model="PINHOLE", width=320, height=240, params=[200, 200, 160, 120]),
+        rotation=np.eye(3),
+        translation=np.zeros(3),
+    )
+    grid = blank_grid(view)
+    labels = np.zeros(np.array(grid.gray.shape) // CELL_PX, np.int32)
+    below = np.arange(len(labels)) + 0.5 - grid.principal[1] / CELL_PX
+    labels[below < grid.focal_px / CELL_PX / 4] = 1
+    count = 200
+    line = np.column_stack([np.linspace(-2, 2, count), np.ones(count), np.full(count, 2.0)])
+    evidence = Evidence(
+        points=line,
+        tangents=np.zeros((count, 3)),
+        rays=np.tile([0.0, 0, 1], (count, 1)),
+        sigmas=np.full(count, 0.01),
+        ray_sigmas=np.full(count, 0.01),
+        weights=np.ones(count),
+        offsets=np.arange(count + 1),
+        views=np.zeros(count, np.int32),
+    )
+    planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1, depth_of_wall]))
+    one = np.ones(1, np.int32)
+    samples = Samples(
+        points=np.array([[0.1, 1, 2.7]]),
+        sizes=np.ones(1),
+        planes=0 * one,
+        holding=one,
+        agreeing=one,
+        through=0 * one,
+        hidden=0 * one,
+        offsets=np.array([0, 1]),
+        views=0 * one,
+    )
+    model = SimpleNamespace(views=(view,))
+    found = are_enclosed(samples, labels.ravel(), model, [grid], evidence, planes)
+    assert found.tolist() == [enclosed]

@@ -11,10 +11,9 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
-from colmap_edges.surfaces.faces.decision import NO_FACE_POINTS
 from colmap_edges.surfaces.faces.finding import find_faces
 from colmap_edges.surfaces.faces.grids import make_grid
-from colmap_edges.surfaces.mesher import mesh_with_faces
+from colmap_edges.surfaces.mesher import mesh_with_curves
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, Body
 
 
@@ -28,8 +27,13 @@ def room():
     )
 
 
+def points_on(faces):
+    """The points on faces, without those behind, which no view sees."""
+    return faces.points.points[np.diff(faces.points.track_offsets) > 0]
+
+
 def test_points_lie_on_the_walls(room):
-    points = room.faces.points.seen.points
+    points = points_on(room.faces)
     assert len(points) > 500
     off = distance_to_room(points)
     assert np.median(off) < 0.01
@@ -37,13 +41,13 @@ def test_points_lie_on_the_walls(room):
 
 
 def test_every_side_of_the_room_has_points(room):
-    x, y, z = room.faces.points.seen.points.T
+    x, y, z = points_on(room.faces).T
     sides = [abs(z), abs(z - 2.5), abs(x), abs(x - 4), abs(y), abs(y - 3)]
     assert min(np.sum((side < 0.02) & (y < 3.1)) for side in sides) > 30
 
 
 def test_no_point_bridges_the_door(room):
-    x, y, z = room.faces.points.seen.points.T
+    x, y, z = points_on(room.faces).T
     margin = 0.3  # about five cells as they are seen from the middle of the room
     inside = (x > DOOR[0] + margin) & (x < DOOR[1] - margin) & (z > margin) & (z < DOOR[2] - margin)
     assert not (inside & (abs(y - 3) < 0.3)).any()
@@ -51,9 +55,8 @@ def test_no_point_bridges_the_door(room):
 
 
 def test_points_are_seen_by_views_that_hold_them(room):
-    seen = room.faces.points.seen
-    assert np.diff(seen.track_offsets).min() >= 1
-    for point in range(0, len(seen.points), 50):
+    seen = room.faces.points
+    for point in range(0, len(points_on(room.faces)), 50):
         at = seen.points[point : point + 1]
         for view in seen.track_views[seen.track_offsets[point] : seen.track_offsets[point + 1]]:
             pixel, depth = room.model.views[view].project(at)
@@ -63,16 +66,16 @@ def test_points_are_seen_by_views_that_hold_them(room):
 
 def test_threads_and_views_without_images_change_nothing_else(room):
     again = find_faces(room.model, room.edges, room.grids, 0, 3)
-    assert np.array_equal(again.points.seen.points, room.faces.points.seen.points)
-    assert np.array_equal(again.points.seen.track_views, room.faces.points.seen.track_views)
+    assert np.array_equal(again.points.points, room.faces.points.points)
+    assert np.array_equal(again.points.track_views, room.faces.points.track_views)
     fewer = {i: grid for i, grid in room.grids.items() if i != 5}
-    assert len(find_faces(room.model, room.edges, fewer, 0, 1).points.planes) > 400
+    assert len(points_on(find_faces(room.model, room.edges, fewer, 0, 1))) > 400
 
 
 def test_nothing_without_edges(room):
     found = find_faces(room.model, Edges3D.none(), room.grids, 0, 1)
     assert found.faces == []
-    assert len(found.points.planes) == 0
+    assert len(found.points.points) == 0
 
 
 def test_faces_are_told_with_their_outlines(room, tmp_path):
@@ -92,20 +95,20 @@ def test_faces_are_told_with_their_outlines(room, tmp_path):
 
 def test_no_point_lies_where_a_view_sees_the_background(room):
     bodies = [Body(room.model.views[0], np.zeros((12, 16), bool))]
-    points = room.faces.points.seen.points
+    points = points_on(room.faces)
     assert not bodies[0].holds(points).all()
-    found = find_faces(room.model, room.edges, room.grids, 0, 1, bodies).points.seen.points
+    found = points_on(find_faces(room.model, room.edges, room.grids, 0, 1, bodies))
     assert 100 < len(found) < len(points)
     assert bodies[0].holds(found).all()
 
 
 def meshed(room, faces, background=None):
     """The room's mesh, with points on faces."""
-    return mesh_with_faces(room.model, [room.edges], MeshingOptions(), 1, background, faces)
+    return mesh_with_curves(room.model, [room.edges], MeshingOptions(), 1, background, faces)
 
 
-def test_a_mesh_gets_the_points_that_it_lacks(room):
-    without, given = meshed(room, NO_FACE_POINTS), meshed(room, room.faces.points)
+def test_a_mesh_follows_points_on_faces(room):
+    without, given = meshed(room, NO_POINTS), meshed(room, room.faces.points)
     assert len(given.vertices) > len(without.vertices) + 300
     assert np.median(distance_to_room(given.vertices)) < 0.01
 
@@ -113,7 +116,7 @@ def test_a_mesh_gets_the_points_that_it_lacks(room):
 def test_before_a_background_silhouettes_bound_bodies_and_not_faces(room):
     rays = BackgroundRays(np.zeros(1, np.int32), room.model.views[0].rotation[2:])
     background = Background(rays=rays, silhouettes=NO_POINTS)
-    without = meshed(room, NO_FACE_POINTS, background)
+    without = meshed(room, NO_POINTS, background)
     given = meshed(room, room.faces.points, background)
     assert np.array_equal(given.vertices, without.vertices)
     assert np.array_equal(given.faces, without.faces)
