@@ -23,7 +23,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, cells_in
+from colmap_edges.surfaces.faces.grids import Grid, cells_in
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
 from colmap_edges.surfaces.silhouettes import SeenPoints
@@ -47,6 +47,7 @@ class Samples:
     Attributes:
         points: (S, 3) world units.
         sizes: (S,) sides of the cells there, world units.
+        cells: (S,) int32 labelled cells, row by row, in the views that come first in `views`.
         planes: (S,) int32.
         holding: (S,) int32 views on the same side of the plane in whose pictures a place lies, its
             own and neighbours.
@@ -59,6 +60,7 @@ class Samples:
 
     points: FloatArray
     sizes: FloatArray
+    cells: Int32Array
     planes: Int32Array
     holding: Int32Array
     agreeing: Int32Array
@@ -87,6 +89,7 @@ def sample_cells(
     return Samples(
         points=points,
         sizes=np.linalg.norm(points - centers[view], axis=1) * cell_angles[view],
+        cells=rows[:, 1],
         planes=rows[:, 2],
         agreeing=rows[:, 3],
         through=rows[:, 4],
@@ -122,7 +125,7 @@ def are_plain(
     for view, grid, rows, seen in zip(
         views, grids, sampled, parts_of(observed, offsets), strict=True
     ):
-        open_ = np.ones(np.array(grid.gray.shape) // CELL_PX, np.uint8)
+        open_ = np.ones(grid.shape, np.uint8)
         open_[cells_in(view, grid, evidence.points[seen])] = 0
         distances = cv2.distanceTransform(open_, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         plain[rows] = distances[cells_in(view, grid, samples.points[rows])] >= PLAIN_CELLS

@@ -15,7 +15,7 @@ from colmap_edges.core.arrays import BoolArray, Int32Array
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
+from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import extents_of, observed_points, planes_of_points
 
@@ -57,7 +57,7 @@ def are_enclosed(
         np.array([view.translation for view in model.views]),
         np.array([grid.focal_px for grid in grids]),
         np.array([grid.principal for grid in grids]),
-        np.array([grid.gray.shape for grid in grids], np.int32) // CELL_PX,
+        np.array([grid.shape for grid in grids], np.int32),
         labels,
         planes.normals,
         planes.offsets,

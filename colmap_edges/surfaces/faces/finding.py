@@ -21,7 +21,7 @@ from colmap_edges.surfaces.faces.decision import (
 from colmap_edges.surfaces.faces.enclosure import are_enclosed
 from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cell_offsets
 from colmap_edges.surfaces.faces.hypotheses import Planes, find_planes
 from colmap_edges.surfaces.faces.labelling import (
     EvidenceWeights,
@@ -99,7 +99,7 @@ def find_faces(
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     if not len(plain) or plain.mean() < MIN_PLAIN:
         return first.faces(model, NO_POINTS)
-    labels = split_by_view(first.labels, pictures)
+    labels = first.accepted_labels(pictures)
     evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
     planes = find_planes(evidence, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
@@ -123,6 +123,14 @@ class LabelledScene:
     labels: Int32Array
     samples: Samples
     accepted: IntArray
+
+    def accepted_labels(self, pictures: Sequence[Grid]) -> list[Int32Array]:
+        """(rows, columns) labels of each view, -1 also where they are not accepted."""
+        views = self.samples.views[self.samples.offsets[self.accepted]]
+        cells = cell_offsets(pictures)[views] + self.samples.cells[self.accepted]
+        labels = np.full_like(self.labels, -1)
+        labels[cells] = self.labels[cells]
+        return split_by_view(labels, pictures)
 
     def faces(self, model: Model, points: SeenPoints) -> Faces:
         """The accepted faces, and points on them."""

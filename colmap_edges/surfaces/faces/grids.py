@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, Picture
+from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, Picture, offsets_of
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
@@ -29,6 +29,17 @@ class Grid:
     gray: ByteArray
     focal_px: float
     principal: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and columns of cells."""
+        height, width = self.gray.shape
+        return height // CELL_PX, width // CELL_PX
+
+
+def cell_offsets(grids: Sequence[Grid]) -> IntArray:
+    """(V + 1,) where the cells of each of V views begin among those of all."""
+    return offsets_of(np.array([grid.shape[0] * grid.shape[1] for grid in grids], np.int64))
 
 
 def size_of(view: View) -> tuple[int, int, float]:

@@ -19,7 +19,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
+from colmap_edges.surfaces.faces.grids import Grid, cell_offsets
 from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 
 NUM_NEIGHBORS = 12  # number of views with the most shared points, with which labels are compared
@@ -116,10 +116,8 @@ def label_cells(
 
 def split_by_view(labels: Int32Array, grids: Sequence[Grid]) -> list[Int32Array]:
     """(rows, columns) labels of each view."""
-    shapes = [(grid.gray.shape[0] // CELL_PX, grid.gray.shape[1] // CELL_PX) for grid in grids]
-    ends = np.cumsum([rows * columns for rows, columns in shapes])
-    parts = np.split(labels, ends[:-1])
-    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+    parts = parts_of(labels, cell_offsets(grids))
+    return [part.reshape(grid.shape) for part, grid in zip(parts, grids, strict=True)]
 
 
 def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int32Array]:

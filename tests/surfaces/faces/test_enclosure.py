@@ -147,6 +147,7 @@ def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
     samples = Samples(
         points=np.array([[0.1, 1, 2.7]]),
         sizes=np.ones(1),
+        cells=0 * one,
         planes=0 * one,
         holding=one,
         agreeing=one,

@@ -11,8 +11,11 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
-from colmap_edges.surfaces.faces.finding import find_faces
-from colmap_edges.surfaces.faces.grids import make_grid
+from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.faces.finding import find_faces, label_scene
+from colmap_edges.surfaces.faces.grids import cells_in, make_grid
+from colmap_edges.surfaces.faces.hypotheses import find_planes
+from colmap_edges.surfaces.faces.labelling import EvidenceWeights, split_by_view
 from colmap_edges.surfaces.mesher import mesh_with_curves
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, Body
 
@@ -70,6 +73,21 @@ def test_threads_and_views_without_images_change_nothing_else(room):
     assert np.array_equal(again.points.track_views, room.faces.points.track_views)
     fewer = {i: grid for i, grid in room.grids.items() if i != 5}
     assert len(points_on(find_faces(room.model, room.edges, fewer, 0, 1))) > 400
+
+
+def test_faint_lines_are_sought_on_accepted_labels(room):
+    model, pictures = room.model, [room.grids[v] for v in range(len(room.model.views))]
+    evidence = gather_evidence(model, room.edges)
+    planes = find_planes(evidence, np.random.default_rng(0))
+    found = label_scene(model, pictures, (), 1, evidence, planes, 1, EvidenceWeights())
+    accepted = found.accepted_labels(pictures)
+    assert sum(np.sum(labels >= 0) for labels in accepted) == len(found.accepted)
+    own = found.samples.views[found.samples.offsets[:-1]]
+    for v, labels in enumerate(split_by_view(found.labels, pictures)):
+        rows = found.accepted[own[found.accepted] == v]
+        cells = cells_in(model.views[v], pictures[v], found.samples.points[rows])
+        assert np.array_equal(accepted[v][cells], found.samples.planes[rows])
+        assert np.isin(accepted[v], [-1]).sum() == labels.size - len(rows)
 
 
 def test_nothing_without_edges(room):
