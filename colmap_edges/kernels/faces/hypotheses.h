@@ -87,7 +87,8 @@ class PlaneSearch {
   };
 
   // The best one fitted to a candidate, or to another that would be dropped as a duplicate of it:
-  // the one with the most weight may pass through parts of several surfaces.
+  // the one with the most weight may pass through parts of several surfaces. It takes a common
+  // normal where that is as good.
   std::optional<Plane> BestOfSame(size_t chosen, const std::vector<Filled>& tried) {
     const Candidate& first = candidates_[chosen];
     std::optional<Plane> best = Fitted(first.plane);
@@ -111,7 +112,7 @@ class PlaneSearch {
       const double closeness = fitted ? Closeness(*fitted) : 0;
       if (closeness > most) most = closeness, best = fitted;
     }
-    return best;
+    return Snapped(*best);
   }
 
   // Weight of what lies on a plane, more where it lies closer, as in MSAC (Torr, Zisserman 2000).
@@ -186,7 +187,7 @@ class PlaneSearch {
     return (1 / total) * sum;
   }
 
-  // The plane fitted to all that lies on it; one of the common normals where that is as good.
+  // The plane fitted to all that lies on it.
   std::optional<Plane> Fitted(Plane plane) const {
     for (const double factor : {1.6, 1.2, 1.0}) {
       const PointSet on = On(plane, factor * options_.tolerance);
@@ -208,7 +209,7 @@ class PlaneSearch {
       if (values[1] > 0.005 * values[2]) plane.normal = vectors[0];
       plane.offset = Dot(plane.normal, middle);
     }
-    return Snapped(plane);
+    return plane;
   }
 
   // The plane with the nearest common normal, where as much lies on that.

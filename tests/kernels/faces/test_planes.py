@@ -39,7 +39,7 @@ def on_plane(evidence, normal, offset, tolerance=TOLERANCE, slope=SLOPE):
     return near & (np.abs(tangents @ normal) <= slope)
 
 
-def fitted(evidence, weights, normal, offset, common):
+def fitted(evidence, weights, normal, offset):
     for factor in (1.6, 1.2, 1.0):
         on = on_plane(evidence, normal, offset, factor * TOLERANCE)
         if on.sum() < 8:
@@ -51,6 +51,10 @@ def fitted(evidence, weights, normal, offset, common):
         if values[1] > 0.005 * values[2]:
             normal = vectors[:, 0]
         offset = middle @ normal
+    return normal, offset
+
+
+def snapped(evidence, weights, normal, offset, common):
     nearest = common[np.argmax(np.abs(common @ normal))]
     if abs(nearest @ normal) < np.cos(np.radians(10)):
         return normal, offset
@@ -72,7 +76,7 @@ def closeness(evidence, weights, normal, offset):
 
 def best_of_same(evidence, weights, planes, common, best, members, closed):
     """The closest plane fitted to a candidate or to the first 30 others that share most with it."""
-    plane = fitted(evidence, weights, planes[0][best], planes[1][best], common)
+    plane = fitted(evidence, weights, planes[0][best], planes[1][best])
     if plane is None:
         return None
     support = members @ weights
@@ -83,10 +87,10 @@ def best_of_same(evidence, weights, planes, common, best, members, closed):
     same[best] = False
     order = np.argsort(-support, kind="stable")
     for other in order[same[order]][:30]:
-        found = fitted(evidence, weights, planes[0][other], planes[1][other], common)
+        found = fitted(evidence, weights, planes[0][other], planes[1][other])
         if found and closeness(evidence, weights, *found) > closeness(evidence, weights, *plane):
             plane = found
-    return plane
+    return snapped(evidence, weights, *plane, common)
 
 
 def greedy(evidence, weights, planes, common, max_planes):
