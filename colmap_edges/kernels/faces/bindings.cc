@@ -3,6 +3,7 @@
 
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 
@@ -199,22 +200,28 @@ class BoundFaceScene {
       labels.emplace_back(all.data() + first, all.data() + first + view.num_cells());
       first += view.num_cells();
     }
-    std::vector<std::vector<CellSupport>> found(scene_.views.size());
     std::vector<double> points;
     std::vector<int32_t> rows, views;
     std::vector<int64_t> offsets{0};
+    const size_t most = size_t(std::count_if(all.data(), all.data() + all.size(),
+                                             [](int32_t label) { return label >= 0; }));
+    points.reserve(3 * most), rows.reserve(7 * most), offsets.reserve(most + 1);
     {
       nb::gil_scoped_release release;
-      ParallelFor(int64_t(scene_.views.size()), num_threads, [&](int64_t v, int) {
-        found[v] = SupportOf(scene_, labels, int32_t(v), tolerance);
-      });
-      for (const auto& of_view : found) {
-        for (const CellSupport& s : of_view) {
-          points.insert(points.end(), {s.point.x, s.point.y, s.point.z});
-          rows.insert(rows.end(),
-                      {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
-          views.insert(views.end(), s.views.begin(), s.views.end());
-          offsets.push_back(int64_t(views.size()));
+      for (size_t begin = 0; begin < scene_.views.size(); begin += kViewsAtOnce) {
+        std::vector<std::vector<CellSupport>> found(
+            std::min(kViewsAtOnce, scene_.views.size() - begin));
+        ParallelFor(int64_t(found.size()), num_threads, [&](int64_t i, int) {
+          found[i] = SupportOf(scene_, labels, int32_t(begin + i), tolerance);
+        });
+        for (const auto& of_view : found) {
+          for (const CellSupport& s : of_view) {
+            points.insert(points.end(), {s.point.x, s.point.y, s.point.z});
+            rows.insert(rows.end(),
+                        {s.view, s.cell, s.plane, s.agreeing, s.through, s.hidden, s.holding});
+            views.insert(views.end(), s.views.begin(), s.views.end());
+            offsets.push_back(int64_t(views.size()));
+          }
         }
       }
     }
@@ -225,6 +232,8 @@ class BoundFaceScene {
   }
 
  private:
+  static constexpr size_t kViewsAtOnce = 64;  // whose support is held twice
+
   Grays grays_;  // kept alive
   FaceScene scene_;
 };
