@@ -163,6 +163,7 @@ def trace_round(
     }
     counts = [agreeing[view] for view in range(len(order))]
     depths = [without_supports(found) for found in depths]
+    given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
     traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
 
