@@ -13,9 +13,9 @@ def single(array):
     return array.astype(np.float32).astype(np.float64)
 
 
-def kept(directions):
-    """Unit vectors rounded to 16 bits a coordinate, in which the kernels keep them."""
-    scaled = 32767 * directions
+def kept(normals):
+    """Unit normals rounded to 16 bits a coordinate, in which the kernels keep them."""
+    scaled = 32767 * normals
     return np.trunc(scaled + np.copysign(0.5, scaled)) / 32767
 
 
@@ -61,7 +61,7 @@ def tangents_of(points, offsets, closed):
         chord = points[neighbor(i, 3, offsets, closed)] - points[neighbor(i, -3, offsets, closed)]
         size = np.linalg.norm(chord)
         result[i] = chord / size if size > 0 else (1, 0)
-    return kept(result)
+    return result
 
 
 def random_pose(rng):

@@ -156,6 +156,7 @@ def trace_round(
     `limits` are those of edges, if known from an earlier round.
     """
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
+    given.graphs.trim()
     depths = find_depths(given, near, order, options.chain_depth, workers, advance)
     agreeing = {
         view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)

@@ -133,7 +133,6 @@ def chosen(items: ByView[T], views: Sequence[int]) -> dict[int, T]:
 def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput:
     """The input of the first round; as many search indices are kept in memory as graphs."""
     graphs.take_back()
-    graphs.trim()
     offsets = [graphs.load(view).polyline_offsets for view in range(len(model.views))]
     num_kept = max(graphs.num_kept, 1)
     return TracingInput(

@@ -70,10 +70,10 @@ class EdgeIndex {
         if (!std::isfinite(points[i][0]) || !std::isfinite(points[i][1])) {
           throw std::invalid_argument("edge points must be finite");
         }
-        points_[i] = {points[i], Direction(normals[i]), {}, p, sides[i], i == last(p)};
+        points_[i] = {points[i], {1, 0}, Direction(normals[i]), p, sides[i], i == last(p)};
       }
     }
-    for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Direction(FindTangent(i));
+    for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Narrowed(FindTangent(i));
     BuildGrid();
   }
 
@@ -159,7 +159,7 @@ class EdgeIndex {
   bool Holds(double position) const { return position >= 0 && position < double(num_points()); }
 
   // Unit direction of the polyline around point i.
-  Vec2 tangent(int64_t i) const { return points_[i].tangent.vector(); }
+  Vec2 tangent(int64_t i) const { return Widened(points_[i].tangent); }
 
   // The chord of a stretch of a polyline, from point `first` over `count` steps. Lines that
   // intersect the chord intersect the stretch; the converse holds except for nearly tangent lines.
@@ -238,8 +238,8 @@ class EdgeIndex {
   // Data of a point for intersections, kept small since views do not fit into caches. Rounding to
   // single precision is a thousandth of a chain's noise.
   struct Point {
-    Vec2f xy;
-    Direction normal, tangent;
+    Vec2f xy, tangent;
+    Direction normal;
     int32_t polyline;
     Sides sides;
     bool last;  // of its polyline
@@ -250,6 +250,7 @@ class EdgeIndex {
     Directions directions;
   };
   static Vec2 Widened(const Vec2f& v) { return {v[0], v[1]}; }
+  static Vec2f Narrowed(const Vec2& v) { return {float(v[0]), float(v[1])}; }
 
   std::vector<Point> points_;
   std::vector<int64_t> offsets_;
@@ -288,6 +289,7 @@ inline std::vector<EdgeIndex::Stretch> EdgeIndex::MakeStretches() const {
       add(first(p), first(p), 0);
     }
   }
+  stretches.shrink_to_fit();
   return stretches;
 }
 
