@@ -41,30 +41,41 @@ class IndexedGraphs(Protocol):
         """The search index of a view's edge graph."""
 
 
-def look_up(given: IndexedGraphs, observed: ChainObservations) -> tuple[Observations, FloatArray]:
+def look_up(
+    given: IndexedGraphs, *observed: ChainObservations
+) -> list[tuple[Observations, FloatArray]]:
     """Look up pixels, normals and (T, 3) colours of observations on chains.
 
     Args:
-        given: the edge graphs of all views.
-        observed: positions on their chains.
+        given: the edge graphs of all views; each is used once.
+        observed: positions on their chains, of one or more kinds of points.
     """
+    found = [unknown(of) for of in observed]
+    rows_of = [dict(of.by_view()) for of in observed]
+    for view in sorted(set().union(*rows_of)):
+        graph, index = given.graph(view), given.index(view)
+        for (seen, colors), rows_by_view in zip(found, rows_of, strict=True):
+            rows = rows_by_view.get(view, np.zeros(0, np.int64))
+            positions = seen.positions[rows]
+            seen.chains[rows] = graph.polyline_ids[positions.astype(np.int64)]
+            pixels, colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
+            seen.pixels[rows] = pixels
+            seen.normals[rows] = across(tangents_at(graph, index, positions))
+    return found
+
+
+def unknown(observed: ChainObservations) -> tuple[Observations, FloatArray]:
+    """Observations at known positions, and their colours, to be filled in."""
     count = len(observed.views)
-    chains, pixels, colors = np.zeros(count, np.int32), np.zeros((count, 2)), np.zeros((count, 3))
-    normals = np.zeros((count, 2), np.float32)
-    for view, rows in observed.by_view():
-        graph, positions = given.graph(view), observed.positions[rows]
-        chains[rows] = graph.polyline_ids[positions.astype(np.int64)]
-        pixels[rows], colors[rows] = at_positions(graph, positions, graph.points, graph.colors)
-        normals[rows] = across(tangents_at(graph, given.index(view), positions))
     seen = Observations(
         offsets=observed.offsets,
         views=observed.views,
         positions=observed.positions,
-        chains=chains,
-        pixels=pixels,
-        normals=normals,
+        chains=np.zeros(count, np.int32),
+        pixels=np.zeros((count, 2)),
+        normals=np.zeros((count, 2), np.float32),
     )
-    return seen, colors
+    return seen, np.zeros((count, 3))
 
 
 def tangents_at(graph: EdgeGraph, index: _kernels.EdgeIndex, positions: FloatArray) -> FloatArray:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, offsets_of
 from colmap_edges.images.edge_maps import EdgeMap
@@ -78,8 +77,9 @@ def linked_crests(heights: Float32Array) -> BoolArray:
     if len(found) == 0:
         return np.zeros(heights.shape, bool)
     threshold, _ = cv2.threshold(found, 0, GRAYS, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    labels, count = ndimage.label(grays > HYSTERESIS * threshold, np.ones((3, 3)))
-    strong = np.zeros(count + 1, bool)
+    above = (grays > HYSTERESIS * threshold).astype(np.uint8)
+    count, labels = cv2.connectedComponents(above, connectivity=8)
+    strong = np.zeros(count, bool)
     strong[labels[grays > threshold]] = True
     strong[0] = False
     kept: BoolArray = strong[labels]

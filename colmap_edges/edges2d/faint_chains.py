@@ -10,7 +10,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, Picture, offsets_of, ranges_of
+from colmap_edges.core.arrays import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Picture,
+    offsets_of,
+    ranges_of,
+)
 from colmap_edges.edges2d.edge_maps import BRANCH_PX, rescaled
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
@@ -19,6 +26,9 @@ SIGMA_PX = 1.0  # blur under which noise of pixels averages out
 MIN_SLOPE = 0.6  # gray levels a pixel: rounding to whole levels makes steps of 0.4
 MAX_SLOPE = 1.8  # EdgeDrawing's own threshold: 11 of Prewitt's sums, which are 6 times the slope
 SAMPLE = 4  # spacing of the pixels at which noise is measured
+BAND, EVERY = 16, 8  # rows of a band of the image, every eighth of which is measured first
+INNER = slice(6, 11, SAMPLE)  # rows of a band that no row beyond it affects
+SURELY = 1.5  # times MAX_SLOPE beyond which bands decide; they differ from all by 0.7 to 1.4
 HYSTERESIS = 0.5  # of the slope for pixels linked to one above it; Canny: a half to a third
 STEPS = 256  # of a gray level a pixel, in 16 bits
 STRAIGHT_PX = 24.0  # minimum length of a straight stretch
@@ -60,10 +70,10 @@ def faint_pixels(image: Picture, noises: float) -> Picture | None:
 
     None if noise and texture are as strong as EdgeDrawing's threshold.
     """
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
-    slopes = [cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
-    sample = np.abs([slope[::SAMPLE, ::SAMPLE] for slope in slopes])
-    noise = float(np.median(sample)) / MAD
+    if noises * noise_of_bands(image) >= SURELY * MAX_SLOPE:
+        return None
+    slopes = slopes_of(image)
+    noise = noise_of([slope[::SAMPLE, ::SAMPLE] for slope in slopes])
     limit = STEPS * max(noises * noise, MIN_SLOPE)
     if limit >= STEPS * MAX_SLOPE:
         return None
@@ -71,6 +81,28 @@ def faint_pixels(image: Picture, noises: float) -> Picture | None:
         cv2.addWeighted(slope, STEPS, slope, 0, 0, dtype=cv2.CV_16S) for slope in slopes
     )
     return np.asarray(cv2.Canny(across, down, HYSTERESIS * limit, limit, L2gradient=True), np.uint8)
+
+
+def slopes_of(image: Picture) -> list[Float32Array]:
+    """(H, W) slopes of the blurred image (H, W) across and down, in gray levels a pixel."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
+    axes = ((1, 0), (0, 1))
+    return [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / 8)) for axis in axes]
+
+
+def noise_of(slopes: list[Float32Array]) -> float:
+    """Standard deviation of slopes, of which few are edges."""
+    return float(np.median(np.abs(slopes))) / MAD
+
+
+def noise_of_bands(image: Picture) -> float:
+    """Standard deviation of slopes in an eighth of the image (H, W); 0 for small images."""
+    height, width = image.shape
+    bands = image[: height // BAND * BAND].reshape(-1, BAND, width)[::EVERY]
+    if len(bands) == 0:
+        return 0.0
+    slopes = slopes_of(bands.reshape(-1, width))
+    return noise_of([s.reshape(bands.shape)[:, INNER, ::SAMPLE] for s in slopes])
 
 
 def without_stairs(edges: Picture) -> Picture:

@@ -7,7 +7,9 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
+from math import prod
 from pathlib import Path
 from threading import Lock
 from typing import Any, Generic, Protocol, TypeVar
@@ -44,14 +46,14 @@ class DiskBackend:
     def __init__(self) -> None:
         """Start without a folder."""
         self.folder: Path | None = None
-        self.written: set[int] = set()
+        self.layouts: dict[int, list[tuple[np.dtype[Any], tuple[int, ...]]]] = {}
 
     def path(self, view: int) -> Path:
         """The file of the graph of a view."""
         if self.folder is None:
             self.folder = Path(tempfile.mkdtemp(prefix="colmap-edges-"))
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
-        return self.folder / f"{view}.npy"
+        return self.folder / f"{view}.bin"
 
     def write(self, view: int, graph: EdgeGraph) -> None:
         """Write the arrays of a graph to one file.
@@ -59,24 +61,28 @@ class DiskBackend:
         Raises:
             ColmapEdgesError: if the disk is full.
         """
-        if view in self.written:
+        if view in self.layouts:
             return
-        path = self.path(view)
+        path, arrays = self.path(view), [getattr(graph, entry.name) for entry in fields(graph)]
         try:
             with path.open("wb") as file:
-                for entry in fields(graph):
-                    np.save(file, getattr(graph, entry.name))
+                for array in arrays:
+                    file.write(np.ascontiguousarray(array).data)
         except OSError as error:
             raise ColmapEdgesError(
                 f"cannot keep edge graphs in {path.parent} ({error.strerror}); free space there, "
                 "set TMPDIR to another folder, or raise max_graph_memory_gb"
             ) from error
-        self.written.add(view)
+        self.layouts[view] = [(array.dtype, array.shape) for array in arrays]
 
     def read(self, view: int) -> EdgeGraph:
         """Read the graph of a view."""
         with self.path(view).open("rb") as file:
-            return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
+            arrays = [
+                np.fromfile(file, dtype, prod(shape)).reshape(shape)
+                for dtype, shape in self.layouts[view]
+            ]
+        return EdgeGraph(**{e.name: a for e, a in zip(fields(EdgeGraph), arrays, strict=True)})
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ class Graphs:
         self.max_bytes, self.backend = max_bytes, backend or DiskBackend()
         self.num_bytes = 0
         self.num_released = 0
+        self.are_large = self.are_aside = False
         self.kept: OrderedDict[int, EdgeGraph] = OrderedDict()
         self.lock = Lock()
 
@@ -146,9 +153,24 @@ class Graphs:
         """The graph of a view, from memory or the backend."""
         with self.lock:
             if view not in self.kept:
-                self._keep(view, self.backend.read(view))
+                graph = self.backend.read(view)
+                if self.are_aside:
+                    return graph
+                self._keep(view, graph)
             self.kept.move_to_end(view)
             return self.kept[view]
+
+    def put_aside(self) -> None:
+        """Drop all graphs from memory, if they are large; until `take_back` `load` keeps none."""
+        with self.lock, suppress(ColmapEdgesError):  # a full disk costs memory only
+            self.are_aside |= self.are_large and self.num_released == 0
+            for view in list(self.kept) if self.are_aside else ():
+                self._release(view)
+        self.trim()
+
+    def take_back(self) -> None:
+        """Keep graphs in memory again from the next `load` on."""
+        self.are_aside, self.num_released = False, 0
 
     def release(self) -> None:
         """Drop all graphs in memory and on disk; none can be loaded afterwards."""
@@ -156,25 +178,25 @@ class Graphs:
             self.kept.clear()
             self.backend = DiskBackend()
         self.trim()
-        self.num_bytes = 0
+        self.num_bytes, self.are_large = 0, False
 
     def trim(self) -> None:
         """Return freed memory to the system, if graphs are large enough to be worth the time."""
-        if self.num_bytes > TRIM_BYTES:
+        if self.are_large:
             return_freed_memory()
 
     def _keep(self, view: int, graph: EdgeGraph) -> None:
         # The least recently used are dropped; the last stays, whatever its size.
         self.kept[view] = graph
         self.num_bytes += graph_bytes(graph)
+        self.are_large |= self.num_bytes > TRIM_BYTES
         while self.num_bytes > self.max_bytes and len(self.kept) > 1:
             self._release(next(iter(self.kept)))
 
     def _release(self, view: int) -> None:
-        graph = self.kept.pop(view, None)
-        if graph is None:
-            return
+        graph = self.kept[view]
         self.backend.write(view, graph)
+        del self.kept[view]
         self.num_bytes -= graph_bytes(graph)
         self.num_released += 1
         if self.num_released % TRIM_EVERY == 0:

@@ -13,6 +13,12 @@ def single(array):
     return array.astype(np.float32).astype(np.float64)
 
 
+def kept(normals):
+    """Unit normals rounded to 16 bits a coordinate, in which the kernels keep them."""
+    scaled = 32767 * normals
+    return np.trunc(scaled + np.copysign(0.5, scaled)) / 32767
+
+
 def random_chains(rng, count=12, closed_share=0.3):
     """Smooth random chains about 1 px apart: points, normals, offsets, closed."""
     points, normals, closed = [], [], []
@@ -35,7 +41,7 @@ def random_chains(rng, count=12, closed_share=0.3):
     offsets = offsets_of(np.array([len(part) for part in points], np.int64))
     return (
         single(np.concatenate(points)),
-        single(np.concatenate(normals)),
+        kept(single(np.concatenate(normals))),
         offsets,
         np.array(closed),
     )

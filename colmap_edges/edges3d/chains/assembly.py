@@ -52,10 +52,9 @@ def link(
     edges = join_circles(edges, given, options, num_threads)
     edges = meet_at_corners(cut_at_bends(edges), given, options, num_threads)
     edges = meet_at_nodes(edges, given, options, num_threads)
-    traced = TracedEdges(
-        edges=with_look_up(given, edges), contours=with_look_up(given, linked(pieces.contours))
-    )
-    return traced, {
+    contours = linked(pieces.contours)
+    given.graphs.trim()
+    return with_look_up(given, edges, contours), {
         "pieces": pieces.edges.num_edges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": len(edges.nodes.points),
@@ -87,12 +86,16 @@ def make_edges(parts: list[Traced]) -> Edges3D:
     )
 
 
-def with_look_up(given: TracingInput, edges: Edges3D) -> Edges3D:
+def with_look_up(given: TracingInput, edges: Edges3D, contours: Edges3D) -> TracedEdges:
     """The edges with chains, pixels and normals of all observations, and colours of all points."""
-    seen, colors = look_up(given, edges.observations)
-    of_nodes, node_colors = look_up(given, edges.nodes.observations)
-    nodes = replace(
-        edges.nodes, observations=of_nodes, colors=mean_colors(node_colors, of_nodes.offsets)
+    nodes = edges.nodes
+    (of_edges, colors), (of_nodes, node_colors), (of_contours, contour_colors) = look_up(
+        given, edges.observations, nodes.observations, contours.observations
     )
-    colors_of_points = mean_colors(colors, seen.offsets)
-    return replace(edges, observations=seen, colors=colors_of_points, nodes=nodes)
+    nodes = replace(nodes, observations=of_nodes, colors=mean_colors(node_colors, of_nodes.offsets))
+    colors_of_points = mean_colors(colors, of_edges.offsets)
+    colors_of_contours = mean_colors(contour_colors, of_contours.offsets)
+    return TracedEdges(
+        edges=replace(edges, observations=of_edges, colors=colors_of_points, nodes=nodes),
+        contours=replace(contours, observations=of_contours, colors=colors_of_contours),
+    )

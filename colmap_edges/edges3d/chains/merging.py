@@ -57,6 +57,7 @@ def merge_traced(
         views=[given.views[view] for view in range(given.num_views)],
     )
     merging = merge_pieces(pieces, given, options, num_threads)
+    given.graphs.trim()
     starts = offsets_of(np.array([len(t.points) for t in traced]))
     owners = np.searchsorted(starts, merging.takers, "right") - 1
     edges, contours = [], list(kept.contours)

@@ -156,6 +156,7 @@ def trace_round(
     `limits` are those of edges, if known from an earlier round.
     """
     order = local_order([given.neighbors[view] for view in range(len(given.views))])
+    given.graphs.trim()
     depths = find_depths(given, near, order, options.chain_depth, workers, advance)
     agreeing = {
         view: count_agreeing_views(given, depths, view, options.tracing.max_inconsistency_px)
@@ -163,6 +164,7 @@ def trace_round(
     }
     counts = [agreeing[view] for view in range(len(order))]
     depths = [without_supports(found) for found in depths]
+    given.graphs.put_aside()  # from here on each is needed once or twice, the indexes often
     traced, in_runs = trace_views(given, depths, counts, options, limits, workers, advance)
     return traced, count_samples(depths, counts, in_runs)
 

@@ -132,6 +132,7 @@ def chosen(items: ByView[T], views: Sequence[int]) -> dict[int, T]:
 
 def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput:
     """The input of the first round; as many search indices are kept in memory as graphs."""
+    graphs.take_back()
     offsets = [graphs.load(view).polyline_offsets for view in range(len(model.views))]
     num_kept = max(graphs.num_kept, 1)
     return TracingInput(
@@ -152,7 +153,7 @@ def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
         whole: the input with whole graphs.
         free: per view (P,) bool, the points that remain.
     """
-    num_kept = max(whole.graphs.num_kept, 1)
+    num_kept = whole.indexes.num_kept
     rest = replace(whole, free=free, parts=Kept(num_kept), part_keys={}, indexes=Kept(num_kept))
     offsets = [rest.graph(view).polyline_offsets for view in range(len(free))]
     return replace(rest, polyline_offsets=offsets)

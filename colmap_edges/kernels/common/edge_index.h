@@ -22,6 +22,16 @@ namespace colmap_edges {
 using Vec2f = std::array<float, 2>;
 using Sides = std::array<uint8_t, 2>;  // intensities of the dark and the bright side
 
+// The coordinates of a unit vector, times `scale`, as integers.
+template <typename T, typename Vector>
+std::array<T, 2> Rounded(const Vector& v, double scale) {
+  const auto rounded = [=](double x) {
+    const double scaled = scale * std::clamp(x, -1.0, 1.0);
+    return T(scaled + std::copysign(0.5, scaled));
+  };
+  return {rounded(v[0]), rounded(v[1])};
+}
+
 // A value made at its first use, by any thread.
 template <typename T>
 class Lazy {
@@ -60,7 +70,7 @@ class EdgeIndex {
         if (!std::isfinite(points[i][0]) || !std::isfinite(points[i][1])) {
           throw std::invalid_argument("edge points must be finite");
         }
-        points_[i] = {points[i], normals[i], {1, 0}, p, sides[i], i == last(p)};
+        points_[i] = {points[i], {1, 0}, Direction(normals[i]), p, sides[i], i == last(p)};
       }
     }
     for (int64_t i = 0; i < num_points(); ++i) points_[i].tangent = Narrowed(FindTangent(i));
@@ -70,7 +80,7 @@ class EdgeIndex {
   int64_t num_points() const { return int64_t(points_.size()); }
   int64_t num_polylines() const { return int64_t(closed_.size()); }
   Vec2 point(int64_t i) const { return Widened(points_[i].xy); }
-  Vec2 normal(int64_t i) const { return Widened(points_[i].normal); }
+  Vec2 normal(int64_t i) const { return points_[i].normal.vector(); }
   const Sides& sides(int64_t i) const { return points_[i].sides; }
   int32_t polyline(int64_t i) const { return points_[i].polyline; }
   int64_t first(int32_t p) const { return offsets_[p]; }
@@ -214,10 +224,22 @@ class EdgeIndex {
   std::vector<Stretch> MakeStretches() const;
   void BuildGrid();
 
+  // A unit vector in 16 bits a coordinate: within 0.00002 of a radian.
+  struct Direction {
+    static constexpr double kScale = 32767;
+    std::array<int16_t, 2> rounded{};
+
+    Direction() = default;
+    template <typename Vector>
+    explicit Direction(const Vector& v) : rounded(Rounded<int16_t>(v, kScale)) {}
+    Vec2 vector() const { return {rounded[0] * (1 / kScale), rounded[1] * (1 / kScale)}; }
+  };
+
   // Data of a point for intersections, kept small since views do not fit into caches. Rounding to
   // single precision is a thousandth of a chain's noise.
   struct Point {
-    Vec2f xy, normal, tangent;
+    Vec2f xy, tangent;
+    Direction normal;
     int32_t polyline;
     Sides sides;
     bool last;  // of its polyline
@@ -227,12 +249,6 @@ class EdgeIndex {
     int32_t index;
     Directions directions;
   };
-  static std::array<int8_t, 2> Rounded(const Vec2f& v) {
-    const auto rounded = [](float x) {
-      return int8_t(std::lround(Directions::kScale * std::clamp(x, -1.0f, 1.0f)));
-    };
-    return {rounded(v[0]), rounded(v[1])};
-  }
   static Vec2 Widened(const Vec2f& v) { return {v[0], v[1]}; }
   static Vec2f Narrowed(const Vec2& v) { return {float(v[0]), float(v[1])}; }
 
@@ -273,6 +289,7 @@ inline std::vector<EdgeIndex::Stretch> EdgeIndex::MakeStretches() const {
       add(first(p), first(p), 0);
     }
   }
+  stretches.shrink_to_fit();
   return stretches;
 }
 
@@ -299,8 +316,10 @@ inline void EdgeIndex::BuildGrid() {
   std::vector<int32_t> fill(cell_offsets_.begin(), cell_offsets_.end() - 1);
   for (int64_t i = 0; i < num_points(); ++i) {
     const Point& p = points_[i];
-    cell_points_[fill[CellOf(point(i))]++] = {
-        p.xy, int32_t(i), {Rounded(p.tangent), Rounded(p.normal)}};
+    cell_points_[fill[CellOf(point(i))]++] = {p.xy,
+                                              int32_t(i),
+                                              {Rounded<int8_t>(tangent(i), Directions::kScale),
+                                               Rounded<int8_t>(normal(i), Directions::kScale)}};
   }
 }
 

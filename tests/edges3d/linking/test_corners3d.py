@@ -91,7 +91,7 @@ def test_the_corner_is_observed_where_it_is_seen():
     chains = [all_arms()] * 4 + [[]] * 2
     edges = met(pieces, chains)
     for tip in edges.edge_offsets[:-1]:
-        seen, _ = look_up(views_of(chains), edges.observations.select(np.array([tip])))
+        [(seen, _)] = look_up(views_of(chains), edges.observations.select(np.array([tip])))
         assert seen.views.tolist() == [0, 1, 2, 3]
         expected = [VIEWS[v].project(CORNER[None])[0][0] for v in range(4)]
         np.testing.assert_allclose(seen.pixels, expected, atol=0.1)

@@ -62,7 +62,7 @@ def test_three_ends_share_one_point_with_a_track():
     assert 0.2 * SIGMA < nodes.sigmas[0] < 2 * SIGMA
     assert nodes.observations.views.tolist() == list(range(6))
     expected = [view.project(CORNER[None])[0][0] for view in VIEWS]
-    seen, _ = look_up(views_of(arms_from(CORNER, *AXES)), nodes.observations)
+    [(seen, _)] = look_up(views_of(arms_from(CORNER, *AXES)), nodes.observations)
     np.testing.assert_allclose(seen.pixels, expected, atol=0.3)
     first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
     tips = [first[0], last[1], first[2]]
