@@ -39,25 +39,34 @@ class SoftWeight {
   double table_[kSize];
 };
 
-// A ray on its way from a point to a camera.
+// A ray on its way from a point to a camera. The flow that all its facets can carry from the camera
+// is pushed to its cells at once, which changes neither the minimum cut nor its value: facets get
+// the residual in the opposite direction, cells what flows in and not out.
 struct RayToCamera {
   RayWalker walker;
   RayWalker::Position at;
   std::int64_t far_weight;  // weight of the part that is far from the point
-  std::int64_t weight = 1;  // weight of the current part
+  std::int64_t pushed = 0;  // through the last facet
+  bool is_far = false;
 };
 
-// Returns whether the ray goes on.
+// Returns whether the ray goes on. Without a part that is far from the point nothing flows in.
 bool StepRay(const SoftWeight& soft_weight, RayToCamera& ray, CutProblem& problem) {
   const bool goes_on = ray.walker.Step(soft_weight.far(), ray.at, [&](const Crossing& crossing) {
-    if (crossing.distance >= soft_weight.far()) ray.weight = ray.far_weight;
-    if (ray.weight == 0) return false;
-    AtomicAdd(problem.arcs[4 * std::size_t(crossing.next) + crossing.entry],
-              ray.weight * soft_weight(crossing.distance));
+    ray.is_far |= crossing.distance >= soft_weight.far();
+    if (ray.is_far && ray.far_weight == 0) return false;
+    const std::int64_t amount = soft_weight(crossing.distance) * (ray.is_far ? ray.far_weight : 1);
+    const std::size_t forward = 4 * std::size_t(crossing.next) + crossing.entry;
+    const std::size_t backward = 4 * std::size_t(crossing.cell) + crossing.facet;
+    AtomicAdd(problem.arcs[ray.far_weight == 0 ? forward : backward], amount);
+    if (ray.far_weight != 0 && amount != ray.pushed) {
+      AtomicAdd(problem.source[crossing.cell], amount - ray.pushed);
+      ray.pushed = amount;
+    }
     return true;
   });
-  if (!goes_on && ray.at.cell != kNone)
-    AtomicAdd(problem.source[ray.at.cell], ray.weight * kRayWeight);
+  if (!goes_on && ray.at.cell != kNone && !ray.is_far)
+    AtomicAdd(problem.source[ray.at.cell], kRayWeight - ray.pushed);
   return goes_on;
 }
 
