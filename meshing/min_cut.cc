@@ -64,7 +64,7 @@ class Solver {
   }
 
   void AddTerminals(Index c, std::int64_t source, std::int64_t sink) {
-    if (source < 0 || sink < 0 ||
+    if (sink < 0 ||
         std::any_of(&Out(c, 0), &Out(c, 0) + 4, [](auto capacity) { return capacity < 0; }))
       throw std::invalid_argument("capacities must not be negative");
     flow_ += std::min(source, sink);

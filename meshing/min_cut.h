@@ -27,7 +27,8 @@ struct Cut {
 };
 
 // Augmenting paths from two search trees (Boykov & Kolmogorov, PAMI 2004). Takes the problem's
-// arrays as its working memory. Capacities must not be negative.
+// arrays as its working memory. Capacities must not be negative, but for those of sources: what is
+// missing there flows to the sink.
 Cut MinimumCut(const std::vector<Cell>& cells, CutProblem problem);
 
 }  // namespace mesher

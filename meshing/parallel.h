@@ -6,8 +6,10 @@
 #include <atomic>
 #include <cstdint>
 #include <exception>
+#include <optional>
 #include <system_error>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 namespace mesher {
@@ -37,6 +39,20 @@ void ParallelChunks(std::int64_t count, int num_threads, Work&& work) {
   for (auto& thread : threads) thread.join();
   for (const auto& error : errors)
     if (error) std::rethrow_exception(error);
+}
+
+// Steps through several items in turn, so that the processor works on the others while one waits
+// for memory or arithmetic. start() returns the next item, or nothing after the last; step(item)
+// returns whether it goes on.
+template <typename Start, typename Step>
+void TakeTurns(Start&& start, Step&& step) {
+  constexpr std::size_t kTogether = 4;
+  typename std::invoke_result_t<Start> items[kTogether];
+  std::size_t count = 0;
+  while (count < kTogether && (items[count] = start())) ++count;
+  while (count > 0)
+    for (std::size_t i = 0; i < count; ++i)
+      if (!step(*items[i]) && !(items[i] = start())) items[i] = items[--count];
 }
 
 // Adds atomically to a sum.

@@ -35,7 +35,7 @@ class RayWalker {
  public:
   RayWalker(const Triangulation& triangulation, Index vertex, const Vec3& target,
             const StartCells& near = {})
-      : triangulation_(triangulation),
+      : triangulation_(&triangulation),
         vertex_(vertex),
         origin_(triangulation.points[vertex]),
         target_(target) {
@@ -69,10 +69,10 @@ class RayWalker {
   // `ahead`) or its extension, for rays that leave the convex hull at the vertex.
   template <typename Visit>
   void VisitOutside(bool ahead, Visit&& visit) const {
-    for (const Index* c = triangulation_.stars.begin(vertex_);
-         c != triangulation_.stars.end(vertex_); ++c) {
-      if (!triangulation_.cells[*c].IsInfinite()) continue;
-      const double facing = HullFacing(triangulation_.cells[*c]);
+    for (const Index* c = triangulation_->stars.begin(vertex_);
+         c != triangulation_->stars.end(vertex_); ++c) {
+      if (!triangulation_->cells[*c].IsInfinite()) continue;
+      const double facing = HullFacing(triangulation_->cells[*c]);
       if (ahead ? facing > 0 : facing < 0) visit(*c);
     }
   }
@@ -80,48 +80,78 @@ class RayWalker {
   // Facet of `behind` opposite the vertex, and its distance along the extension. Only valid if
   // there is such a cell.
   Crossing BehindExit() const {
-    const Cell& cell = triangulation_.cells[behind_];
+    const Cell& cell = triangulation_->cells[behind_];
     const int facet = PositionOf(vertex_, cell);
     Projected corners[3];
     for (int i = 0; i < 3; ++i) corners[i] = Project(cell.vertices[kFacet[facet][i]]);
     const Index next = cell.neighbors[facet];
-    return {behind_, facet, next, triangulation_.MirrorIndex(behind_, next), -Depth(corners)};
+    return {behind_, facet, next, triangulation_->MirrorIndex(behind_, next), -Depth(corners)};
   }
 
-  // Calls visit(Crossing) for every facet between the vertex and the target, in order, until it
-  // returns false. Returns the last cell, which contains the target or is outside the convex hull,
-  // or kNone if visit returned false. Requires a cell in front. For facets entirely beyond `far`,
-  // distances of crossings are only lower bounds.
+  // A vertex, seen along the ray.
+  struct Projected {
+    double u, v, depth, size;
+    Index vertex;
+  };
+
+  // Where a walk is: in `cell`, which it leaves through its facet `exit` with these corners.
+  struct Position {
+    Index cell;
+    int exit;
+    Projected corners[3];
+  };
+
+  // The position in the cell in front, which is required.
+  Position Start() const {
+    const Cell& cell = triangulation_->cells[front_];
+    Position at{front_, PositionOf(vertex_, cell), {}};
+    for (int i = 0; i < 3; ++i) at.corners[i] = Project(cell.vertices[kFacet[at.exit][i]]);
+    return at;
+  }
+
+  // Calls visit(Crossing) for the facet ahead, moves on to the next cell and returns true, unless
+  // the walk ends: in the cell that contains the target or is outside the convex hull, or with
+  // the cell kNone if visit returned false. For facets entirely beyond `far`, distances of
+  // crossings are only lower bounds.
+  template <typename Visit>
+  bool Step(double far, Position& at, Visit&& visit) const {
+    Projected* corners = at.corners;
+    double distance = Nearest(corners);
+    if (distance <= far || Farthest(corners) >= length_ * (1 - kNearTarget)) {
+      distance = Depth(corners);
+      if (IsBeyondTarget(corners, distance)) return false;
+    }
+    const Index last = at.cell;
+    at.cell = triangulation_->cells[last].neighbors[at.exit];
+    const Cell& cell = triangulation_->cells[at.cell];
+    const int entry = PositionIn(cell.neighbors, last);
+    if (!visit(Crossing{last, at.exit, at.cell, entry, distance})) {
+      at.cell = kNone;
+      return false;
+    }
+    const Index apex_vertex = cell.vertices[entry];
+    if (apex_vertex == kInfinite) return false;
+
+    // Seen along the ray, the facet (0, 1, 2) turns counter-clockwise around it; the apex
+    // replaces the corner opposite the side through which the ray leaves.
+    const Projected apex = Project(apex_vertex);
+    Projected& replaced = corners[ReplacedCorner(corners, apex)];
+    at.exit = PositionOf(replaced.vertex, cell);
+    // One by one: what is copied as a whole waits until all of it is written.
+    replaced.u = apex.u;
+    replaced.v = apex.v;
+    replaced.depth = apex.depth;
+    replaced.size = apex.size;
+    replaced.vertex = apex.vertex;
+    return true;
+  }
+
+  // Steps from the cell in front to the end; returns the last cell.
   template <typename Visit>
   Index Walk(double far, Visit&& visit) const {
-    Index cell_index = front_;
-    int exit = PositionOf(vertex_, triangulation_.cells[front_]);
-    Projected corners[3];
-    for (int i = 0; i < 3; ++i)
-      corners[i] = Project(triangulation_.cells[front_].vertices[kFacet[exit][i]]);
-
-    while (true) {
-      double distance = Nearest(corners);
-      if (distance <= far || Farthest(corners) >= length_ * (1 - kNearTarget)) {
-        distance = Depth(corners);
-        if (IsBeyondTarget(corners, distance)) return cell_index;
-      }
-      const Index next_index = triangulation_.cells[cell_index].neighbors[exit];
-      const Cell& next = triangulation_.cells[next_index];
-      const int entry = triangulation_.MirrorIndex(cell_index, next_index);
-      if (!visit(Crossing{cell_index, exit, next_index, entry, distance})) return kNone;
-      const Index apex_vertex = next.vertices[entry];
-      if (apex_vertex == kInfinite) return next_index;
-
-      // Seen along the ray, the facet (0, 1, 2) turns counter-clockwise around it; the apex
-      // replaces the corner opposite the side through which the ray leaves.
-      const Projected apex = Project(apex_vertex);
-      const int replaced = ReplacedCorner(corners, apex);
-      const Index leaving = corners[replaced].vertex;
-      corners[replaced] = apex;
-      exit = PositionOf(leaving, next);
-      cell_index = next_index;
-    }
+    Position at = Start();
+    while (Step(far, at, visit)) continue;
+    return at.cell;
   }
 
  private:
@@ -130,13 +160,8 @@ class RayWalker {
   // Facets this close to the target, relative to the ray's length, are compared exactly.
   static constexpr double kNearTarget = 1e-9;
 
-  struct Projected {
-    double u, v, depth, size;
-    Index vertex;
-  };
-
   Projected Project(Index vertex) const {
-    const Vec3 p = triangulation_.points[vertex] - origin_;
+    const Vec3 p = triangulation_->points[vertex] - origin_;
     return {Dot(axis_u_, p), Dot(axis_v_, p), Dot(direction_, p),
             std::abs(p.x) + std::abs(p.y) + std::abs(p.z), vertex};
   }
@@ -149,14 +174,21 @@ class RayWalker {
     const double bound = kSignError * a.size * b.size;
     if (value > bound) return 1;
     if (value < -bound) return -1;
-    const auto& points = triangulation_.points;
+    const auto& points = triangulation_->points;
     return PerturbedOrientation(origin_, target_, points[a.vertex], points[b.vertex]);
   }
 
+  // Without branches, which would be unpredictable, unless a sign is within the rounding error.
   int ReplacedCorner(const Projected corners[3], const Projected& apex) const {
-    const int side0 = Side(corners[0], apex);
-    if (side0 == 0) return 0;
-    if (side0 > 0) return Side(corners[2], apex) < 0 ? 1 : 0;
+    const double side0 = SideValue(corners[0], apex);
+    const Projected& other = corners[1 + (side0 > 0)];
+    const double side = SideValue(other, apex);
+    const double error = kSignError * apex.size;
+    if (std::abs(side0) > error * corners[0].size && std::abs(side) > error * other.size)
+      return ((side0 > 0) & (side < 0)) | ((side0 < 0) & (side > 0)) << 1;
+    const int sign0 = Side(corners[0], apex);
+    if (sign0 == 0) return 0;
+    if (sign0 > 0) return Side(corners[2], apex) < 0 ? 1 : 0;
     return Side(corners[1], apex) > 0 ? 2 : 0;
   }
 
@@ -182,20 +214,18 @@ class RayWalker {
   bool IsBeyondTarget(const Projected corners[3], double distance) const {
     if (distance < length_ * (1 - kNearTarget)) return false;
     if (distance > length_ * (1 + kNearTarget)) return true;
-    const auto& points = triangulation_.points;
+    const auto& points = triangulation_->points;
     return Orientation(points[corners[0].vertex], points[corners[1].vertex],
                        points[corners[2].vertex], target_) <= 0;
   }
 
-  // Index of `vertex` in a cell, without branches, which would be unpredictable.
   static int PositionOf(Index vertex, const Cell& cell) {
-    return (cell.vertices[1] == vertex) + 2 * (cell.vertices[2] == vertex) +
-           3 * (cell.vertices[3] == vertex);
+    return PositionIn(cell.vertices, vertex);
   }
 
   Index FirstFinite() const {
-    const Index* c = triangulation_.stars.begin(vertex_);
-    while (triangulation_.cells[*c].IsInfinite()) ++c;
+    const Index* c = triangulation_->stars.begin(vertex_);
+    while (triangulation_->cells[*c].IsInfinite()) ++c;
     return *c;
   }
 
@@ -204,7 +234,7 @@ class RayWalker {
   // in a Delaunay triangulation this terminates.
   Index FindStart(Index at, int sign) const {
     while (true) {
-      const Cell& cell = triangulation_.cells[at];
+      const Cell& cell = triangulation_->cells[at];
       if (cell.IsInfinite()) return kNone;  // the ray leaves the convex hull
       const int apex = PositionOf(vertex_, cell);
       Projected corners[3];
@@ -219,7 +249,7 @@ class RayWalker {
   // Cosine between the ray and the outward normal of an infinite cell's hull facet.
   double HullFacing(const Cell& cell) const {
     const int at = PositionOf(kInfinite, cell);
-    const auto& points = triangulation_.points;
+    const auto& points = triangulation_->points;
     const Vec3& a = points[cell.vertices[kFacet[at][0]]];
     const Vec3& b = points[cell.vertices[kFacet[at][1]]];
     const Vec3& c = points[cell.vertices[kFacet[at][2]]];
@@ -229,9 +259,9 @@ class RayWalker {
     return norm > 0 ? -Dot(inward, direction_) / norm : -1;
   }
 
-  const Triangulation& triangulation_;
-  const Index vertex_;
-  const Vec3 origin_, target_;
+  const Triangulation* triangulation_;
+  Index vertex_;
+  Vec3 origin_, target_;
   double length_;
   Vec3 direction_, axis_u_, axis_v_;
   Index front_ = kNone, behind_ = kNone;

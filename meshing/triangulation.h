@@ -25,6 +25,12 @@ struct Cell {
 // the three turn clockwise, seen from outside the cell counter-clockwise.
 constexpr int kFacet[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
 
+// Position of a value that is one of four, without branches, which would be unpredictable.
+inline int PositionIn(const std::array<Index, 4>& values, Index value) {
+  const int is_last = values[3] == value;
+  return ((values[1] == value) | is_last) | ((values[2] == value) | is_last) << 1;
+}
+
 struct Triangulation {
   std::vector<Vec3> points;
   std::vector<Cell> cells;
@@ -35,8 +41,7 @@ struct Triangulation {
 
   // Position of `cell` among the neighbors of `neighbor`.
   int MirrorIndex(Index cell, Index neighbor) const {
-    const auto& around = cells[neighbor].neighbors;
-    return around[0] == cell ? 0 : around[1] == cell ? 1 : around[2] == cell ? 2 : 3;
+    return PositionIn(cells[neighbor].neighbors, cell);
   }
 };
 

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "parallel.h"
 #include "ray_walker.h"
@@ -12,37 +14,66 @@ namespace {
 
 std::int64_t Scaled(double factor, std::int64_t weight) { return std::llround(factor * weight); }
 
-// Weight 1 - exp(-d^2 / 2 sigma^2) of a crossing at distance d from a point.
+// Weight 1 - exp(-d^2 / 2 sigma^2) of a crossing at distance d from a point. The exponential is one
+// of a table times a short series; its error is far below the unit of the weights.
 class SoftWeight {
  public:
-  explicit SoftWeight(double sigma) : factor_(-0.5 / (sigma * sigma)), far_(6 * sigma) {}
+  explicit SoftWeight(double sigma) : factor_(0.5 * kSteps / (sigma * sigma)), far_(6 * sigma) {
+    for (int i = 0; i < kSize; ++i) table_[i] = kRayWeight * std::exp(-double(i) / kSteps);
+  }
 
   double far() const { return far_; }
   std::int64_t operator()(double distance) const {
     if (distance >= far_) return kRayWeight;
-    return std::llround(kRayWeight * -std::expm1(factor_ * distance * distance));
+    const double at = factor_ * distance * distance;
+    const int nearest = static_cast<int>(at + 0.5);
+    const double x = (nearest - at) / kSteps;
+    const double series =
+        1 + x * (1 + x * (1. / 2 + x * (1. / 6 + x * (1. / 24 + x * (1. / 120)))));
+    return static_cast<std::int64_t>(kRayWeight - table_[nearest] * series + 0.5);
   }
 
  private:
+  static constexpr int kSteps = 64, kSize = 18 * kSteps + 2;  // up to 6^2 / 2, rounded up
   double factor_, far_;
+  double table_[kSize];
 };
 
-// `far_weight` is the weight of the part of the ray that is far from its point.
-void AddRay(const RayWalker& walker, const SoftWeight& weight, double solid,
-            std::int64_t far_weight, CutProblem& problem) {
-  if (walker.front() == kNone) {
+// A ray on its way from a point to a camera. The flow that all its facets can carry from the camera
+// is pushed to its cells at once, which changes neither the minimum cut nor its value: facets get
+// the residual in the opposite direction, cells what flows in and not out.
+struct RayToCamera {
+  RayWalker walker;
+  RayWalker::Position at;
+  std::int64_t far_weight;  // weight of the part that is far from the point
+  std::int64_t pushed = 0;  // through the last facet
+  bool is_far = false;
+};
+
+// Returns whether the ray goes on. Without a part that is far from the point nothing flows in.
+bool StepRay(const SoftWeight& soft_weight, RayToCamera& ray, CutProblem& problem) {
+  const bool goes_on = ray.walker.Step(soft_weight.far(), ray.at, [&](const Crossing& crossing) {
+    ray.is_far |= crossing.distance >= soft_weight.far();
+    if (ray.is_far && ray.far_weight == 0) return false;
+    const std::int64_t amount = soft_weight(crossing.distance) * (ray.is_far ? ray.far_weight : 1);
+    const std::size_t forward = 4 * std::size_t(crossing.next) + crossing.entry;
+    const std::size_t backward = 4 * std::size_t(crossing.cell) + crossing.facet;
+    AtomicAdd(problem.arcs[ray.far_weight == 0 ? forward : backward], amount);
+    if (ray.far_weight != 0 && amount != ray.pushed) {
+      AtomicAdd(problem.source[crossing.cell], amount - ray.pushed);
+      ray.pushed = amount;
+    }
+    return true;
+  });
+  if (!goes_on && ray.at.cell != kNone && !ray.is_far)
+    AtomicAdd(problem.source[ray.at.cell], kRayWeight - ray.pushed);
+  return goes_on;
+}
+
+// Adds all but the crossings between the point and the camera.
+void AddEnds(const RayWalker& walker, const SoftWeight& weight, double solid, CutProblem& problem) {
+  if (walker.front() == kNone)
     walker.VisitOutside(true, [&](Index cell) { AtomicAdd(problem.source[cell], kRayWeight); });
-  } else {
-    std::int64_t num_rays = 1;
-    const Index last = walker.Walk(weight.far(), [&](const Crossing& crossing) {
-      if (crossing.distance >= weight.far()) num_rays = far_weight;
-      if (num_rays == 0) return false;
-      AtomicAdd(problem.arcs[4 * std::size_t(crossing.next) + crossing.entry],
-                num_rays * weight(crossing.distance));
-      return true;
-    });
-    if (last != kNone) AtomicAdd(problem.source[last], num_rays * kRayWeight);
-  }
   const std::int64_t solid_weight = Scaled(solid, kRayWeight);
   if (walker.behind() == kNone) {
     walker.VisitOutside(false, [&](Index cell) { AtomicAdd(problem.sink[cell], solid_weight); });
@@ -54,11 +85,47 @@ void AddRay(const RayWalker& walker, const SoftWeight& weight, double solid,
   }
 }
 
-void AddBackgroundRay(const RayWalker& walker, std::int64_t weight, CutProblem& problem) {
-  if (walker.front() == kNone) return;  // the ray leaves the convex hull at its vertex
-  walker.Walk(0, [&](const Crossing& crossing) {
-    AtomicAdd(problem.arcs[4 * std::size_t(crossing.cell) + crossing.facet], weight);
-    return true;
+// Adds the rays of the vertices [begin, end).
+void AddRays(const Triangulation& triangulation, const Rows& rays, const std::vector<Index>& far,
+             const std::vector<Vec3>& cameras, const std::vector<std::uint8_t>& is_edge,
+             Index begin, Index end, double edge_solid, const SoftWeight& weight,
+             CutProblem& problem) {
+  Index vertex = begin;
+  std::int64_t ray = rays.offsets[begin];
+  StartCells near;
+  auto start = [&]() -> std::optional<RayToCamera> {
+    for (; ray < rays.offsets[end]; ++ray) {
+      for (; ray == rays.offsets[vertex + 1]; near = {}) ++vertex;
+      const RayWalker walker(triangulation, vertex, cameras[rays.values[ray]], near);
+      near = walker.near();
+      AddEnds(walker, weight, is_edge[vertex] ? edge_solid : 1, problem);
+      if (walker.front() != kNone) return RayToCamera{walker, walker.Start(), far[ray++]};
+    }
+    return std::nullopt;
+  };
+  TakeTurns(start, [&](RayToCamera& ray) { return StepRay(weight, ray, problem); });
+}
+
+// Adds background rays, from the convex hull's inside only.
+void AddBackgroundRays(const Triangulation& triangulation, const BackgroundRay* begin,
+                       const BackgroundRay* end, std::int64_t weight, CutProblem& problem) {
+  using Walk = std::pair<RayWalker, RayWalker::Position>;
+  StartCells near;
+  auto start = [&, ray = begin]() mutable -> std::optional<Walk> {
+    while (ray != end) {
+      if (ray == begin || ray->vertex != ray[-1].vertex) near = {};
+      const RayWalker walker(triangulation, ray->vertex, ray->target, near);
+      near = walker.near();
+      ++ray;
+      if (walker.front() != kNone) return Walk{walker, walker.Start()};
+    }
+    return std::nullopt;
+  };
+  TakeTurns(start, [&](Walk& walk) {
+    return walk.first.Step(0, walk.second, [&](const Crossing& crossing) {
+      AtomicAdd(problem.arcs[4 * std::size_t(crossing.cell) + crossing.facet], weight);
+      return true;
+    });
   });
 }
 
@@ -172,28 +239,16 @@ CutProblem VisibilityProblem(const Triangulation& triangulation, const Rows& ray
   const SoftWeight weight(sigma);
   const auto far_weights = FarWeights(triangulation.points, is_edge, rays, cameras.size(), sigma);
   ParallelChunks(triangulation.num_vertices(), options.num_threads, [&](auto begin, auto end) {
-    for (auto v = begin; v < end; ++v) {
-      const double solid = is_edge[v] ? options.edge_solid_weight : 1;
-      StartCells near;
-      for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
-        const RayWalker walker(triangulation, v, cameras[rays.values[ray]], near);
-        near = walker.near();
-        AddRay(walker, weight, solid, far_weights[ray], problem);
-      }
-    }
+    AddRays(triangulation, rays, far_weights, cameras, is_edge, begin, end,
+            options.edge_solid_weight, weight, problem);
   });
   const std::int64_t background_weight = Scaled(options.background_weight, kRayWeight);
   VisitAroundCameras(triangulation, background, [&](Index cell, std::int64_t num_rays) {
     problem.source[cell] += num_rays * background_weight;
   });
   ParallelChunks(background.size(), options.num_threads, [&](auto begin, auto end) {
-    StartCells near;
-    for (auto i = begin; i < end; ++i) {
-      if (i == begin || background[i].vertex != background[i - 1].vertex) near = {};
-      const RayWalker walker(triangulation, background[i].vertex, background[i].target, near);
-      near = walker.near();
-      AddBackgroundRay(walker, background_weight, problem);
-    }
+    AddBackgroundRays(triangulation, background.data() + begin, background.data() + end,
+                      background_weight, problem);
   });
   AddQuality(triangulation, options, problem);
   return problem;
