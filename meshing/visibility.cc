@@ -23,8 +23,10 @@ class SoftWeight {
   }
 
   double far() const { return far_; }
+  // A distance may be negative where a facet contains the ray, which crosses it at no one place.
   std::int64_t operator()(double distance) const {
     if (distance >= far_) return kRayWeight;
+    if (distance <= 0) return 0;
     const double at = factor_ * distance * distance;
     const int nearest = static_cast<int>(at + 0.5);
     const double x = (nearest - at) / kSteps;

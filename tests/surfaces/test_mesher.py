@@ -359,6 +359,20 @@ def test_points_that_are_not_finite_are_dropped_and_counted():
     assert mesh.stats["points_not_finite"] == 2
 
 
+@pytest.mark.parametrize("seed", [4, 6, 21, 22])
+def test_rays_in_the_plane_of_points(seed):
+    """Facets may contain such a ray, with corners far behind the point that it starts from."""
+    rng = np.random.default_rng(seed)
+    plane = np.linalg.svd(np.array([[0.3, 0.5, 0.8]]))[2][1:]
+    near, wide = rng.normal(0, 0.01, (400, 2)), rng.uniform(-5, 5, (60, 2))
+    points = np.concatenate([np.concatenate([near, wide]) @ plane, rng.normal(0, 3, (100, 3))])
+    centers = rng.uniform(-5, 5, (6, 2)) @ plane
+    cameras = np.concatenate([np.sort(rng.choice(6, 3, replace=False)) for _ in points])
+    offsets = 3 * np.arange(len(points) + 1)
+    mesh = meshing.mesh_points(points, offsets, cameras.astype(np.int32), centers, OPTIONS)
+    assert_manifold(mesh)
+
+
 def test_points_on_cameras_and_rays_through_vertices():
     grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), -1).reshape(-1, 3)
     centers = grid[[0, 62, 124]]
