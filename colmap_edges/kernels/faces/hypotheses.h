@@ -38,40 +38,41 @@ class PlaneSearch {
     for (size_t i = 0; i < points.size(); ++i) total_ += whole_[i] = weights[points.given(i)];
   }
 
-  // One plane after the other, each with the most weight that is not another's yet.
+  // One plane after the other, each with the most support by points that are not on others yet.
   std::vector<Plane> Run(const std::vector<Plane>& planes) {
     const double least = options_.min_share * total_;
+    weights_ = whole_;
     Score(planes, least);
-    std::vector<double> weights = whole_;
     std::vector<Plane> found;
     std::vector<PointSet> owned;
     std::vector<Filled> tried;
     // Weights only decrease, so a candidate is weighed again only when no other may have more.
     std::priority_queue<std::pair<double, int64_t>> queue;  // the first of equals first
     for (size_t c = 0; c < candidates_.size(); ++c)
-      queue.emplace(candidates_[c].support, -int64_t(c));
+      queue.emplace(Support(candidates_[c]), -int64_t(c));
     while (int(found.size()) < options_.max_planes && !queue.empty()) {
       const auto [left, key] = queue.top();
       queue.pop();
       if (left < least) break;
       Candidate& best = candidates_[-key];
       if (best.seen < tried.size()) {
-        if (IsOpen(tried, &best)) queue.emplace(Weight(&words_[best.first], weights), key);
+        if (IsOpen(tried, &best)) queue.emplace(Support(best), key);
         continue;
       }
-      const std::optional<Plane> fitted = BestOfSame(size_t(-key), tried);
-      if (!fitted) continue;
-      const PointSet own = On(*fitted, options_.tolerance);
+      std::optional<Plane> plane = Fitted(best.plane);
+      if (!plane) continue;
+      plane = Snapped(*plane);
+      const PointSet own = On(*plane, options_.tolerance);
       tried.emplace_back();
       for (size_t b = 0; b < own.size(); ++b)
         if (own[b]) tried.back().emplace_back(b, own[b]);
       const auto same = [&](const PointSet& other) { return AreSame(own, other); };
       if (std::any_of(owned.begin(), owned.end(), same)) continue;
       VisitPoints(own.data(), own.size(), [&](size_t i) {
-        weights[i] =
-            std::max(options_.explained_weight * weights[i], options_.least_weight * whole_[i]);
+        const double explained = (1 - options_.explained_weight) * Closeness(*plane, i);
+        weights_[i] = std::max((1 - explained) * weights_[i], options_.least_weight * whole_[i]);
       });
-      found.push_back(*fitted), owned.push_back(own);
+      found.push_back(*plane), owned.push_back(own);
     }
     return found;
   }
@@ -81,48 +82,22 @@ class PlaneSearch {
 
   struct Candidate {
     Plane plane;
-    double support;
+    double weight;    // of what lies on it
     size_t first;     // of its words
     size_t seen = 0;  // number of tried planes that it is known to differ from
   };
 
-  // The best one fitted to a candidate, or to another that would be dropped as a duplicate of it:
-  // the one with the most weight may pass through parts of several surfaces. It takes a common
-  // normal where that is as good.
-  std::optional<Plane> BestOfSame(size_t chosen, const std::vector<Filled>& tried) {
-    const Candidate& first = candidates_[chosen];
-    std::optional<Plane> best = Fitted(first.plane);
-    if (!best) return best;
-    double most = Closeness(*best);
-    const auto* own = &words_[first.first];
-    int left = kMaxAlternatives;
-    for (const size_t c : by_support_) {
-      Candidate& other = candidates_[c];
-      if (other.support < kMinAlternative * first.support || left == 0) break;
-      if (c == chosen || std::abs(Dot(other.plane.normal, first.plane.normal)) < kSnapCosine)
-        continue;
-      double shared = 0;
-      for (size_t b = 0; b < points_.num_blocks(); ++b) {
-        const uint64_t both = own[b] & words_[other.first + b];
-        VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
-      }
-      if (shared <= options_.same_share * other.support || !IsOpen(tried, &other)) continue;
-      --left;
-      const std::optional<Plane> fitted = Fitted(other.plane);
-      const double closeness = fitted ? Closeness(*fitted) : 0;
-      if (closeness > most) most = closeness, best = fitted;
-    }
-    return Snapped(*best);
+  // 1 for a point on a plane, 0 for one at the tolerance, as in MSAC (Torr, Zisserman 2000): those
+  // of a picture on a wall do not make the wall's edges lie on their plane.
+  double Closeness(const Plane& plane, size_t i, double factor = 1) const {
+    const double off = plane.Distance(points_.point(i)) / (factor * options_.tolerance);
+    return std::max(0.0, 1 - off * off / points_.Variance(i, plane.normal));
   }
 
-  // Weight of what lies on a plane, more where it lies closer, as in MSAC (Torr, Zisserman 2000).
-  double Closeness(const Plane& plane) const {
+  double Support(const Candidate& candidate) const {
     double sum = 0;
-    const PointSet on = On(plane, options_.tolerance);
-    VisitPoints(on.data(), on.size(), [&](size_t i) {
-      const double off = plane.Distance(points_.point(i)) / options_.tolerance;
-      sum += whole_[i] * (1 - off * off / points_.Variance(i, plane.normal));
-    });
+    VisitPoints(&words_[candidate.first], points_.num_blocks(),
+                [&](size_t i) { sum += weights_[i] * Closeness(candidate.plane, i); });
     return sum;
   }
 
@@ -130,16 +105,11 @@ class PlaneSearch {
     PointSet words(points_.num_blocks());
     for (const Plane& plane : planes) {
       points_.FindOn(plane, options_.tolerance, words.data());
-      const double support = Weight(words.data(), whole_);
-      if (support < least) continue;
-      candidates_.push_back({plane, support, words_.size()});
+      const double weight = Weight(words.data(), whole_);
+      if (weight < least) continue;
+      candidates_.push_back({plane, weight, words_.size()});
       words_.insert(words_.end(), words.begin(), words.end());
     }
-    by_support_.resize(candidates_.size());
-    std::iota(by_support_.begin(), by_support_.end(), 0);
-    std::stable_sort(by_support_.begin(), by_support_.end(), [this](size_t a, size_t b) {
-      return candidates_[a].support > candidates_[b].support;
-    });
   }
 
   // Whether not too much of a candidate lies on any tried plane.
@@ -150,7 +120,7 @@ class PlaneSearch {
         const uint64_t both = word & words_[candidate->first + b];
         VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
       }
-      if (shared > options_.same_share * candidate->support) return false;
+      if (shared > options_.same_share * candidate->weight) return false;
     }
     return true;
   }
@@ -175,30 +145,27 @@ class PlaneSearch {
     return Weight(both) > options_.same_share * std::min(Weight(one), Weight(other));
   }
 
-  // Mean of value(i) over a set of points, weighted by how sure their distances from a plane are.
-  template <typename Value>
-  auto Average(const PointSet& on, const Vec3& normal, const Value& value) const {
-    decltype(value(0)) sum{};
-    double total = 0;
-    VisitPoints(on.data(), on.size(), [&](size_t i) {
-      const double weight = whole_[i] / points_.Variance(i, normal);
-      sum = sum + weight * value(i), total += weight;
-    });
-    return (1 / total) * sum;
-  }
-
-  // The plane fitted to all that lies on it.
+  // The plane fitted to what is near it, the closest the most.
   std::optional<Plane> Fitted(Plane plane) const {
-    for (const double factor : {1.6, 1.2, 1.0}) {
+    for (const double factor : kFactors) {
       const PointSet on = On(plane, factor * options_.tolerance);
-      int64_t count = 0;
-      VisitPoints(on.data(), on.size(), [&](size_t i) { count += whole_[i] > 0; });
-      if (count < 8) return std::nullopt;
-      const Vec3 middle = Average(on, plane.normal, [this](size_t i) { return points_.point(i); });
+      const auto weigh = [&](const auto& add) {
+        VisitPoints(on.data(), on.size(), [&](size_t i) {
+          const double closeness = Closeness(plane, i, factor);
+          add(i, closeness * weights_[i] / points_.Variance(i, plane.normal));
+        });
+      };
+      int count = 0;
+      double total = 0;
+      Vec3 middle{};
+      weigh([&](size_t i, double weight) {
+        count += weight > 0, total += weight, middle = middle + weight * points_.point(i);
+      });
+      if (count < kMinPoints) return std::nullopt;
+      middle = (1 / total) * middle;
       double spread[6] = {};
-      VisitPoints(on.data(), on.size(), [&](size_t i) {
+      weigh([&](size_t i, double weight) {
         const Vec3 off = points_.point(i) - middle;
-        const double weight = whole_[i] / points_.Variance(i, plane.normal);
         for (int a = 0, k = 0; a < 3; ++a)
           for (int b = a; b < 3; ++b) spread[k++] += weight * off[a] * off[b];
       });
@@ -235,32 +202,36 @@ class PlaneSearch {
     const auto add = [&](size_t i, double at) {
       const double reach = options_.tolerance * std::sqrt(points_.Variance(i, nearest));
       support[std::lower_bound(tried.begin(), tried.end(), at - reach) - tried.begin()] +=
-          whole_[i];
+          weights_[i];
       support[std::upper_bound(tried.begin(), tried.end(), at + reach) - tried.begin()] -=
-          whole_[i];
+          weights_[i];
     };
     points_.VisitNear(nearest, tried.front(), tried.back(), options_.tolerance, add);
     std::partial_sum(support.begin(), support.end(), support.begin());
     const size_t most = std::max_element(support.begin(), support.end() - 1) - support.begin();
     const PointSet best = On({nearest, tried[most]}, options_.tolerance);
-    const double weight = Weight(best);
-    if (!(weight > 0) || weight < options_.snap_gain * Weight(on)) return plane;
-    return {nearest,
-            Average(best, nearest, [&](size_t i) { return Dot(nearest, points_.point(i)); })};
+    double weight = 0, sum = 0, total = 0;
+    VisitPoints(best.data(), best.size(), [&](size_t i) {
+      const double sure = weights_[i] / points_.Variance(i, nearest);
+      weight += weights_[i], total += sure, sum += sure * Dot(nearest, points_.point(i));
+    });
+    if (!(weight > 0) || weight < options_.snap_gain * Weight(on.data(), weights_)) return plane;
+    return {nearest, sum / total};
   }
 
   static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
-  static constexpr int kMaxAlternatives = 30;               // that are fitted for one plane
-  static constexpr double kMinAlternative = 0.5;            // of the support of the plane
+  static constexpr int kMinPoints = 8;                      // that a plane is fitted to
+  // Of the tolerance in the steps of a fit.
+  static constexpr double kFactors[] = {2, 1.4, 1, 1};
 
   const PlanePoints& points_;
   const PlaneSearchOptions options_;
   std::vector<Vec3> common_;
-  std::vector<double> whole_;  // weights of the points
+  std::vector<double> whole_;    // weights of the points
+  std::vector<double> weights_;  // of the points, less on planes that are found
   double total_ = 0;
   std::vector<Candidate> candidates_;
-  std::vector<size_t> by_support_;  // candidates, those with the most first
-  PointSet words_;                  // of all candidates
+  PointSet words_;  // of all candidates
 };
 
 }  // namespace colmap_edges

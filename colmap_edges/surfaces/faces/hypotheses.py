@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
 
-MAX_POINTS = 4000  # maximum number of points for scoring hypotheses
-NUM_PAIRS = 6000  # number of sampled pairs of edges
+MAX_POINTS = 8000  # maximum number of points for scoring hypotheses
+NUM_PAIRS = 4000  # number of pairs of edges that are drawn at once
+NUM_DRAWS = 2  # number of draws, after the first by points that lie on no plane yet
 NUM_NEAR = 256  # number of nearest points from which the second edge of a pair is drawn
 NUM_AXES = 6  # number of dominant edge directions
 AXIS_COSINE = np.cos(np.radians(3.0))
@@ -94,9 +95,12 @@ class Hypotheses:
                 kept.append(normal)
         return np.array(kept).reshape(-1, 3)
 
-    def candidates(self, common: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(H, 3) normals and (H,) offsets of planes through pairs of near edges, and points."""
-        share = self.weights / self.weights.sum()
+    def candidates(self, common: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(H, 3) normals and (H,) offsets of planes through pairs of near edges, and points.
+
+        The first of a pair is drawn by (N,) weights.
+        """
+        share = weights / weights.sum()
         first = self.rng.choice(len(self.points), NUM_PAIRS, p=share)
         num_near = min(NUM_NEAR, len(self.points))
         ranks = np.floor(num_near ** self.rng.random((NUM_PAIRS, 2))).astype(np.int64)
@@ -131,6 +135,41 @@ class Hypotheses:
             offsets = np.concatenate([offsets, at])
         return normals, offsets
 
+    def best_of(
+        self, found: Planes, more: tuple[FloatArray, FloatArray], common: FloatArray
+    ) -> Planes:
+        """The planes with the most support among those found before and (H) more."""
+        options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, LEAST_WEIGHT, SAME_SHARE, SNAP_GAIN)
+        normals, offsets = _kernels.search_planes(
+            self.points,
+            self.tangents,
+            self.rays,
+            self.sigmas,
+            self.weights,
+            np.concatenate([found.normals, more[0]]),
+            np.concatenate([found.offsets, more[1]]),
+            common,
+            MAX_SLOPE,
+            np.array(options),
+            MAX_PLANES,
+        )
+        return Planes(normals=normals, offsets=offsets)
+
+    def lie_alone(self, planes: Planes) -> BoolArray:
+        """(N,) whether points lie on none of the planes."""
+        offsets, _ = _kernels.planes_of_points(
+            self.points,
+            self.tangents,
+            self.rays,
+            self.sigmas,
+            planes.normals,
+            planes.offsets,
+            TOLERANCE,
+            MAX_SLOPE,
+        )
+        alone: BoolArray = np.diff(offsets) == 0
+        return alone
+
 
 def nearest(points: FloatArray, sources: IntArray, ranks: IntArray) -> IntArray:
     """(M,) the point of a given rank among those that are nearest to each of (M,) points."""
@@ -150,22 +189,10 @@ def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
     if len(evidence.points) < 8:
         return none
     tried = Hypotheses(evidence, rng)
-    common = tried.common_normals()
-    normals, offsets = tried.candidates(common)
-    if not len(offsets):
-        return none
-    options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, LEAST_WEIGHT, SAME_SHARE, SNAP_GAIN)
-    normals, offsets = _kernels.search_planes(
-        tried.points,
-        tried.tangents,
-        tried.rays,
-        tried.sigmas,
-        tried.weights,
-        normals,
-        offsets,
-        common,
-        MAX_SLOPE,
-        np.array(options),
-        MAX_PLANES,
-    )
-    return Planes(normals=normals, offsets=offsets)
+    common, found, weights = tried.common_normals(), none, tried.weights
+    for _ in range(NUM_DRAWS):
+        found = tried.best_of(found, tried.candidates(common, weights), common)
+        weights = tried.weights * tried.lie_alone(found)
+        if not weights.any():
+            break
+    return found

@@ -39,14 +39,19 @@ def on_plane(evidence, normal, offset, tolerance=TOLERANCE, slope=SLOPE):
     return near & (np.abs(tangents @ normal) <= slope)
 
 
+def closeness(evidence, normal, offset, tolerance=TOLERANCE):
+    off = (evidence[0] @ normal - offset) / (tolerance * deviations(evidence, normal))
+    return on_plane(evidence, normal, offset, tolerance) * np.maximum(1 - off**2, 0)
+
+
 def fitted(evidence, weights, normal, offset):
-    for factor in (1.6, 1.2, 1.0):
-        on = on_plane(evidence, normal, offset, factor * TOLERANCE)
-        if on.sum() < 8:
+    for factor in (2, 1.4, 1, 1):
+        shares = weights * closeness(evidence, normal, offset, factor * TOLERANCE)
+        if np.count_nonzero(shares) < 8:
             return None
-        shares = weights[on] / deviations(evidence, normal)[on] ** 2
-        middle = np.average(evidence[0][on], axis=0, weights=shares)
-        off = (evidence[0][on] - middle) * np.sqrt(shares)[:, None]
+        shares /= deviations(evidence, normal) ** 2
+        middle = np.average(evidence[0], axis=0, weights=shares)
+        off = (evidence[0] - middle) * np.sqrt(shares)[:, None]
         values, vectors = np.linalg.eigh(off.T @ off)
         if values[1] > 0.005 * values[2]:
             normal = vectors[:, 0]
@@ -68,54 +73,32 @@ def snapped(evidence, weights, normal, offset, common):
     return nearest, np.average(evidence[0][near] @ nearest, weights=shares)
 
 
-def closeness(evidence, weights, normal, offset):
-    off = evidence[0] @ normal - offset
-    on = on_plane(evidence, normal, offset)
-    return weights[on] @ (1 - (off / TOLERANCE / deviations(evidence, normal))[on] ** 2)
-
-
-def best_of_same(evidence, weights, planes, common, best, members, closed):
-    """The closest plane fitted to a candidate or to the first 30 others that share most with it."""
-    plane = fitted(evidence, weights, planes[0][best], planes[1][best])
-    if plane is None:
-        return None
-    support = members @ weights
-    same = members @ (weights * members[best]) > OPTIONS[4] * support
-    same &= np.abs(planes[0] @ planes[0][best]) >= np.cos(np.radians(10))
-    same &= ~closed & (support >= 0.5 * support[best])
-    same &= support >= OPTIONS[1] * weights.sum()
-    same[best] = False
-    order = np.argsort(-support, kind="stable")
-    for other in order[same[order]][:30]:
-        found = fitted(evidence, weights, planes[0][other], planes[1][other])
-        if found and closeness(evidence, weights, *found) > closeness(evidence, weights, *plane):
-            plane = found
-    return snapped(evidence, weights, *plane, common)
-
-
 def greedy(evidence, weights, planes, common, max_planes):
     """All candidates are weighed in every round."""
     _, min_share, explained, least_weight, same_share, _ = OPTIONS
-    members = np.array([on_plane(evidence, *plane) for plane in zip(*planes, strict=True)])
+    listed = list(zip(*planes, strict=True))
+    members = np.array([on_plane(evidence, *plane) for plane in listed])
+    close = np.array([closeness(evidence, *plane) for plane in listed])
     support, left, found, owned = members @ weights, weights.copy(), [], []
-    open_, closed = support >= min_share * weights.sum(), np.zeros(len(support), bool)
+    open_ = support >= min_share * weights.sum()
     while len(found) < max_planes and open_.any():
-        values = np.where(open_, members @ left, 0)
+        values = np.where(open_, close @ left, 0)
         best = np.argmax(values)
         if values[best] < min_share * weights.sum():
             break
         open_[best] = False
-        plane = best_of_same(evidence, weights, planes, common, best, members, closed)
+        plane = fitted(evidence, left, *listed[best])
         if plane is None:
             continue
+        plane = snapped(evidence, left, *plane, common)
         own = on_plane(evidence, *plane)
-        closed |= members @ (weights * own) > same_share * support
-        open_ &= ~closed
+        open_ &= members @ (weights * own) <= same_share * support
         smaller = [min(weights[own].sum(), weights[other].sum()) for other in owned]
         shared = [weights[own & other].sum() for other in owned]
         if (np.array(shared) > same_share * np.array(smaller)).any():
             continue
-        left[own] = np.maximum(explained * left[own], least_weight * weights[own])
+        kept = (1 - (1 - explained) * closeness(evidence, *plane)) * left
+        left[own] = np.maximum(kept, least_weight * weights)[own]
         found.append(plane)
         owned.append(own)
     return found
