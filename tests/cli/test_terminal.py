@@ -94,6 +94,7 @@ def test_closed_terminal_leaves_no_files(small, tmp_path):
     """The kernel then hangs up on the run, whose messages go nowhere."""
     pid, terminal = pty.fork()
     if pid == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where nohup runs the tests
         os.execv(sys.executable, command(small, tmp_path / "out"))
     end = time.monotonic() + 60
     while not any(tmp_path.glob(".out.*/new")) and time.monotonic() < end:
