@@ -87,8 +87,8 @@ class PlaneSearch {
     size_t seen = 0;  // number of tried planes that it is known to differ from
   };
 
-  // 1 for a point on a plane, 0 for one at the tolerance, as in MSAC (Torr, Zisserman 2000): those
-  // of a picture on a wall do not make the wall's edges lie on their plane.
+  // 1 for a point on a plane, 0 for one at the tolerance, as in MSAC (Torr, Zisserman 2000): the
+  // points of a picture hardly count for the plane of the wall behind it.
   double Closeness(const Plane& plane, size_t i, double factor = 1) const {
     const double off = plane.Distance(points_.point(i)) / (factor * options_.tolerance);
     return std::max(0.0, 1 - off * off / points_.Variance(i, plane.normal));

@@ -13,7 +13,7 @@ from colmap_edges.surfaces.faces.evidence import Evidence
 
 MAX_POINTS = 8000  # maximum number of points for scoring hypotheses
 NUM_PAIRS = 4000  # number of pairs of edges that are drawn at once
-NUM_DRAWS = 2  # number of draws, after the first by points that lie on no plane yet
+NUM_DRAWS = 2  # number of draws; all but the first are from points that lie on no plane yet
 NUM_NEAR = 256  # number of nearest points from which the second edge of a pair is drawn
 NUM_AXES = 6  # number of dominant edge directions
 AXIS_COSINE = np.cos(np.radians(3.0))
@@ -189,10 +189,10 @@ def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
     if len(evidence.points) < 8:
         return none
     tried = Hypotheses(evidence, rng)
-    common, found, weights = tried.common_normals(), none, tried.weights
+    common, found = tried.common_normals(), none
     for _ in range(NUM_DRAWS):
-        found = tried.best_of(found, tried.candidates(common, weights), common)
         weights = tried.weights * tried.lie_alone(found)
         if not weights.any():
             break
+        found = tried.best_of(found, tried.candidates(common, weights), common)
     return found
