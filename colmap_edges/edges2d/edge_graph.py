@@ -1,12 +1,10 @@
-"""2D edge graph of chains: joining, smoothing, regular-length filter (paper: 2D Edge-Graphs)."""
+"""2D edge graph of chains: joining at gaps, cutting at corners (paper: 2D Edge-Graphs)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
@@ -29,10 +27,9 @@ from colmap_edges.core.polylines import (
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.corners import cut_at_corners
 from colmap_edges.edges2d.detection import Chains
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.edges2d.topology import NODE_RADIUS_PX, regular_polylines, topology_of
 from colmap_edges.options import EdgeGraphOptions
 
-NODE_RADIUS_PX = 2.0  # distance at which an end touches another edge (8-neighbours, sub-pixel)
 DIRECTION_STEP = 5  # points over which the direction of a chain's end is measured
 
 
@@ -52,11 +49,6 @@ class EdgeGraph:
         colors: (N, 3) uint8 RGB of the image there; black if not sampled.
         polyline_offsets: (P + 1,) int64; polyline p is points[offsets[p]:offsets[p + 1]].
         closed: (P,) bool; the last point of a closed polyline connects to its first.
-        end_nodes: (P, 2) int32 node of the first and last point; polylines that share a node
-            meet there; a closed polyline has its one node twice.
-        node_polylines: (K,) int32 polyline that passes through a node (T junction), -1 if none.
-        smoothed: (S,) int64 indices into `points` that Douglas-Peucker keeps.
-        smoothed_offsets: (P + 1,) int64 CSR of `smoothed` by polyline.
     """
 
     points: Float32Array
@@ -66,10 +58,6 @@ class EdgeGraph:
     colors: ByteArray
     polyline_offsets: IntArray
     closed: BoolArray
-    end_nodes: Int32Array
-    node_polylines: Int32Array
-    smoothed: IntArray
-    smoothed_offsets: IntArray
 
     @property
     def num_polylines(self) -> int:
@@ -91,7 +79,7 @@ def build_edge_graph(
     Args:
         chains: sub-pixel chains of the view's image, upsampled `view.scale` times.
         view: the view; chains with points that cannot be undistorted are left out.
-        options: joining, corners, smoothing and filter.
+        options: joining, corners and filter.
 
     Returns:
         The edge graph, filtered by regular length if the options say so, and the (K, 2) points of
@@ -101,10 +89,10 @@ def build_edge_graph(
     chains, dropped = drop_chains(chains, finite[:, 0] & finite[:, 1])
     joined, closed = join_chains(chains, options.max_gap_points, options.max_join_angle_deg)
     pieces, closed = cut_at_corners(joined, closed, options.min_corner_angle_deg)
-    graph = assemble(pieces, closed, view, options)
+    graph = assemble(pieces, closed, view)
     dropped = dropped / view.scale
     if options.filter_regular_length:
-        kept = regular_polylines(graph, options)
+        kept = regular_polylines(graph.points, topology_of(graph, view, options), options)
         dropped = np.concatenate([dropped, graph.points[~kept[graph.polyline_ids]]])
         graph = keep_polylines(graph, kept)
     return graph, dropped
@@ -174,16 +162,11 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
     return chains.points[tips], outward, np.where(cross >= 0, 1, -1)
 
 
-def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOptions) -> EdgeGraph:
-    """Undistort and smooth joined chains and find their nodes."""
+def assemble(chains: Chains, closed: BoolArray, view: View) -> EdgeGraph:
+    """Undistort joined chains."""
     points = chains.points / view.scale
     undistorted = view.undistorted_from_image(points)
     across = view.undistorted_from_image(points + 0.5 * chains.normals) - undistorted
-    size = np.ceil(np.array([view.width, view.height]) * view.scale).astype(int)
-    end_nodes, node_polylines = find_nodes(chains, closed, *size.tolist())
-    smoothed, smoothed_offsets = _kernels.douglas_peucker(
-        chains.points, chains.offsets, options.max_smoothing_distance_px
-    )
     return EdgeGraph(
         points=points.astype(np.float32),
         undistorted=undistorted.astype(np.float32),
@@ -192,145 +175,37 @@ def assemble(chains: Chains, closed: BoolArray, view: View, options: EdgeGraphOp
         colors=np.zeros((len(undistorted), 3), np.uint8),
         polyline_offsets=chains.offsets,
         closed=closed,
-        end_nodes=end_nodes,
-        node_polylines=node_polylines,
-        smoothed=smoothed,
-        smoothed_offsets=smoothed_offsets,
     )
-
-
-def find_nodes(
-    chains: Chains, closed: BoolArray, width: int, height: int
-) -> tuple[Int32Array, Int32Array]:
-    """Nodes of the polyline ends; ends that touch share a node.
-
-    An end that touches the inside of another polyline makes a T junction.
-
-    Returns:
-        (P, 2) int32 nodes of the ends, (K,) int32 polyline through each node or -1.
-    """
-    count = len(closed)
-    if count == 0:
-        return np.zeros((0, 2), np.int32), np.zeros(0, np.int32)
-    positions, _, _ = chain_ends(chains)
-    pairs = cKDTree(positions).query_pairs(NODE_RADIUS_PX, output_type="ndarray")
-    own = 2 * np.flatnonzero(closed)
-    rows, columns = np.concatenate([pairs[:, 0], own]), np.concatenate([pairs[:, 1], own + 1])
-    links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
-    num_nodes, nodes = connected_components(links, directed=False)
-    through = np.full(num_nodes, -1, np.int32)
-    touched = _kernels.touched_chains(chains.points, chains.offsets, width, height)
-    np.maximum.at(through, nodes, touched)
-    return nodes.reshape(-1, 2).astype(np.int32), through
-
-
-def regular_lengths(graph: EdgeGraph, max_angle_deg: float) -> FloatArray:
-    """(P,) regular length of each smoothed polyline in pixels.
-
-    The length of the longest run of connected segments whose consecutive angles are not greater
-    than `max_angle_deg` (paper: definition of regular length).
-    """
-    vertices = graph.points[graph.smoothed]
-    ids = owners_of(graph.smoothed_offsets)
-    within = ids[1:] == ids[:-1]
-    segments = np.diff(vertices, axis=0)[within]
-    polyline = ids[1:][within]
-    result = np.zeros(graph.num_polylines)
-    if len(segments) == 0:
-        return result
-    lengths = np.linalg.norm(segments, axis=1)
-    directions = segments / (lengths[:, None] + 1e-12)
-    cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
-    breaks = (cosines < np.cos(np.radians(max_angle_deg))) | (polyline[1:] != polyline[:-1])
-    run = np.concatenate([[0], np.cumsum(breaks)])
-    run_lengths = np.bincount(run, weights=lengths)
-    run_polylines = polyline[np.concatenate([[0], np.flatnonzero(breaks) + 1])]
-    np.maximum.at(result, run_polylines, run_lengths)
-    return result
-
-
-def regular_polylines(graph: EdgeGraph, options: EdgeGraphOptions) -> BoolArray:
-    """(P,) whether a polyline's component has one of at least the threshold's regular length.
-
-    The threshold is the shortest regular length among the top share of polylines (paper: l_R*).
-    """
-    if graph.num_polylines == 0:
-        return np.zeros(0, bool)
-    lengths = regular_lengths(graph, options.max_regular_angle_deg)
-    top = max(1, int(np.ceil(options.top_regular_length_ratio * len(lengths))))
-    threshold = np.sort(lengths)[-top]
-    component = component_labels(graph)
-    longest = np.zeros(component.max() + 1)
-    np.maximum.at(longest, component, lengths)
-    kept: BoolArray = longest[component] >= threshold
-    return kept
-
-
-def component_labels(graph: EdgeGraph) -> IntArray:
-    """(P,) connected component of each polyline, through shared nodes and T junctions."""
-    count, num_nodes = graph.num_polylines, len(graph.node_polylines)
-    through = np.flatnonzero(graph.node_polylines >= 0)
-    polylines = np.concatenate([np.repeat(np.arange(count), 2), graph.node_polylines[through]])
-    nodes = np.concatenate([graph.end_nodes.ravel(), through]) + count
-    size = count + num_nodes
-    links = coo_array((np.ones(len(nodes)), (polylines, nodes)), shape=(size, size))
-    labels: IntArray = connected_components(links, directed=False)[1][:count].astype(np.int64)
-    return labels
 
 
 def keep_polylines(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
-    """The graph with only the polylines where `keep` (P,) is true; node ids stay."""
-    ids = graph.polyline_ids
-    points = keep[ids]
-    moved = np.cumsum(points) - 1
-    smoothed_ids = owners_of(graph.smoothed_offsets)
-    renumbered = np.where(keep, np.cumsum(keep) - 1, -1).astype(np.int32)
-    through = graph.node_polylines
-    return EdgeGraph(
-        points=graph.points[points],
-        undistorted=graph.undistorted[points],
-        normals=graph.normals[points],
-        sides=graph.sides[points],
-        colors=graph.colors[points],
-        polyline_offsets=offsets_of(np.diff(graph.polyline_offsets)[keep]),
-        closed=graph.closed[keep],
-        end_nodes=graph.end_nodes[keep],
-        node_polylines=np.where(through >= 0, renumbered[through], -1).astype(np.int32),
-        smoothed=moved[graph.smoothed[keep[smoothed_ids]]],
-        smoothed_offsets=offsets_of(np.diff(graph.smoothed_offsets)[keep]),
-    )
+    """The graph with only the polylines where `keep` (P,) is true."""
+    lengths = np.diff(graph.polyline_offsets)[keep]
+    return of_points(graph, keep[graph.polyline_ids], lengths, graph.closed[keep])
 
 
 def keep_points(graph: EdgeGraph, keep: BoolArray) -> EdgeGraph:
-    """The graph of the points where `keep` (N,) is true; polylines are cut at dropped points.
-
-    The pieces share no nodes: each end is a node of its own.
-    """
+    """The graph of the points where `keep` (N,) is true; polylines are cut at dropped points."""
     kept = np.flatnonzero(keep)
     ids = graph.polyline_ids[kept]
     first = np.ones(len(kept), bool)
     first[1:] = (np.diff(kept) > 1) | (np.diff(ids) != 0)
     starts = np.flatnonzero(first)
     lengths = np.diff(np.append(starts, len(kept)))
-    last = starts + lengths - 1
     whole = lengths == np.diff(graph.polyline_offsets)[ids[starts]]
-    is_smoothed = np.zeros(len(keep), bool)
-    is_smoothed[graph.smoothed] = True
-    vertices = first | is_smoothed[kept]
-    vertices[last] = True
-    smoothed = np.flatnonzero(vertices)
-    pieces = np.cumsum(first) - 1
-    count = len(starts)
+    return of_points(graph, kept, lengths, graph.closed[ids[starts]] & whole)
+
+
+def of_points(
+    graph: EdgeGraph, points: BoolArray | IntArray, lengths: IntArray, closed: BoolArray
+) -> EdgeGraph:
+    """The graph of selected points, as polylines of (P,) `lengths`, `closed` or not."""
     return EdgeGraph(
-        points=graph.points.take(kept, axis=0),
-        undistorted=graph.undistorted.take(kept, axis=0),
-        normals=graph.normals.take(kept, axis=0),
-        sides=graph.sides.take(kept, axis=0),
-        colors=graph.colors.take(kept, axis=0),
+        points=graph.points[points],
+        undistorted=graph.undistorted[points],
+        normals=graph.normals[points],
+        sides=graph.sides[points],
+        colors=graph.colors[points],
         polyline_offsets=offsets_of(lengths),
-        closed=graph.closed[ids[starts]] & whole,
-        end_nodes=np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
-        node_polylines=np.full(2 * count, -1, np.int32),
-        smoothed=smoothed,
-        smoothed_offsets=offsets_of(np.bincount(pieces[smoothed], minlength=count)),
+        closed=closed,
     )

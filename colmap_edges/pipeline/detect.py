@@ -23,10 +23,11 @@ from colmap_edges.edges2d.image_graphs import (
     work_in_cache,
     work_on_image,
 )
+from colmap_edges.edges2d.topology import topology_of
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images.background import BackgroundMask
 from colmap_edges.images.files import encoded, path_of_image, single_threaded_opencv
-from colmap_edges.options import PipelineOptions
+from colmap_edges.options import EdgeGraphOptions, PipelineOptions
 from colmap_edges.report.overlay import draw_edge_graph
 from colmap_edges.runtime.executors import Workers, open_workers, run_all
 from colmap_edges.runtime.stages import Stage, Stages
@@ -162,6 +163,7 @@ class GraphWriter:
     """Writes each view's edge graph as .npz and overlay PNG into a folder."""
 
     folder: Path
+    options: EdgeGraphOptions
 
     def visit(self, _index: int, view: View, read: Callable[[], Any], found: DetectedEdges) -> None:
         """Write the files of a view."""
@@ -170,9 +172,10 @@ class GraphWriter:
         for path in (arrays, picture):
             path.parent.mkdir(parents=True, exist_ok=True)
         packed = BytesIO()  # np.savez raises again on deletion if the disk is full
-        np.savez(packed, **vars(found.graph))
+        topology = topology_of(found.graph, view, self.options)
+        np.savez(packed, **vars(found.graph), **vars(topology))
         arrays.write_bytes(packed.getvalue())
-        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph)))
+        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph, topology)))
 
     def collect(self, index: int, kept: None) -> None:
         """Do nothing."""

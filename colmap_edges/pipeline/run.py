@@ -121,7 +121,8 @@ def run_edges(
     images, others = image_folder(paths), (paths.mask_path, paths.edge_path)
     if command == "detect":
         check_file_names(model.views)
-        detect_stage(model, images, options, stages, GraphWriter(folder), workers, *others)
+        writer = GraphWriter(folder, options.edge_graph)
+        detect_stage(model, images, options, stages, writer, workers, *others)
         return Contents(model=model)
     wanted = options.report or viewer is not NO_VIEWER
     taker = PictureTaker(len(model.views)) if wanted else None

@@ -9,6 +9,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Float32Array, FloatArray, Int32Array, Picture
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.topology import Topology
 from colmap_edges.images.files import gray_of
 
 SHIFT = 4  # OpenCV draws at fractions of 1/16 px
@@ -16,12 +17,13 @@ SHIFT = 4  # OpenCV draws at fractions of 1/16 px
 COLORS = ((80, 220, 255), (255, 200, 60), (120, 255, 120), (200, 130, 255), (100, 140, 255))
 
 
-def draw_edge_graph(image: Picture, graph: EdgeGraph) -> Picture:
+def draw_edge_graph(image: Picture, graph: EdgeGraph, topology: Topology) -> Picture:
     """Draw the polylines of an edge graph, in changing colours, over the darkened image.
 
     Args:
         image: (H, W, 3) uint8 BGR.
         graph: its edge graph.
+        topology: the nodes of that graph.
 
     Returns:
         (H, W, 3) uint8 BGR; nodes where polylines meet are small white dots.
@@ -35,7 +37,7 @@ def draw_edge_graph(image: Picture, graph: EdgeGraph) -> Picture:
             chosen = chosen[chosen % len(COLORS) == color_index]
             lines = [fixed[offsets[p] : offsets[p + 1], None] for p in chosen]
             cv2.polylines(canvas, lines, closed, color, 1, cv2.LINE_AA, SHIFT)
-    for point in shared_nodes(graph):
+    for point in shared_nodes(graph, topology):
         center = (int(point[0]), int(point[1]))
         cv2.circle(canvas, center, 2, (255, 255, 255), -1, cv2.LINE_AA)
     return canvas
@@ -81,10 +83,10 @@ def fixed_point(points: FloatArray | Float32Array) -> Int32Array:
     return np.rint((points - 0.5) * (1 << SHIFT)).astype(np.int32)
 
 
-def shared_nodes(graph: EdgeGraph) -> FloatArray:
+def shared_nodes(graph: EdgeGraph, topology: Topology) -> FloatArray:
     """(K, 2) pixels of the nodes where two or more ends of open polylines meet."""
     is_open = np.flatnonzero(~graph.closed)
-    ends = graph.end_nodes[is_open].T.ravel()
+    ends = topology.end_nodes[is_open].T.ravel()
     rows = np.concatenate(
         [graph.polyline_offsets[is_open], graph.polyline_offsets[is_open + 1] - 1]
     )

@@ -4,46 +4,20 @@ import curves as known
 import numpy as np
 import pycolmap
 import pytest
-from chains import make_chains
+from chains import VIEW, build, make_chains, straight, topology
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import offsets_of
-from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.edge_graph import (
     build_edge_graph,
-    component_labels,
     drop_chains,
     join_chains,
     keep_polylines,
-    regular_lengths,
-    regular_polylines,
 )
+from colmap_edges.edges2d.topology import regular_polylines
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import EdgeGraphOptions
-
-VIEW = known.make_view(np.eye(3), np.zeros(3))
-
-
-def straight(start, end, spacing=1.0):
-    """Points from start to end, `spacing` apart."""
-    start, end = np.array(start, float), np.array(end, float)
-    count = round(np.linalg.norm(end - start) / spacing)
-    return start + np.linspace(0, 1, count + 1)[:, None] * (end - start)
-
-
-def build(chains, view=VIEW, **options):
-    return build_edge_graph(chains, view, EdgeGraphOptions(**options))[0]
-
-
-def no_chains():
-    nothing = np.zeros((0, 2))
-    return Chains(
-        points=nothing,
-        normals=nothing,
-        sides=nothing.astype(np.uint8),
-        offsets=np.zeros(1, np.int64),
-    )
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -58,7 +32,7 @@ def test_halves_of_a_line_are_joined_across_a_small_gap(reverse):
     np.testing.assert_allclose(
         np.sort(graph.points[:, 0]), np.concatenate([left[:, 0], right[:, 0]])
     )
-    assert len(graph.smoothed) == 2
+    assert len(topology(graph).smoothed) == 2
     np.testing.assert_allclose(graph.normals, np.tile(graph.normals[0], (len(graph.points), 1)))
     apart = build(make_chains((left, 1), second), max_gap_points=2.5)
     assert apart.num_polylines == 2
@@ -101,105 +75,10 @@ def test_circle_closes(pieces):
     graph = build(make_chains(*parts))
     assert graph.num_polylines == 1
     assert graph.closed[0]
-    assert graph.end_nodes[0, 0] == graph.end_nodes[0, 1]
+    nodes = topology(graph).end_nodes
+    assert nodes[0, 0] == nodes[0, 1]
     around = np.linalg.norm(graph.points - np.roll(graph.points, 1, axis=0), axis=1)
     assert around.max() < 2
-
-
-def test_t_junction_names_the_polyline_that_passes_through():
-    bar = straight((50, 100), (150, 100))
-    stem = straight((100, 101), (100, 160))
-    other = straight((300, 300), (360, 300))
-    graph = build(make_chains((other, 1), (stem, 1), (bar, 1)))
-    start_of_stem = np.flatnonzero(graph.points[:, 1] == 101)[0]
-    polyline = graph.polyline_ids[start_of_stem]
-    end = int(start_of_stem != graph.polyline_offsets[polyline])
-    through = graph.node_polylines[graph.end_nodes[polyline, end]]
-    assert through == graph.polyline_ids[np.flatnonzero((graph.points == (100, 100)).all(1))[0]]
-    assert np.sum(graph.node_polylines >= 0) == 1
-    labels = component_labels(graph)
-    assert labels[polyline] == labels[through]
-    assert len(set(labels.tolist())) == 2
-
-
-def touched_by_labels(points, offsets, width, height):
-    """Chains that ends touch, by an image in which every inner point writes its chain."""
-    labels = np.full((height + 2, width + 2), -1)
-    for chain, (first, last) in enumerate(itertools.pairwise(offsets)):
-        for x, y in np.floor(points[first + 1 : last - 1]).astype(int) + 1:
-            labels[y, x] = chain
-    touched = []
-    for chain, (first, last) in enumerate(itertools.pairwise(offsets)):
-        for x, y in np.floor(points[[first, last - 1]]).astype(int) + 1:
-            around = labels[y - 1 : y + 2, x - 1 : x + 2]
-            touched.append(around[around != chain].max(initial=-1))
-    return touched
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_kernel_finds_the_chains_that_ends_touch(seed):
-    random = np.random.default_rng(seed)
-    lengths = random.integers(1, 12, 40)
-    points = random.uniform(0, (30, 20), (lengths.sum(), 2))
-    offsets = offsets_of(lengths)
-    touched = _kernels.touched_chains(points, offsets, 30, 20)
-    assert touched.tolist() == touched_by_labels(points, offsets, 30, 20)
-    assert 0 < np.mean(touched >= 0) < 1
-
-
-def test_ends_outside_the_image_join_nearby_chains():
-    points = np.array([[5, -0.4], [5, 4], [9, 9], [2, 7], [5, 0.2], [8, 7], [99.0, -50]])
-    touched = _kernels.touched_chains(points, np.array([0, 3, 6, 7]), 30, 20)
-    assert touched.tolist() == [1, -1, -1, -1, -1, -1]
-    assert _kernels.touched_chains(points[:0], np.array([0, 0]), 30, 20).tolist() == [-1, -1]
-    with pytest.raises(ValueError, match="empty"):
-        _kernels.touched_chains(points, np.array([0, 7]), 30, 0)
-
-
-def test_meeting_ends_share_a_node():
-    corner = np.array([200.0, 200.0])
-    arms = [straight(corner + d, corner + 40 * np.array(d)) for d in ((1, 0), (-0.5, 0.8), (0, -1))]
-    chains = make_chains((arms[0], 1), (arms[1], 1), (arms[2], 1))
-    graph = build(chains)
-    near = np.linalg.norm(
-        graph.points[np.r_[graph.polyline_offsets[:-1], graph.polyline_offsets[1:] - 1]] - corner,
-        axis=1,
-    )
-    nodes = np.concatenate([graph.end_nodes[:, 0], graph.end_nodes[:, 1]])
-    assert len(set(nodes[near < 2].tolist())) == 1
-    assert len(set(nodes[near > 2].tolist())) == np.sum(near > 2)
-
-
-def bare_graph(*polylines):
-    """A graph whose smoothed polylines are the given vertices."""
-    points = np.concatenate([np.array(p, float) for p in polylines])
-    return known.bare_graph(points, [len(p) for p in polylines])
-
-
-def turning(lengths, turns_deg):
-    """Vertices of a polyline by its segments' lengths and the turns between them."""
-    headings = np.radians(np.concatenate([[0], np.cumsum(turns_deg)]))
-    steps = np.array(lengths)[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-
-
-def test_regular_lengths_of_zigzags():
-    graph = bare_graph(
-        turning([10, 5, 7, 3], [10, 90, -19]),  # 10 + 5 | 7 + 3
-        turning([4, 4, 4], [21, -21]),  # every turn breaks
-        turning([4, 4, 4, 9], [15, 15, -160]),  # 4 + 4 + 4 | 9, each turn by itself
-        [[1, 1]],  # no segment
-        turning([6], []),
-    )
-    np.testing.assert_allclose(regular_lengths(graph, 20), [15, 4, 12, 0, 6])
-    np.testing.assert_allclose(regular_lengths(graph, 180), [25, 12, 21, 0, 6])
-
-
-def test_regular_length_of_no_polylines_is_none():
-    graph = build(no_chains(), filter_regular_length=True)
-    assert graph.num_polylines == 0
-    assert graph.points.shape == graph.undistorted.shape == (0, 2)
-    assert regular_lengths(graph, 20).shape == (0,)
 
 
 def test_filter_keeps_whole_components_of_the_longest():
@@ -217,7 +96,11 @@ def test_filter_keeps_whole_components_of_the_longest():
     assert len(kept.points) == len(long) + len(branch) + len(corner)
     assert kept.points[:, 1].max() < 75
     assert sorted(dropped.tolist()) == sorted(np.concatenate(short).tolist())
-    top = regular_polylines(everything, EdgeGraphOptions(top_regular_length_ratio=0.1))
+    top = regular_polylines(
+        everything.points,
+        topology(everything),
+        EdgeGraphOptions(top_regular_length_ratio=0.1),
+    )
     assert top.sum() == 4  # of 18, the two longest: `long` and a short one
 
 
@@ -239,7 +122,6 @@ def test_kept_polylines_are_unchanged(mask):
     )
     assert graph.num_polylines == 6
     assert graph.closed.sum() == 1
-    assert np.sum(graph.node_polylines >= 0) == 2
     keep = np.array(mask)
     kept = keep_polylines(graph, keep)
     assert kept.num_polylines == keep.sum()
@@ -248,13 +130,7 @@ def test_kept_polylines_are_unchanged(mask):
         b = slice(*graph.polyline_offsets[old : old + 2])
         for name in ("points", "undistorted", "normals"):
             np.testing.assert_array_equal(getattr(kept, name)[a], getattr(graph, name)[b])
-        a = kept.smoothed[slice(*kept.smoothed_offsets[new : new + 2])]
-        b = graph.smoothed[slice(*graph.smoothed_offsets[old : old + 2])]
-        np.testing.assert_array_equal(kept.points[a], graph.points[b])
     np.testing.assert_array_equal(kept.closed, graph.closed[keep])
-    np.testing.assert_array_equal(kept.end_nodes, graph.end_nodes[keep])
-    for now, before in zip(kept.node_polylines, graph.node_polylines, strict=True):
-        assert now == (sum(mask[:before]) if before >= 0 and mask[before] else -1)
 
 
 def test_chains_with_unusable_points_are_dropped_whole():

@@ -18,7 +18,6 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
 
@@ -118,9 +117,6 @@ def graph_from_undistorted(view, undistorted, normals, closed) -> EdgeGraph:
     offsets = offsets_of(np.array([len(part) for part in undistorted], np.int64))
     joined = np.concatenate([np.zeros((0, 2)), *undistorted])
     points = view.image_from_undistorted(joined)
-    smoothed, smoothed_offsets = _kernels.douglas_peucker(points, offsets, 1.0)
-    nodes = np.arange(2 * len(undistorted), dtype=np.int32).reshape(-1, 2)
-    nodes[np.array(closed, bool), 1] = nodes[np.array(closed, bool), 0]
     return bare_graph(
         points,
         np.diff(offsets),
@@ -128,14 +124,11 @@ def graph_from_undistorted(view, undistorted, normals, closed) -> EdgeGraph:
         undistorted=joined,
         normals=np.concatenate([np.zeros((0, 2)), *normals]),
         sides=np.tile(np.array([[60, 180]], np.uint8), (len(points), 1)),
-        end_nodes=nodes,
-        smoothed=smoothed,
-        smoothed_offsets=smoothed_offsets,
     )
 
 
 def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
-    """A graph of polylines of so many points; ends share no nodes unless `arrays` say so."""
+    """A graph of polylines of so many points."""
     count, offsets = len(lengths), offsets_of(np.array(lengths, np.int64))
     plain = {
         "points": points,
@@ -145,10 +138,6 @@ def bare_graph(points, lengths, closed=False, **arrays) -> EdgeGraph:
         "colors": np.zeros((len(points), 3), np.uint8),
         "polyline_offsets": offsets,
         "closed": np.broadcast_to(closed, count).astype(bool),
-        "end_nodes": np.arange(2 * count, dtype=np.int32).reshape(-1, 2),
-        "node_polylines": np.full(2 * count, -1, np.int32),
-        "smoothed": np.arange(len(points)),
-        "smoothed_offsets": offsets,
     }
     return EdgeGraph(**plain | arrays)
 

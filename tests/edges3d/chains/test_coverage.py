@@ -91,10 +91,6 @@ def test_what_is_left_is_cut_where_curves_run():
     assert left.closed.tolist() == [False, False, True]
     for name in ("points", "undistorted", "normals", "sides"):
         np.testing.assert_array_equal(getattr(left, name), getattr(graph, name)[keep])
-    for piece in range(3):
-        first, end = left.polyline_offsets[piece : piece + 2]
-        vertices = left.smoothed[slice(*left.smoothed_offsets[piece : piece + 2])]
-        assert (vertices[0], vertices[-1]) == (first, end - 1)
     keep[offsets[2] + 5] = False
     assert not keep_points(graph, keep).closed.any()
 
