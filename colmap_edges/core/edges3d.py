@@ -164,7 +164,7 @@ class Edges3D:
         order: IntArray,
         edge_offsets: IntArray,
         closed: BoolArray,
-        end_nodes: Int32Array,
+        end_nodes: Int32Array | None = None,
     ) -> Edges3D:
         """These edges with (n,) selected points, reordered and cut into new edges, with tracks.
 
@@ -174,7 +174,7 @@ class Edges3D:
             order: (n,) indices of the points.
             edge_offsets: (E' + 1,) offsets of the new edges.
             closed: (E',) whether each new edge is closed.
-            end_nodes: (E', 2) nodes of the new edges.
+            end_nodes: (E', 2) nodes of the new edges; by default none.
         """
         return Edges3D(
             points=self.points[order],
@@ -182,7 +182,7 @@ class Edges3D:
             closed=closed,
             observations=self.observations.select(order),
             sigmas=self.sigmas[order],
-            end_nodes=end_nodes,
+            end_nodes=np.full((len(closed), 2), -1, np.int32) if end_nodes is None else end_nodes,
             colors=self.colors[order],
         )
 

@@ -50,9 +50,8 @@ def cut_at_bends(edges: Edges3D) -> Edges3D:
         order += pieces
         lengths += [len(piece) for piece in pieces]
         closed += [is_loop] * len(pieces)
-    none = np.full((len(lengths), 2), -1, np.int32)
     offsets = offsets_of(np.array(lengths))
-    return edges.reordered(np.concatenate(order), offsets, np.array(closed), none)
+    return edges.reordered(np.concatenate(order), offsets, np.array(closed))
 
 
 def find_bends(edges: Edges3D) -> IntArray:

@@ -250,7 +250,7 @@ def without_tips(edges: Edges3D, skip: IntArray) -> Edges3D:
     """The edges without (2E,) numbers of points at their ends."""
     first, last = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     order = ranges_of(first, last)
-    return edges.reordered(order, offsets_of(last - first), edges.closed, edges.end_nodes)
+    return edges.reordered(order, offsets_of(last - first), edges.closed)
 
 
 def filled(edges: Edges3D, gaps: Gaps, partner: IntArray, observations: Observations) -> Edges3D:

@@ -33,7 +33,6 @@ from colmap_edges.edges3d.linking.joining import (
     near_pairs,
     num_behind,
     views_near,
-    with_nodes,
 )
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
@@ -117,7 +116,7 @@ def meet_at_corners(
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The edges, each with its own point at every corner; these points are their nodes.
+        The edges, each with its own point at every corner.
     """
     if edges.num_edges == 0:
         return edges
@@ -130,7 +129,7 @@ def meet_at_corners(
     met = corners.select(observed.counts >= least)
     left = observed.select(np.flatnonzero(np.isin(corners.members, met.members)))
     longer = with_points(edges, met, Observations.of_positions(left))
-    return with_nodes(run_to(longer, edges, lines.ends, met), options.linking)
+    return run_to(longer, edges, lines.ends, met)
 
 
 def with_points(edges: Edges3D, met: Corners, observations: Observations) -> Edges3D:
@@ -280,7 +279,7 @@ def run_to(longer: Edges3D, edges: Edges3D, ends: Ends, met: Corners) -> Edges3D
     Points beyond the corner or next to it are left out.
     """
     order, lengths = order_to(edges, ends, met)
-    return longer.reordered(order, offsets_of(lengths), edges.closed, edges.end_nodes)
+    return longer.reordered(order, offsets_of(lengths), edges.closed)
 
 
 def order_to(edges: Edges3D, ends: Ends, met: Corners) -> tuple[IntArray, IntArray]:

@@ -7,12 +7,11 @@ Lengths are in spacings, the local distance between edge points, and so independ
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csc_array
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, ranges_of
@@ -47,7 +46,7 @@ GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
 
 
 def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edges3D:
-    """Join edges whose ends face each other, close loops, and add nodes where ends meet.
+    """Join edges whose ends face each other, and close loops.
 
     Args:
         edges: pieces; where ends overlap by a few points, these are left out.
@@ -60,7 +59,7 @@ def link_edges(edges: Edges3D, options: LinkingOptions, goes_on: GoesOn) -> Edge
     if edges.num_edges == 0:
         return edges
     ends = find_ends(edges)
-    return with_nodes(joined(edges, ends, match_ends(edges, ends, options, goes_on)), options)
+    return joined(edges, ends, match_ends(edges, ends, options, goes_on))
 
 
 def joined(edges: Edges3D, ends: Ends, partner: IntArray) -> Edges3D:
@@ -70,8 +69,7 @@ def joined(edges: Edges3D, ends: Ends, partner: IntArray) -> Edges3D:
     paths = walk_joined(partner)
     order, lengths = points_along(paths, begin, stop)
     loops = np.array([closed for _, closed in paths], bool)
-    none = np.full((len(paths), 2), -1, np.int32)
-    return edges.reordered(order, offsets_of(lengths), loops, none)
+    return edges.reordered(order, offsets_of(lengths), loops)
 
 
 def find_ends(edges: Edges3D) -> Ends:
@@ -170,22 +168,6 @@ def num_behind(
         behind &= sizes > skip[of] + skip[of ^ 1] + 2  # at least two points of every edge remain
         skip[of[behind]] += 1
     return skip
-
-
-def with_nodes(edges: Edges3D, options: LinkingOptions) -> Edges3D:
-    """Add a node where ends of open edges meet."""
-    ends = find_ends(edges)
-    free = np.flatnonzero(np.repeat(~edges.closed, 2))
-    own = Ends(**{name: of[free] for name, of in vars(ends).items()})
-    nodes = np.full(len(ends.positions), -1, np.int32)
-    if len(free):
-        a, b, _ = near_pairs(own, options.node_radius_spacings)
-        links = coo_array((np.ones(len(a)), (a, b)), shape=(len(free), len(free)))
-        _, labels = connected_components(links, directed=False)
-        shared = np.bincount(labels)[labels] > 1
-        numbers = np.unique(labels[shared], return_inverse=True)[1]
-        nodes[free[shared]] = numbers
-    return replace(edges, end_nodes=nodes.reshape(-1, 2))
 
 
 def views_near(edges: Edges3D, ends: IntArray, num_views: int) -> csc_array:

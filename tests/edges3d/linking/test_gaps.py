@@ -95,7 +95,7 @@ def test_short_gaps_need_no_view():
     pieces, options = pieces_of(LINE, [0]), PipelineOptions()
     points = np.arange(len(pieces.points))
     offsets = np.array([0, 20, len(points)])
-    near = pieces.reordered(points, offsets, pieces.closed, pieces.end_nodes)
+    near = pieces.reordered(points, offsets, pieces.closed)
     asked = []
 
     def never(ends, a, b):
