@@ -1,4 +1,4 @@
-"""Options and constants as fields of dataclasses that declare type, range and help."""
+"""Options as fields of dataclasses that declare range and help; constants are plain fields."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ def option(
     choices: tuple[str, ...] | None = None,
     basic: bool = False,
     given_px: bool = False,
-    source: str | None = None,
 ) -> Any:
     """Declare an option: a dataclass field with default, range and help.
 
@@ -42,7 +41,6 @@ def option(
         basic: whether the short help of the command line shows the option.
         given_px: whether it is a length in pixels of the given images, which
             `colmap_edges.options.resolved` converts to pixels of the upsampled images.
-        source: origin of the value, for a `constant`.
 
     Raises:
         TypeError: if a number has no range, or another type has one.
@@ -51,25 +49,21 @@ def option(
     if is_number != (within is not None):
         raise TypeError(f"{help!r}: numbers need a range, other types must not have one")
     declared = {"within": within, "choices": choices, "basic": basic, "given_px": given_px}
-    return field(default=default, metadata={"help": help, "source": source, **declared})
+    return field(default=default, metadata={"help": help, **declared})
 
 
-def constant(default: Any, meaning: str, source: str, **declared: Any) -> Any:
-    """Declare a constant of the method: a field like that of `option`, without flag and TOML key.
-
-    Tests and scripts/halve_and_double.py set it from Python, within its range. docs/constants.md
-    lists it with its meaning and its source, the origin of its value.
-    """
-    return option(default, meaning, source=source, **declared)
+def constant(default: Any, **declared: Any) -> Any:
+    """Declare a constant with the `choices` or `given_px` of `option`; others are plain fields."""
+    return field(default=default, metadata=declared)
 
 
-def is_constant(entry: Field[Any]) -> bool:
-    """Whether a field was declared by `constant`."""
-    return bool(entry.metadata.get("source"))
+def is_option(entry: Field[Any]) -> bool:
+    """Whether a field was declared by `option`; other values of the method are plain fields."""
+    return "help" in entry.metadata
 
 
 class Options:
-    """Base of the option groups: checks type and range of every field."""
+    """Base of the option groups: checks the type of every field, and the range of options."""
 
     def __post_init__(self) -> None:
         """Raise `OptionError` for the first value of another type or outside its range."""
@@ -99,7 +93,7 @@ def checked(name: str, value: Any, entry: Field[Any]) -> Any:
     accepted, what = KINDS[kind]
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
         raise OptionError(f"{name} is {shown(value)}; it must be {what}")
-    choices, within = entry.metadata["choices"], entry.metadata["within"]
+    choices, within = entry.metadata.get("choices"), entry.metadata.get("within")
     if choices and value not in choices:
         raise OptionError(f"{name} is {shown(value)}; choose one of: {', '.join(choices)}")
     if within and not within[0] <= value <= within[1]:

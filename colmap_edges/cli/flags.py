@@ -14,7 +14,7 @@ import click
 from colmap_edges.declared_options import (
     Options,
     group_prefix,
-    is_constant,
+    is_option,
     range_text,
     shown,
 )
@@ -114,14 +114,14 @@ def make_flags(names: set[str]) -> list[click.Option]:
 
 
 def group_flags(group: type[Options]) -> list[click.Option]:
-    """Make the flags of an option group and of the groups within it; constants have none."""
+    """Make the flags of an option group and of the groups within it; plain fields have none."""
     hints = get_type_hints(group)
     flags: list[click.Option] = []
     for entry in fields(group):  # type: ignore[arg-type]
         kind = hints[entry.name]
         if is_group(kind):
             flags += group_flags(kind)
-        elif not is_constant(entry):
+        elif is_option(entry):
             flags.append(make_flag(entry, kind, group_prefix(group)))
     return flags
 

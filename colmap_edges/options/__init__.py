@@ -1,8 +1,8 @@
-"""Options and constants of every stage, with their defaults, meanings, units and ranges.
+"""Options and constants of every stage, with their defaults, meanings and units.
 
-Options are for users and have flags. Constants are values of the method: they have no flag, but
-tests and `scripts/halve_and_double.py` can set them. Ranges cover all useful values; every stage
-runs at both ends of each range, which tests/cli/test_option_extremes.py verifies.
+Options are for users: they have a flag and a range, and every stage runs at both ends of it, which
+tests/cli/test_option_extremes.py verifies. Constants are values of the method, plain fields that
+only Python sets; the comment above each says where its value comes from.
 """
 
 from colmap_edges.options.detecting import DetectionOptions, EdgeGraphOptions

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from colmap_edges.declared_options import Options, constant, option
+from colmap_edges.declared_options import Options, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,20 +23,14 @@ class DetectionOptions(Options):
         within=(0.25, 4),
         basic=True,
     )
-    sigma_px: float = constant(
-        1.0,
-        "Standard deviation of the Gaussian blur before sub-pixel localisation, in pixels of the "
-        "upsampled images",
-        "the blur of EdgeDrawing; 0.7 was tried (docs/experiments.md, Sharp images are enlarged)",
-        within=(0.1, 10),
-    )
-    faint_noises: float = constant(
-        4.0,
-        "Slope of the faint straight edges that EdgeDrawing lacks, in standard deviations of the "
-        "image's slopes; 0: none are looked for",
-        "2 to 5 find nearly the same in rooms (docs/experiments.md, Faint straight edges)",
-        within=(0, 100),
-    )
+    # Standard deviation of the Gaussian blur before sub-pixel localisation, in pixels of the
+    # upsampled images (the blur of EdgeDrawing; 0.7 was tried (docs/experiments.md, Sharp images
+    # are enlarged)).
+    sigma_px: float = 1.0
+    # Slope of the faint straight edges that EdgeDrawing lacks, in standard deviations of the
+    # image's slopes; 0: none are looked for (2 to 5 find nearly the same in rooms
+    # (docs/experiments.md, Faint straight edges)).
+    faint_noises: float = 4.0
     min_blur_px: float = option(
         0.8,
         "Upsample images whose edge blur is below this standard deviation, in pixels of the given "
@@ -51,25 +45,14 @@ class DetectionOptions(Options):
 class EdgeGraphOptions(Options):
     """Joining of chains to 2D edge graphs (paper: 2D Edge-Graphs)."""
 
-    max_smoothing_distance_px: float = constant(
-        1.0,
-        "Maximum distance between a chain and its smoothed polyline, in pixels of the upsampled "
-        "images",
-        "about three times Refinement.noise_px",
-        within=(0.05, 20),
-    )
-    max_regular_angle_deg: float = constant(
-        20.0,
-        "Maximum turn within a regular length (alpha_R), in degrees",
-        "the paper",
-        within=(1, 180),
-    )
-    top_regular_length_ratio: float = constant(
-        0.1,
-        "Share of the longest polylines, whose shortest regular length becomes the threshold",
-        "the paper",
-        within=(0, 1),
-    )
+    # Maximum distance between a chain and its smoothed polyline, in pixels of the upsampled images
+    # (about three times Refinement.noise_px).
+    max_smoothing_distance_px: float = 1.0
+    # Maximum turn within a regular length (alpha_R), in degrees (the paper).
+    max_regular_angle_deg: float = 20.0
+    # Share of the longest polylines, whose shortest regular length becomes the threshold (the
+    # paper).
+    top_regular_length_ratio: float = 0.1
     filter_regular_length: bool = option(
         False,
         "Drop connected edges in an image if none of them has a long enough stretch without turns",
@@ -80,12 +63,8 @@ class EdgeGraphOptions(Options):
         "Maximum gap between chains that are joined, in pixels of the upsampled images",
         within=(0, 50),
     )
-    max_join_angle_deg: float = constant(
-        30.0,
-        "Maximum turn between two joined chains, in degrees",
-        "below the smallest corner, 45 degrees",
-        within=(0, 90),
-    )
+    # Maximum turn between two joined chains, in degrees (below the smallest corner, 45 degrees).
+    max_join_angle_deg: float = 30.0
     min_corner_angle_deg: float = option(
         45.0,
         "Minimum turn at which a chain is cut as a corner, in degrees; 180 disables cutting",

@@ -4,43 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from colmap_edges.declared_options import Options, constant, option
-
-TRIED = "set by trial (docs/experiments.md)"
+from colmap_edges.declared_options import Options, option
 
 
 @dataclass(frozen=True, kw_only=True)
 class BundleAdjustmentOptions(Options):
     """Joint refinement of poses, SfM points and edge points."""
 
-    robust_factor: float = constant(
-        1.5,
-        "Scale of the Cauchy loss of residuals, in standard deviations of an observation",
-        "near the 1.345 of Huber's estimator",
-        within=(0.1, 100),
-    )
-    min_gain: float = constant(
-        0.0,
-        "Minimum relative decrease of the cost of held-out points for which refined poses are kept",
-        "any gain on held-out points counts",
-        within=(0, 1),
-    )
-    sample_step_ratio: float = constant(
-        0.8,
-        "Spacing of chain samples when edges are traced for pose refinement, relative to "
-        "sample_step_points",
-        "set by trial: more edges",
-        within=(0.01, 1),
-    )
-    max_rounds: int = constant(
-        6,
-        "Maximum number of rounds; each estimates the noise, then minimises the cost",
-        "set by trial",
-        within=(1, 100),
-    )
-    max_steps: int = constant(
-        6, "Maximum number of Gauss-Newton steps per round", "set by trial", within=(1, 100)
-    )
+    # Scale of the Cauchy loss of residuals, in standard deviations of an observation (near the
+    # 1.345 of Huber's estimator).
+    robust_factor: float = 1.5
+    # Minimum relative decrease of the cost of held-out points for which refined poses are kept (any
+    # gain on held-out points counts).
+    min_gain: float = 0.0
+    # Spacing of chain samples when edges are traced for pose refinement, relative to
+    # sample_step_points (set by trial: more edges).
+    sample_step_ratio: float = 0.8
+    # Maximum number of rounds; each estimates the noise, then minimises the cost (set by trial).
+    max_rounds: int = 6
+    # Maximum number of Gauss-Newton steps per round (set by trial).
+    max_steps: int = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,76 +37,45 @@ class MeshingOptions(Options):
         choices=("graphcut", "carve", "manifold"),
         basic=True,
     )
-    sigma_factor: float = constant(
-        1.0,
-        "Standard deviation of a point's depth (sigma), in lower quartiles of the triangulation's "
-        "edge lengths",
-        TRIED,
-        within=(0.01, 100),
-    )
+    # Standard deviation of a point's depth (sigma), in lower quartiles of the triangulation's edge
+    # lengths (set by trial (docs/experiments.md)).
+    sigma_factor: float = 1.0
     quality_weight: float = option(
         0.1,
         "Weight of the triangle quality term relative to one ray; larger values smooth the mesh",
         within=(0, 1000),
         basic=True,
     )
-    edge_solid_weight: float = constant(
-        0.7,
-        "graphcut: weight of the solid cell behind an edge point, relative to other points; "
-        "smaller values leave more free space behind occluding edges",
-        TRIED,
-        within=(0, 1),
-    )
+    # graphcut: weight of the solid cell behind an edge point, relative to other points; smaller
+    # values leave more free space behind occluding edges (set by trial (docs/experiments.md)).
+    edge_solid_weight: float = 0.7
     background_weight: float = option(
         16.0,
         "Weight of a background ray (plain backdrop, or masked pixels with masks_are_background) "
         "relative to a ray to a point; 0 disables them",
         within=(0, 1000),
     )
-    vote_crossed: float = constant(
-        1.0,
-        "carve, manifold: vote of a ray for the cells it crosses (w1)",
-        "the paper",
-        within=(0, 1000),
-    )
-    vote_near: float = constant(
-        0.0,
-        "carve, manifold: vote of a ray for the neighbours of these cells (w2)",
-        "set by trial; the paper has 0.2",
-        within=(0, 1000),
-    )
-    vote_far: float = constant(
-        0.0,
-        "carve, manifold: vote of a ray for the neighbours of those neighbours (w3)",
-        "the paper",
-        within=(0, 1000),
-    )
-    vote_behind: float = constant(
-        1.0,
-        "carve, manifold: vote of a ray against the two cells behind its point; protects surfaces "
-        "from single wrong rays",
-        "equal to that for a crossed cell; 0 in the paper",
-        within=(0, 1000),
-    )
+    # carve, manifold: vote of a ray for the cells it crosses (w1) (the paper).
+    vote_crossed: float = 1.0
+    # carve, manifold: vote of a ray for the neighbours of these cells (w2) (set by trial; the paper
+    # has 0.2).
+    vote_near: float = 0.0
+    # carve, manifold: vote of a ray for the neighbours of those neighbours (w3) (the paper).
+    vote_far: float = 0.0
+    # carve, manifold: vote of a ray against the two cells behind its point; protects surfaces from
+    # single wrong rays (equal to that for a crossed cell; 0 in the paper).
+    vote_behind: float = 1.0
     vote_threshold: float = option(
         2.1,
         "carve, manifold: minimum sum of votes for a free cell; above 2, two rays do not suffice",
         within=(0.01, 1e6),
     )
-    merge_factor: float = constant(
-        0.05,
-        "Distance below which edge points are merged, relative to the typical spacing of edge "
-        "points as the cameras see them; 0 merges none",
-        TRIED,
-        within=(0, 1),
-    )
-    min_segment_factor: float = constant(
-        0.25,
-        "Minimum length to which segments of 3D edges are split to become edges of the mesh, in "
-        "median segment lengths; 0 splits none",
-        TRIED,
-        within=(0, 100),
-    )
+    # Distance below which edge points are merged, relative to the typical spacing of edge points as
+    # the cameras see them; 0 merges none (set by trial (docs/experiments.md)).
+    merge_factor: float = 0.05
+    # Minimum length to which segments of 3D edges are split to become edges of the mesh, in median
+    # segment lengths; 0 splits none (set by trial (docs/experiments.md)).
+    min_segment_factor: float = 0.25
     long_facet_factor: float = option(
         0.5,
         "Drop triangles with a side longer than this, relative to their distance to the cameras; "

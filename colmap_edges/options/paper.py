@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from colmap_edges.declared_options import Options, constant, option
 
-TRIED = "set by trial"
-
 
 @dataclass(frozen=True, kw_only=True)
 class MatchingOptions(Options):
@@ -23,24 +21,17 @@ class MatchingOptions(Options):
     min_similarity: float = option(
         0.3, "Minimum similarity of polylines linked in the similarity graph", within=(0, 1)
     )
-    resolution: float = constant(
-        1.0,
-        "Resolution of the Louvain communities; larger values give smaller PECs",
-        "the standard modularity",
-        within=(0.01, 100),
-    )
+    # Resolution of the Louvain communities; larger values give smaller PECs (the standard
+    # modularity).
+    resolution: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CorrespondenceOptions(Options):
     """Potential edge-point correspondences (paper: PEPC generation)."""
 
-    strategy: str = constant(
-        "both",
-        "Source of PEPCs: SfM points, PECs or both",
-        "the paper uses both",
-        choices=("both", "sfm_points", "pecs"),
-    )
+    # Source of PEPCs: SfM points, PECs or both (the paper uses both).
+    strategy: str = "both"
     inner_radius_px: float = option(
         10.0,
         "Radius around an SfM point in which starting points are searched (r_I), in pixels of the "
@@ -55,25 +46,18 @@ class CorrespondenceOptions(Options):
         within=(0.1, 200),
         given_px=True,
     )
-    sample_spacing_px: float = constant(
-        20.0,
-        "Spacing of starting points along the polylines of a PEC, in pixels of the upsampled "
-        "images",
-        TRIED,
-        within=(1, 1000),
-    )
+    # Spacing of starting points along the polylines of a PEC, in pixels of the upsampled images
+    # (set by trial).
+    sample_spacing_px: float = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FollowingOptions(Options):
     """PEPC validation and 3D edge generation (paper: PEPC validation)."""
 
-    step_px: float = constant(
-        10.0,
-        "Step along the leading polyline between edge points, in pixels of the upsampled images",
-        TRIED,
-        within=(1, 100),
-    )
+    # Step along the leading polyline between edge points, in pixels of the upsampled images (set by
+    # trial).
+    step_px: float = 10.0
     max_error_px: float = option(
         2.0,
         "Maximum reprojection error of a valid triangulation (epsilon), in pixels of the given "
@@ -81,43 +65,22 @@ class FollowingOptions(Options):
         within=(0.05, 50),
         given_px=True,
     )
-    max_step_ratio: float = constant(
-        4.0,
-        "Maximum step in another view, relative to the expected one",
-        "1 / cos 75 degrees: an edge foreshortened to that angle in one view",
-        within=(1, 100),
-    )
-    min_epipolar_angle_deg: float = constant(
-        5.0,
-        "Minimum angle between an edge and an epipolar line, in degrees",
-        "that of depths along chains",
-        within=(0, 90),
-    )
-    full_triangulation_angle_deg: float = constant(
-        10.0,
-        "Triangulation angle above which views get full weight in view selection, in degrees",
-        TRIED,
-        within=(0.1, 90),
-    )
-    max_stretch: float = constant(
-        10.0,
-        "Maximum 3D length of a step, relative to a step parallel to the image plane",
-        "1 / sin 6 degrees: an edge at that angle to the viewing ray",
-        within=(1, 1000),
-    )
-    min_steps: int = constant(
-        2,
-        "Number of directions in which a starting point must be followable (1 or 2)",
-        TRIED,
-        within=(1, 2),
-    )
-    max_selections: int = constant(
-        3,
-        "Maximum number of selections tried per starting point, best supported first, and of view "
-        "triples tried per selection, best conditioned first",
-        TRIED,
-        within=(1, 100),
-    )
+    # Maximum step in another view, relative to the expected one (1 / cos 75 degrees: an edge
+    # foreshortened to that angle in one view).
+    max_step_ratio: float = 4.0
+    # Minimum angle between an edge and an epipolar line, in degrees (that of depths along chains).
+    min_epipolar_angle_deg: float = 5.0
+    # Triangulation angle above which views get full weight in view selection, in degrees (set by
+    # trial).
+    full_triangulation_angle_deg: float = 10.0
+    # Maximum 3D length of a step, relative to a step parallel to the image plane (1 / sin 6
+    # degrees: an edge at that angle to the viewing ray).
+    max_stretch: float = 10.0
+    # Number of directions in which a starting point must be followable (1 or 2) (set by trial).
+    min_steps: int = 2
+    # Maximum number of selections tried per starting point, best supported first, and of view
+    # triples tried per selection, best conditioned first (set by trial).
+    max_selections: int = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,26 +94,15 @@ class VisibilityOptions(Options):
         within=(0.1, 100),
         given_px=True,
     )
-    max_error_px: float = constant(
-        2.0,
-        "Maximum reprojection error including the new observation, in pixels of the given images",
-        "that of a valid triangulation",
-        within=(0.05, 50),
-        given_px=True,
-    )
-    max_tangent_angle_deg: float = constant(
-        20.0,
-        "Maximum angle between the projected edge and the polyline, in degrees",
-        TRIED,
-        within=(0, 90),
-    )
-    max_rms_ratio: float = constant(
-        0.25,
-        "Maximum root mean square distance between a projected 3D edge and the chains that observe "
-        "it in one view, relative to max_error_px",
-        "chains scatter by 0.2 to 0.5 px around true edges, by 0.6 to 1 px around wrong ones",
-        within=(0.01, 1),
-    )
+    # Maximum reprojection error including the new observation, in pixels of the given images (that
+    # of a valid triangulation).
+    max_error_px: float = constant(2.0, given_px=True)
+    # Maximum angle between the projected edge and the polyline, in degrees (set by trial).
+    max_tangent_angle_deg: float = 20.0
+    # Maximum root mean square distance between a projected 3D edge and the chains that observe it
+    # in one view, relative to max_error_px (chains scatter by 0.2 to 0.5 px around true edges, by
+    # 0.6 to 1 px around wrong ones).
+    max_rms_ratio: float = 0.25
     min_views: int = option(
         4,
         "Minimum number of views of a 3D edge, even if the median over all edges is lower",
@@ -162,10 +114,7 @@ class VisibilityOptions(Options):
 class SamplingOptions(Options):
     """Dense sampling of 3D edges to edge points."""
 
-    spacing_px: float = constant(
-        20.0,
-        "Minimum distance of traced edge points between which further ones are inserted, in pixels "
-        "of the sharpest upsampled view",
-        "two steps of following; more points make the mesh of the paper's votes worse",
-        within=(0.5, 100),
-    )
+    # Minimum distance of traced edge points between which further ones are inserted, in pixels of
+    # the sharpest upsampled view (two steps of following; more points make the mesh of the paper's
+    # votes worse).
+    spacing_px: float = 20.0

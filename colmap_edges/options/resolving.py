@@ -30,7 +30,7 @@ def resolved(options: PipelineOptions, scale: float) -> PipelineOptions:
         group = getattr(options, entry.name)
         if isinstance(group, Options):
             declared = fields(group)  # type: ignore[arg-type]
-            given = [inner.name for inner in declared if inner.metadata["given_px"]]
+            given = [inner.name for inner in declared if inner.metadata.get("given_px")]
             groups[entry.name] = derived(group, **{n: times * getattr(group, n) for n in given})
     return replace(options, **groups)
 

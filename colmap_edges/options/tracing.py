@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from colmap_edges.declared_options import Options, constant, option
 
-TRIED = "set by trial"
-
 
 @dataclass(frozen=True, kw_only=True)
 class ViewSelectionOptions(Options):
@@ -16,23 +14,17 @@ class ViewSelectionOptions(Options):
     num_neighbors: int = option(
         6, "Number of views that each view is matched with", within=(2, 100), basic=True
     )
-    num_later_neighbors: int = constant(
-        10,
-        "Number of views that each view is matched with in later rounds; at least num_neighbors",
-        "tried on five scenes (docs/experiments.md, Thin bars)",
-        within=(2, 100),
-    )
+    # Number of views that each view is matched with in later rounds; at least num_neighbors (tried
+    # on five scenes (docs/experiments.md, Thin bars)).
+    num_later_neighbors: int = 10
     num_observing_views: int = option(
         40,
         "Maximum number of views in which observations of a 3D edge are searched",
         within=(2, 1000),
     )
-    good_angle_deg: float = constant(
-        5.0,
-        "Triangulation angle above which views get full weight in view selection, in degrees",
-        TRIED,
-        within=(0.1, 90),
-    )
+    # Triangulation angle above which views get full weight in view selection, in degrees (set by
+    # trial).
+    good_angle_deg: float = 5.0
     max_angle_deg: float = option(
         60.0,
         "Maximum triangulation angle between matched views, in degrees; exceeded only if too few "
@@ -40,14 +32,10 @@ class ViewSelectionOptions(Options):
         within=(1, 180),
         basic=True,
     )
-    max_observing_angle_deg: float = constant(
-        120.0,
-        "Maximum triangulation angle between a reference view and the views in which observations "
-        "of its edges are searched, in degrees",
-        "set by trial (docs/experiments.md, Views from further aside); smaller values duplicate "
-        "edges",
-        within=(1, 180),
-    )
+    # Maximum triangulation angle between a reference view and the views in which observations of
+    # its edges are searched, in degrees (set by trial (docs/experiments.md, Views from further
+    # aside); smaller values duplicate edges).
+    max_observing_angle_deg: float = 120.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,58 +57,33 @@ class ChainDepthOptions(Options):
         basic=True,
         given_px=True,
     )
-    min_epipolar_angle_deg: float = constant(
-        5.0,
-        "Minimum angle between an edge and the epipolar line, in degrees",
-        "noise along the line is that across the chain over the angle's sine: 11 times here",
-        within=(0, 90),
-    )
-    visibility_rate: float = constant(
-        0.5,
-        "Probability that an edge seen in one view is not occluded in another",
-        "assumed",
-        within=(0.01, 1),
-    )
-    detection_rate: float = constant(
-        0.8,
-        "Probability that an unoccluded edge is detected",
-        "assumed",
-        within=(0.01, 0.95),
-    )
-    min_log_likelihood_ratio: float = constant(
-        3.0,
-        "Minimum log likelihood ratio of a depth against accidental agreement of views",
-        "odds of 20 to 1",
-        within=(-10, 50),
-    )
-    later_log_likelihood_ratio_drop: float = constant(
-        2.0,
-        "Reduction of min_log_likelihood_ratio in later rounds",
-        "odds of 3 to 1 instead of 20 to 1, since few chains remain",
-        within=(0, 50),
-    )
-    break_penalty: float = constant(
-        4.0,
-        "Penalty for a depth discontinuity along a chain, log likelihood",
-        "odds of 55 to 1 against a break",
-        within=(0, 100),
-    )
-    max_clusters: int = constant(
-        6, "Maximum number of depth candidates per sample", TRIED, within=(1, 50)
-    )
+    # Minimum angle between an edge and the epipolar line, in degrees (noise along the line is that
+    # across the chain over the angle's sine: 11 times here).
+    min_epipolar_angle_deg: float = 5.0
+    # Probability that an edge seen in one view is not occluded in another (assumed).
+    visibility_rate: float = 0.5
+    # Probability that an unoccluded edge is detected (assumed).
+    detection_rate: float = 0.8
+    # Minimum log likelihood ratio of a depth against accidental agreement of views (odds of 20 to
+    # 1).
+    min_log_likelihood_ratio: float = 3.0
+    # Reduction of min_log_likelihood_ratio in later rounds (odds of 3 to 1 instead of 20 to 1,
+    # since few chains remain).
+    later_log_likelihood_ratio_drop: float = 2.0
+    # Penalty for a depth discontinuity along a chain, log likelihood (odds of 55 to 1 against a
+    # break).
+    break_penalty: float = 4.0
+    # Maximum number of depth candidates per sample (set by trial).
+    max_clusters: int = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementOptions(Options):
     """Least-squares refinement of the depths of curves."""
 
-    search_radius_px: float = constant(
-        4.0,
-        "Initial search radius for observations, in pixels of the given images",
-        "three times max_disagreement_px, rounded up",
-        within=(0.1, 50),
-        given_px=True,
-    )
+    # Initial search radius for observations, in pixels of the given images (three times
+    # max_disagreement_px, rounded up).
+    search_radius_px: float = constant(4.0, given_px=True)
     max_residual_px: float = option(
         1.35,
         "Maximum residual of an observation: the distance of a projected edge point to the chain, "
@@ -128,50 +91,29 @@ class RefinementOptions(Options):
         within=(0.05, 20),
         given_px=True,
     )
-    max_tangent_angle_deg: float = constant(
-        12.0,
-        "Maximum angle between a projected edge and the chain that observes it, in degrees",
-        TRIED,
-        within=(1, 90),
-    )
-    robust_scale_px: float = constant(
-        0.7,
-        "Scale of the Geman-McClure loss of residuals, in pixels of the upsampled images",
-        "about twice noise_px",
-        within=(0.05, 20),
-    )
-    max_bend_px: float = constant(
-        0.4,
-        "Scale of the Cauchy loss of the second difference of disparity along a curve, in pixels "
-        "of the upsampled images",
-        TRIED,
-        within=(0.01, 20),
-    )
-    side_gray_weight: float = constant(
-        2.0,
-        "Weight of the photometric term along edges relative to residuals across them; 0 disables "
-        "it",
-        TRIED,
-        within=(0, 100),
-    )
-    noise_px: float = constant(
-        0.3,
-        "Standard deviation of a chain point across the chain, in pixels of the upsampled images",
-        "assumed for errors of detection and poses together",
-        within=(0.01, 10),
-    )
+    # Maximum angle between a projected edge and the chain that observes it, in degrees (set by
+    # trial).
+    max_tangent_angle_deg: float = 12.0
+    # Scale of the Geman-McClure loss of residuals, in pixels of the upsampled images (about twice
+    # noise_px).
+    robust_scale_px: float = 0.7
+    # Scale of the Cauchy loss of the second difference of disparity along a curve, in pixels of the
+    # upsampled images (set by trial).
+    max_bend_px: float = 0.4
+    # Weight of the photometric term along edges relative to residuals across them; 0 disables it
+    # (set by trial).
+    side_gray_weight: float = 2.0
+    # Standard deviation of a chain point across the chain, in pixels of the upsampled images
+    # (assumed for errors of detection and poses together).
+    noise_px: float = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
 class TracingOptions(Options):
     """Tracing of 3D edges; all options except the method apply to depths along chains."""
 
-    method: str = constant(
-        "chains",
-        "Tracing method: depths along chains, or the paper's correspondences",
-        "set by --method",
-        choices=("chains", "paper"),
-    )
+    # Tracing method: depths along chains, or the paper's correspondences (set by --method).
+    method: str = constant("chains", choices=("chains", "paper"))
     num_rounds: int = option(
         2,
         "Number of matching rounds; later ones match only chains without a 3D edge and require "
@@ -179,43 +121,28 @@ class TracingOptions(Options):
         within=(1, 10),
         basic=True,
     )
-    max_inconsistency_px: float = constant(
-        3.0,
-        "Maximum difference between the depths that two views find for one point, in pixels of "
-        "disparity in the upsampled images",
-        TRIED,
-        within=(0.05, 50),
-    )
+    # Maximum difference between the depths that two views find for one point, in pixels of
+    # disparity in the upsampled images (set by trial).
+    max_inconsistency_px: float = 3.0
     min_agreeing_views: int = option(
         2,
         "Minimum number of other views that must find the same depth for a sample to be reliable",
         within=(1, 100),
         basic=True,
     )
-    min_confirmed_ratio: float = constant(
-        0.7, "Minimum share of reliable samples in a run", TRIED, within=(0, 1)
-    )
-    min_run_samples: int = constant(
-        2, "Minimum number of samples in a run", "a run has two ends", within=(2, 100)
-    )
-    max_disparity_gradient: float = constant(
-        1.0,
-        "Maximum change of disparity along a chain, in pixels per pixel",
-        "the disparity gradient limit of human stereo (Burt and Julesz 1980)",
-        within=(0.01, 100),
-    )
-    max_bridge_px: int = constant(
-        200,
-        "Maximum length of a stretch without depth inside a run, in pixels of the upsampled images",
-        TRIED,
-        within=(0, 10_000),
-    )
-    extension_px: int = constant(
-        24,
-        "Distance by which a run is extended beyond its ends, in pixels of the upsampled images",
-        "the default step between samples",
-        within=(0, 1000),
-    )
+    # Minimum share of reliable samples in a run (set by trial).
+    min_confirmed_ratio: float = 0.7
+    # Minimum number of samples in a run (a run has two ends).
+    min_run_samples: int = 2
+    # Maximum change of disparity along a chain, in pixels per pixel (the disparity gradient limit
+    # of human stereo (Burt and Julesz 1980)).
+    max_disparity_gradient: float = 1.0
+    # Maximum length of a stretch without depth inside a run, in pixels of the upsampled images (set
+    # by trial).
+    max_bridge_px: int = 200
+    # Distance by which a run is extended beyond its ends, in pixels of the upsampled images (the
+    # default step between samples).
+    extension_px: int = 24
     curve_step_points: int = option(
         4,
         "Spacing of the points of a 3D edge along its chain, in pixels of the upsampled images",
@@ -231,35 +158,18 @@ class TracingOptions(Options):
         within=(2, 100),
         basic=True,
     )
-    occlusion_radius_px: float = constant(
-        10.0,
-        "Radius in which nearer points are counted as occluders of a point, in pixels of the "
-        "upsampled images; 0 disables the test",
-        TRIED,
-        within=(0, 100),
-    )
-    max_sigma_ratio: float = constant(
-        5.0,
-        "Maximum standard deviation of an edge point's depth, relative to the median over all "
-        "edge points",
-        TRIED,
-        within=(1, 1000),
-    )
-    max_residual_ratio: float = constant(
-        1.7,
-        "Maximum mean residual of a 3D edge, relative to the median over all observations; larger "
-        "ones mark view-dependent contours",
-        TRIED,
-        within=(1, 100),
-    )
-    min_residual_px: float = constant(
-        0.22,
-        "Mean residual below which a 3D edge is never a view-dependent contour, in pixels of the "
-        "given images",
-        "a little less than sqrt(2 / pi) Refinement.noise_px, the expected mean residual",
-        within=(0.01, 50),
-        given_px=True,
-    )
+    # Radius in which nearer points are counted as occluders of a point, in pixels of the upsampled
+    # images; 0 disables the test (set by trial).
+    occlusion_radius_px: float = 10.0
+    # Maximum standard deviation of an edge point's depth, relative to the median over all edge
+    # points (set by trial).
+    max_sigma_ratio: float = 5.0
+    # Maximum mean residual of a 3D edge, relative to the median over all observations; larger ones
+    # mark view-dependent contours (set by trial).
+    max_residual_ratio: float = 1.7
+    # Mean residual below which a 3D edge is never a view-dependent contour, in pixels of the given
+    # images (a little less than sqrt(2 / pi) Refinement.noise_px, the expected mean residual).
+    min_residual_px: float = constant(0.22, given_px=True)
     max_false_edges: float = option(
         1.0,
         "Expected number of accidental 3D edges in the whole scene (a-contrario test); smaller "
@@ -278,24 +188,17 @@ class LinkingOptions(Options):
         "distances between edge points",
         within=(0, 50),
     )
-    max_join_angle_deg: float = constant(
-        30.0,
-        "Maximum turn between two joined 3D edges, in degrees",
-        "that of chains in images",
-        within=(0, 90),
-    )
+    # Maximum turn between two joined 3D edges, in degrees (that of chains in images).
+    max_join_angle_deg: float = 30.0
     max_corner_spacings: float = option(
         8.0,
         "Maximum length by which the end of a 3D edge is extended to a corner with other edges, in "
         "distances between edge points; 0 extends none",
         within=(0, 50),
     )
-    node_radius_spacings: float = constant(
-        2.5,
-        "Maximum distance of edge ends that share a node, in distances between edge points",
-        TRIED,
-        within=(0, 50),
-    )
+    # Maximum distance of edge ends that share a node, in distances between edge points (set by
+    # trial).
+    node_radius_spacings: float = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)

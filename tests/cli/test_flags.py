@@ -6,7 +6,7 @@ import click
 import pytest
 
 from colmap_edges.cli import flags
-from colmap_edges.declared_options import Options, group_prefix, is_constant, option
+from colmap_edges.declared_options import Options, group_prefix, is_option, option
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions
 
@@ -60,7 +60,7 @@ def leaves(group, prefix=""):
         kind = hints[entry.name]
         if is_dataclass(kind):
             yield from leaves(kind, group_prefix(kind))
-        elif not is_constant(entry):
+        elif is_option(entry):
             yield prefix + entry.name, entry
 
 

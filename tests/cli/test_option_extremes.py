@@ -14,7 +14,7 @@ import pytest
 import scenes
 
 from colmap_edges.cli import flags
-from colmap_edges.declared_options import group_prefix, is_constant
+from colmap_edges.declared_options import group_prefix, is_option
 from colmap_edges.errors import OptionError
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.pipeline.paths import Paths
@@ -29,27 +29,19 @@ PAPER = {"matching", "correspondence", "following", "visibility", "sampling"}
 
 
 def options():
-    """Every option and constant, as (field of PipelineOptions or nothing, its own field)."""
+    """Every option, as (field of PipelineOptions or nothing, its own field)."""
     for entry in fields(PipelineOptions):
         if entry.metadata:
             yield "", entry
         else:
-            yield from ((entry.name, inner) for inner in fields(entry.default_factory))
-
-
-def test_there_are_few_options_and_every_constant_has_its_source():
-    found = [is_constant(entry) for _, entry in options()]
-    assert found.count(False) <= 45
-    assert found.count(True) >= 45
+            own = fields(entry.default_factory)
+            yield from ((entry.name, inner) for inner in own if is_option(inner))
 
 
 def test_options_in_pixels_are_in_those_of_the_given_images():
     lengths = [entry for _, entry in options() if entry.name.endswith("_px")]
-    assert len(lengths) > 15
-    for entry in lengths:
-        text = entry.metadata["help"]
-        assert ("given images" in text) == (entry.metadata["given_px"] or not is_constant(entry))
-        assert "given images" in text or "upsampled" in text
+    assert lengths
+    assert all("given images" in entry.metadata["help"] for entry in lengths)
 
 
 def flag_of(group, entry):
@@ -88,8 +80,6 @@ def parser(group, entry):
 def test_values_of_all_flags_are_taken_or_refused_in_one_line(show):
     taken = refused = 0
     for group, entry in options():
-        if is_constant(entry):
-            continue
         parse = parser(group, entry)
         within = entry.metadata["within"]
         inside, outside = around(entry) if within else ([], [])
@@ -161,8 +151,6 @@ def changed(group, name, value):
 
 @pytest.mark.parametrize(("group", "entry"), NUMBERS)
 def test_runs_end_at_both_ends_of_every_range(tiny, group, entry, soak, show):
-    if is_constant(entry) and not soak:
-        pytest.skip("a constant, which no user sets; --soak runs it, too")
     inside, _ = around(entry)
     low, high = inside[0], inside[-1]
     values = [low, high]

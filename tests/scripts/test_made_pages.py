@@ -30,7 +30,6 @@ def copy(tmp_path):
     [
         ("document_api.py", "api.md"),
         ("document_options.py", "options.md"),
-        ("document_options.py", "constants.md"),
         ("document_architecture.py", "architecture.md"),
     ],
 )
@@ -51,9 +50,9 @@ def test_outdated_page_is_reported(copy, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["document_options.py", "--check"])
     script = str(copy / "scripts" / "document_options.py")
     runpy.run_path(script, run_name="__main__")
-    with (copy / "docs" / "constants.md").open("a") as page:
+    with (copy / "docs" / "options.md").open("a") as page:
         page.write("more\n")
-    with pytest.raises(SystemExit, match=r"constants.md is not as the code"):
+    with pytest.raises(SystemExit, match=r"options.md is not as the code"):
         runpy.run_path(script, run_name="__main__")
 
 
@@ -73,7 +72,7 @@ def write_toy(root):
     (root / "colmap_edges" / "options").mkdir()
     (root / "colmap_edges" / "options" / "a.py").write_text(
         "def option(default, help): ...\n"
-        "class AOptions:\n    d: int = constant(1, 'd', 'e')\n"
+        "class AOptions:\n    d: int = 1\n"
         "    a: int = option(1, 'a')\n    b: int = option(2, 'b')\n"
         "class BOptions:\n    c: float = option(0.5, 'c')\n    group: AOptions = field()\n"
     )
