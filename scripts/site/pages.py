@@ -3,7 +3,6 @@
 import os
 import posixpath
 import re
-import runpy
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +28,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Convert links for the site, and let mkdocstrings write the Python interface."""
+    """Convert links for the site."""
     source = FROM_OUTSIDE.get(page.file.src_uri, f"docs/{page.file.src_uri}")
-    if page.file.src_uri == "api.md":
-        markdown = interface()
     parts = FENCE.split(markdown)
     parts[::2] = [LINK.sub(lambda found: link(found, source), part) for part in parts[::2]]
     return "".join(parts)
@@ -52,14 +49,3 @@ def link(found: re.Match[str], source: str) -> str:
     else:
         return text  # without a place on the web the file has no address
     return f"{mark}[{text}]({path}{anchor or ''})"
-
-
-def interface() -> str:
-    """docs/api.md with mkdocstrings' directives in place of what document_api.py writes."""
-    document_api = runpy.run_path(str(ROOT / "scripts" / "document_api.py"))
-    parts = [document_api["HEAD"]]
-    for module, names, importable in document_api["PUBLIC"]:
-        heading = f"## {importable}\n"
-        parts += [heading] if heading not in parts else []
-        parts += [f"::: colmap_edges.{module}.{name}\n" for name in names]
-    return "\n".join(parts)
