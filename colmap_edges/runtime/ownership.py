@@ -25,23 +25,15 @@ class Kind:
 
     Attributes:
         record: name of its JSON file that holds the program, the version and the files.
-        known: names of files written by early versions, whose record lists no files.
         kept: names of entries of other commands, which are kept when the folder is replaced.
     """
 
     record: str
-    known: re.Pattern[str] = NOTHING
     kept: re.Pattern[str] = NOTHING
 
 
 OUTPUT = Kind(
-    record=REPORT_NAME,
-    known=re.compile(
-        r"sparse/(cameras|images|points3D|rigs|frames)\.(bin|txt)|edges\.(ply|obj|glb|dxf|json)"
-        r"|mesh\.(ply|obj|glb)|report\.html|edge_graphs/.+\.npz|overlays/.+\.png",
-        re.DOTALL,
-    ),
-    kept=re.compile(r"evaluation|\.evaluation\.colmap-edges-[0-9a-f]+"),
+    record=REPORT_NAME, kept=re.compile(r"evaluation|\.evaluation\.colmap-edges-[0-9a-f]+")
 )
 EVALUATION = Kind(record="evaluation.json")
 
@@ -81,15 +73,10 @@ def files_of(folder: Path, kind: Kind) -> dict[str, int] | None:
     """
     try:
         record = read_record(folder / kind.record)
-        if not isinstance(record["versions"][PROGRAM], str):
-            return None
+        version, files = record["versions"][PROGRAM], record["files"]
     except (ValueError, KeyError, TypeError):
         return None
-    if "files" not in record:
-        found = file_sizes(folder).items()
-        return {name: size for name, size in found if kind.known.fullmatch(name)}
-    files = record["files"]
-    return files if isinstance(files, dict) else None
+    return files if isinstance(version, str) and isinstance(files, dict) else None
 
 
 def read_record(path: Path) -> Any:
