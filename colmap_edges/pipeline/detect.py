@@ -29,6 +29,7 @@ from colmap_edges.images.files import encoded, path_of_image, single_threaded_op
 from colmap_edges.options import PipelineOptions
 from colmap_edges.report.overlay import draw_edge_graph
 from colmap_edges.runtime.executors import Workers, open_workers, run_all
+from colmap_edges.runtime.output import write_whole
 from colmap_edges.runtime.stages import Stage, Stages
 
 logger = logging.getLogger(__name__)
@@ -171,8 +172,8 @@ class GraphWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
         packed = BytesIO()  # np.savez raises again on deletion if the disk is full
         np.savez(packed, **vars(found.graph))
-        arrays.write_bytes(packed.getvalue())
-        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph)))
+        write_whole(arrays, packed.getvalue(), "edge graph")
+        write_whole(picture, encoded(".png", draw_edge_graph(read(), found.graph)), "overlay")
 
     def collect(self, index: int, kept: None) -> None:
         """Do nothing."""
