@@ -11,6 +11,7 @@ import click
 from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.protocols import scene
+from colmap_edges.runtime.output import write_whole
 
 
 @click.command(help=__doc__)
@@ -39,7 +40,7 @@ def main(output_path: Path | None, **arguments: object) -> None:
     record = scene.evaluate_edges(**arguments)  # type: ignore[arg-type]
     if output_path is not None:
         output_path.parent.mkdir(parents=True, exist_ok=True)
-        output_path.write_text(json.dumps(record, indent=2) + "\n")
+        write_whole(output_path, f"{json.dumps(record, indent=2)}\n".encode(), "figures")
     click.echo(tables.edge_tables(record))
 
 

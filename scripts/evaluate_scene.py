@@ -11,6 +11,7 @@ import click
 from colmap_edges.errors import exit_on_error
 from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.protocols import scene
+from colmap_edges.runtime.output import write_whole
 
 
 @click.command(help=__doc__)
@@ -44,7 +45,8 @@ def main(
     )
     if output_path is not None:
         output_path.mkdir(parents=True, exist_ok=True)
-        (output_path / "evaluation.json").write_text(json.dumps(record, indent=2) + "\n")
+        figures = f"{json.dumps(record, indent=2)}\n".encode()
+        write_whole(output_path / "evaluation.json", figures, "figures")
     click.echo(tables.mesh_tables(record))
 
 

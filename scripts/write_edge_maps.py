@@ -26,6 +26,7 @@ from colmap_edges.images.files import (
     read_image,
 )
 from colmap_edges.options import DetectionOptions
+from colmap_edges.runtime.output import write_whole
 
 Detector = Callable[[np.ndarray, float], np.ndarray]
 
@@ -91,7 +92,7 @@ def main(
         edges = detect(gray_of(read_image(view, image_path)), view.scale)
         path = path_of_image(output_path, f"{view.name}.png")
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encoded(".png", edges))
+        write_whole(path, encoded(".png", edges), "edge image")
     click.echo(f"{len(model.views)} edge images in {output_path}")
 
 

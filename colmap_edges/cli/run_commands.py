@@ -20,8 +20,9 @@ from colmap_edges.runtime.stages import Progress
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
-RECONSTRUCT_FLAGS = MESH_FLAGS - {"meshing", "use_edges", "masks_are_background"}
-DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "random_seed", "detection", "edge_graph"}
+ONLY_MESH_FLAGS = {"meshing", "mesh_type", "use_edges", "use_faces", "masks_are_background"}
+RECONSTRUCT_FLAGS = MESH_FLAGS - ONLY_MESH_FLAGS
+DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "detection", "edge_graph"}
 
 
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:

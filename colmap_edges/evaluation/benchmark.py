@@ -24,6 +24,7 @@ from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.scenes import Reference, Scene
 from colmap_edges.options import PipelineOptions, preset
 from colmap_edges.runtime.input_files import read_text
+from colmap_edges.runtime.output import write_whole
 
 logger = logging.getLogger(__name__)
 
@@ -138,7 +139,7 @@ def keep_image_names(scene: Scene, folder: Path) -> None:
         )
     if names:
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(names)
+        write_whole(path, names.encode(), "names of images")
 
 
 def with_one_reference(scene: Scene) -> Scene:
@@ -155,8 +156,9 @@ def with_one_reference(scene: Scene) -> Scene:
 
 def write_results(results: Record, output_path: Path, baseline: str) -> None:
     """Write evaluation.json and evaluation.md."""
-    (output_path / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n")
-    (output_path / "evaluation.md").write_text(tables.paper_tables(results, baseline) + "\n")
+    figures, text = json.dumps(results, indent=2), tables.paper_tables(results, baseline)
+    write_whole(output_path / "evaluation.json", f"{figures}\n".encode(), "figures")
+    write_whole(output_path / "evaluation.md", f"{text}\n".encode(), "tables")
 
 
 def _run_method(scene: Scene, method: str, folder: Path, progress: Progress) -> Record:
@@ -173,9 +175,7 @@ def _run_method(scene: Scene, method: str, folder: Path, progress: Progress) -> 
         progress(f"  {method}: failed: {error}")
         return {"error": " ".join(str(error).split()) or type(error).__name__}
     record["seconds"] = round(time.perf_counter() - started, 2)
-    partial = done.with_suffix(".partial")
-    partial.write_text(json.dumps(record, indent=2) + "\n")
-    partial.replace(done)
+    write_whole(done, f"{json.dumps(record, indent=2)}\n".encode(), "figures")
     progress(f"  {method}: {record['seconds']} s")
     return record
 

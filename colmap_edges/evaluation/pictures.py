@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, Picture
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.depth import DepthErrors, ReferenceDepth
 from colmap_edges.evaluation.metrics.edges import view_window_errors
 from colmap_edges.images.files import encoded, gray_of, read_image
+from colmap_edges.runtime.output import write_whole
 
 _UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
 
@@ -105,7 +105,4 @@ def write_png(path: Path, picture: NDArray[Any]) -> None:
     Raises:
         ColmapEdgesError: The file cannot be written.
     """
-    try:
-        path.write_bytes(encoded(".png", picture))
-    except OSError as error:
-        raise ColmapEdgesError(f"{path} cannot be written: {error}") from error
+    write_whole(path, encoded(".png", picture), "picture")

@@ -16,7 +16,7 @@ from colmap_edges.evaluation.metrics import depth, edges
 from colmap_edges.evaluation.protocols import scene
 from colmap_edges.evaluation.readers import results
 from colmap_edges.export.meshes import MESH_FORMATS
-from colmap_edges.runtime.output import new_folder
+from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import EVALUATION, PROGRAM, file_sizes
 
 
@@ -63,10 +63,12 @@ def run(
                 input_path, image_path, held_out_views, pictures_path=folder
             )
             record["held_out_views"] = [asdict(error) for error in errors]
-        (folder / "evaluation.md").write_text(tables.run_tables(record) + "\n", encoding="utf-8")
+        text = tables.run_tables(record) + "\n"
+        write_whole(folder / "evaluation.md", text.encode(), "tables")
         record["versions"] = {PROGRAM: colmap_edges.__version__}
         record["files"] = file_sizes(folder)
-        (folder / EVALUATION.record).write_text(json.dumps(record, indent=2) + "\n")
+        text = json.dumps(record, indent=2) + "\n"
+        write_whole(folder / EVALUATION.record, text.encode(), "figures")
     return record
 
 

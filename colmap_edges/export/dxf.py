@@ -26,6 +26,7 @@ from colmap_edges.core.curves3d import (
     SPLINE,
     Curves3D,
 )
+from colmap_edges.runtime.output import write_whole
 
 LAYERS = {kind: name.upper() for kind, name in enumerate(KINDS)}
 FIRST_HANDLE = 0x38  # the frame's own are smaller
@@ -33,15 +34,19 @@ NEAR_AXIS = 1 / 64  # of DXF's rule for the axes of a plane
 Tags = list[tuple[int, Any]]  # codes and values
 
 
-def write_dxf(curves: Curves3D, path: Path) -> None:
-    """Write a DXF (R2000) with one entity per curve, and one layer per kind, named in capitals."""
+def write_dxf(curves: Curves3D, path: Path, *, overwrite: bool = True) -> None:
+    """Write a DXF (R2000) with one entity per curve, and one layer per kind, named in capitals.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
+    """
     frame = files("colmap_edges.export").joinpath("frame.dxf").read_text("utf-8")
     entities = "".join(
         f"{code:3d}\n{value}\n" for tags in entity_tags(curves) for code, value in tags
     )
     last = f"{FIRST_HANDLE + curves.num_curves:X}"
     text = frame.replace("{next_handle}", last).replace("{entities}", entities)
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text.encode(), "curves", overwrite=overwrite)
 
 
 def entity_tags(curves: Curves3D) -> Iterator[Tags]:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.curve_records import curve_records
+from colmap_edges.runtime.output import write_whole
 
 PLY_VERTEX = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3)])
 PLY_HEADER = """ply
@@ -41,25 +42,33 @@ def edge_lengths(edges: Edges3D) -> FloatArray:
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
-def write_ply(edges: Edges3D, path: Path) -> None:
-    """Write a binary PLY with `vertex` and `edge` elements."""
+def write_ply(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
+    """Write a binary PLY with `vertex` and `edge` elements.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
+    """
     vertices = np.empty(edges.num_points, PLY_VERTEX)
     vertices["xyz"], vertices["rgb"] = edges.points, edges.colors
     segments = edges.segments
     header = PLY_HEADER.format(vertices=len(vertices), edges=len(segments))
-    path.write_bytes(header.encode() + vertices.tobytes() + segments.astype("<i4").tobytes())
+    data = header.encode() + vertices.tobytes() + segments.astype("<i4").tobytes()
+    write_whole(path, data, "edges", overwrite=overwrite)
 
 
-def write_obj(edges: Edges3D, path: Path) -> None:
-    """Write an OBJ with one `l` element per edge; closed edges repeat their first point."""
-    with path.open("w", encoding="ascii") as file:
-        file.write("# 3D edges by colmap-edges\n")
-        file.write(formatted("v %.12g %.12g %.12g\n", edges.points))
-        for indices in polyline_indices(edges):
-            file.write(f"l {' '.join(map(str, (indices + 1).tolist()))}\n")
+def write_obj(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
+    """Write an OBJ with one `l` element per edge; closed edges repeat their first point.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
+    """
+    lines = ["# 3D edges by colmap-edges\n", formatted("v %.15g %.15g %.15g\n", edges.points)]
+    for indices in polyline_indices(edges):
+        lines.append(f"l {' '.join(map(str, (indices + 1).tolist()))}\n")
+    write_whole(path, "".join(lines).encode("ascii"), "edges", overwrite=overwrite)
 
 
-def formatted(line: str, rows: FloatArray) -> str:
+def formatted(line: str, rows: FloatArray | Int32Array) -> str:
     """The rows formatted by a template line, all at once for speed."""
     return line * len(rows) % tuple(rows.ravel().tolist())
 
@@ -88,6 +97,9 @@ def write_json(
         point3D_ids: (N,) ids of the edge points in the written model.
         residuals: (T,) distances of observations from projections, pixels.
         path: file to write.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written.
     """
     parts = {
         "edges": edge_records(edges, model, point3D_ids, residuals),
@@ -99,7 +111,7 @@ def write_json(
         f'"{name}": [\n' + ",\n".join(map(encode, records)) + "\n]"
         for name, records in parts.items()
     )
-    path.write_text("{" + ",\n".join(lists) + "}\n", encoding="utf-8")
+    write_whole(path, ("{" + ",\n".join(lists) + "}\n").encode(), "edges")
 
 
 def edge_records(

@@ -1,4 +1,4 @@
-"""Export of 3D edges as binary glTF, one line strip per edge."""
+"""Export of 3D edges, and of any lines and triangles, as binary glTF."""
 
 from __future__ import annotations
 
@@ -8,23 +8,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import ByteArray, Float32Array, IntArray
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import polyline_indices
+from colmap_edges.export.precision import needs_double
+from colmap_edges.runtime.output import write_whole
 
 HEAD = struct.Struct("<4sII")  # magic, version, total length
 CHUNK = struct.Struct("<I4s")  # length, kind
-FLOAT, UNSIGNED_BYTE, UNSIGNED_INT = 5126, 5121, 5125
-LINE_STRIP = 3
+TYPES = {"<f4": 5126, "|u1": 5121, "<u4": 5125}  # glTF's numbers of component types
+LINES, TRIANGLES = 1, 4  # primitive modes
 VERTICES, INDICES = 34962, 34963  # targets of buffer views
+ASSET = {"version": "2.0", "generator": "colmap-edges"}
+PLAIN = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
 
 
-def write_glb(edges: Edges3D, path: Path) -> None:
-    """Write a binary glTF with one line strip per edge, in the mean colour of its points.
+def write_glb(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
+    """Write a binary glTF of one set of lines, in the mean colour of each edge.
 
-    Coordinates are world coordinates in float32, as the format requires. Without edges no file is
+    The attribute `_EDGE_ID` holds the index of the edge of each vertex. Without edges no file is
     written, since the format has no empty scenes.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
     if edges.num_edges == 0:
         return
@@ -32,76 +39,99 @@ def write_glb(edges: Edges3D, path: Path) -> None:
     sums = np.column_stack(
         [np.bincount(ids, channel, edges.num_edges) for channel in edges.colors.T]
     )
-    rgba = np.full((edges.num_edges, 4), 255, np.uint8)
-    rgba[:, :3] = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None])
-    points, shades = edges.points.astype("<f4"), rgba[ids]
-    strips = [indices.astype("<u4") for indices in polyline_indices(edges)]
-    counts = np.array([len(strip) for strip in strips], np.int64)
-    head = json.dumps(document(points, shades, counts), separators=(",", ":")).encode()
-    head += b" " * (-len(head) % 4)
-    body = points.tobytes() + shades.tobytes() + np.concatenate(strips).tobytes()
-    length = HEAD.size + 2 * CHUNK.size + len(head) + len(body)
-    chunks = [CHUNK.pack(len(head), b"JSON"), head, CHUNK.pack(len(body), b"BIN\0"), body]
-    path.write_bytes(HEAD.pack(b"glTF", 2, length) + b"".join(chunks))
+    means = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None]).astype(np.uint8)
+    far = needs_double(edges.points, edges.segments)
+    data = as_glb("edges", edges.points, means[ids], edges.segments, LINES, far=far, edge_ids=ids)
+    write_whole(path, data, "edges", overwrite=overwrite)
 
 
-def document(points: Float32Array, shades: ByteArray, counts: IntArray) -> dict[str, Any]:
-    """The JSON part of a glTF of (N, 3) points, (N, 4) RGBA, and strips of (E,) indices."""
-    strips = [
-        {
-            "attributes": {"POSITION": 0, "COLOR_0": 1},
-            "indices": 2 + edge,
-            "mode": LINE_STRIP,
-            "material": 0,
-        }
-        for edge in range(len(counts))
-    ]
-    plain = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
-    sizes = [points.nbytes, shades.nbytes, 4 * int(counts.sum())]
-    starts = [0, sizes[0], sizes[0] + sizes[1]]
-    views = [
-        {"buffer": 0, "byteOffset": start, "byteLength": size, "target": target}
-        for start, size, target in zip(starts, sizes, (VERTICES, VERTICES, INDICES), strict=True)
-    ]
-    return {
-        "asset": {"version": "2.0", "generator": "colmap-edges"},
+def as_glb(
+    name: str,
+    points: FloatArray,
+    colors: ByteArray,
+    indices: IntArray | Int32Array,
+    mode: int,
+    *,
+    far: bool,
+    edge_ids: IntArray | None = None,
+) -> bytes:
+    """A binary glTF of one node with one mesh of one primitive.
+
+    Args:
+        name: name of the node and the mesh.
+        points: (N, 3) world coordinates, written as float32.
+        colors: (N, 3) RGB.
+        indices: (P, 2) ends of lines, or (P, 3) corners of triangles.
+        mode: LINES or TRIANGLES.
+        far: write the points relative to their centre, which becomes the node's translation;
+            the latter is text and keeps its precision.
+        edge_ids: (N,) values of the attribute `_EDGE_ID`; float32, as glTF forbids integers here.
+    """
+    if not len(indices):
+        return chunks({"asset": ASSET})  # accessors must not be empty
+    offset = (points.min(axis=0) + points.max(axis=0)) / 2 if far else np.zeros(3)
+    rgba = np.full((len(points), 4), 255, np.uint8)  # four bytes, for alignment
+    rgba[:, :3] = colors
+    attributes: dict[str, NDArray[Any]] = {
+        "POSITION": (points - offset).astype("<f4"),
+        "COLOR_0": rgba,
+    }
+    if edge_ids is not None:
+        attributes["_EDGE_ID"] = edge_ids.astype("<f4")[:, None]
+    node = {"name": name, "mesh": 0} | ({"translation": offset.tolist()} if far else {})
+    arrays = [*attributes.values(), indices.astype("<u4").reshape(-1, 1)]
+    primitive = {
+        "attributes": {name: index for index, name in enumerate(attributes)},
+        "indices": len(attributes),
+        "mode": mode,
+    }
+    if mode == LINES:  # lines without normals are not shaded
+        primitive["material"] = 0
+    return packed(node, primitive, arrays)
+
+
+def packed(node: dict[str, Any], primitive: dict[str, Any], arrays: list[NDArray[Any]]) -> bytes:
+    """A binary glTF of a node and its mesh's primitive; its arrays in the order of accessors."""
+    starts = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
+    targets = [VERTICES] * (len(arrays) - 1) + [INDICES]
+    document = {
+        "asset": ASSET,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "edges", "mesh": 0}],
-        "meshes": [{"name": "edges", "primitives": strips}],
-        "materials": [{"pbrMetallicRoughness": plain}],
-        "accessors": accessors(points, shades, counts),
-        "bufferViews": views,
-        "buffers": [{"byteLength": sum(sizes)}],
+        "nodes": [node],
+        "meshes": [{"name": node["name"], "primitives": [primitive]}],
+        "accessors": [accessor(array, index) for index, array in enumerate(arrays)],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": array.nbytes, "target": target}
+            for start, array, target in zip(starts, arrays, targets, strict=False)
+        ],
+        "buffers": [{"byteLength": starts[-1]}],
     }
+    if "material" in primitive:
+        document["materials"] = [{"pbrMetallicRoughness": PLAIN}]
+    return chunks(document, b"".join(array.tobytes() for array in arrays))
 
 
-def accessors(points: Float32Array, shades: ByteArray, counts: IntArray) -> list[dict[str, Any]]:
-    """The accessors of points, colours and each strip's indices in their buffer views."""
-    positions = {
-        "bufferView": 0,
-        "componentType": FLOAT,
-        "type": "VEC3",
-        "count": len(points),
-        "min": points.min(axis=0).tolist(),
-        "max": points.max(axis=0).tolist(),
+def chunks(document: dict[str, Any], body: bytes = b"") -> bytes:
+    """A binary glTF of its JSON part and its buffer, whose length is a multiple of four."""
+    head = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    head += b" " * (-len(head) % 4)
+    data = CHUNK.pack(len(head), b"JSON") + head
+    if body:
+        data += CHUNK.pack(len(body), b"BIN\0") + body
+    return HEAD.pack(b"glTF", 2, HEAD.size + len(data)) + data
+
+
+def accessor(array: NDArray[Any], view: int) -> dict[str, Any]:
+    """The accessor of an array (N, 1), (N, 3) or (N, 4) that fills a buffer view."""
+    found = {
+        "bufferView": view,
+        "componentType": TYPES[array.dtype.str],
+        "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1]],
+        "count": len(array),
     }
-    colors = {
-        "bufferView": 1,
-        "componentType": UNSIGNED_BYTE,
-        "normalized": True,
-        "type": "VEC4",
-        "count": len(shades),
-    }
-    starts = np.cumsum(counts) - counts
-    indices = [
-        {
-            "bufferView": 2,
-            "byteOffset": 4 * start,
-            "componentType": UNSIGNED_INT,
-            "type": "SCALAR",
-            "count": count,
-        }
-        for start, count in zip(starts.tolist(), counts.tolist(), strict=True)
-    ]
-    return [positions, colors, *indices]
+    if array.dtype == np.uint8:
+        return found | {"normalized": True}
+    if array.shape[1] == 3:  # required for positions
+        found |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+    return found

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import colmap_edges
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.runtime.output import new_folder, write_whole
+from colmap_edges.runtime.ownership import PROGRAM, STRUCTURES
 
 CHORD_DEG = 10.0  # turn of a curve per chord
 NO_SCORE = 1.0  # LIMAP's score of 2D segments of detectors without scores
@@ -34,21 +39,27 @@ class Line3D:
     sigma: float
 
 
-def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Path) -> int:
+def write_structures(
+    edges: Edges3D, curves: Curves3D, model: Model, folder: Path, *, overwrite: bool = False
+) -> int:
     """Write LIMAP 2.0's `structures`: lines with 2D segments; bent curves as chords.
 
-    Lines observed by fewer than two views are left out.
+    Lines observed by fewer than two views are left out. The folder appears complete, or not at all.
+    A record in it names its files, so that only those are ever replaced.
 
     Args:
         edges: the edges.
         curves: the curves that they consist of.
         model: the model whose views observations refer to; LIMAP needs it next to the folder.
-        folder: output folder, created if missing.
+        folder: output folder, made here.
+        overwrite: replace an earlier output of this function.
 
     Returns:
         The number of lines.
+
+    Raises:
+        ColmapEdgesError: if the folder cannot be made or must not be replaced.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     lines = [line for line in straight_lines(edges, curves) if len(line.views) > 1]
     images = model.reconstruction.images
     detections: list[list[tuple[FloatArray, int]]] = [[] for _ in model.views]
@@ -59,16 +70,22 @@ def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Pat
             content.append(struct.pack("<2I", model.views[view].image_id, len(detections[view])))
             detections[view].append((segment, index))
         content.append(struct.pack("<d", line.sigma if np.isfinite(line.sigma) else 0.0))
-    (folder / "lines3D.bin").write_bytes(b"".join(content))
+    files = {"lines3D.bin": b"".join(content)}
     content = [struct.pack("<Q", len(model.views))]
     for view, found in zip(model.views, detections, strict=True):
         num_points = images[view.image_id].num_points2D()
         content.append(struct.pack("<2IQ", view.image_id, num_points, len(found)))
         content += [struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index) for ends, index in found]
         content.append(struct.pack("<2Q", 0, 0))  # no groups and no links
-    (folder / "structures2d.bin").write_bytes(b"".join(content))
+    files["structures2d.bin"] = b"".join(content)
     for name in ("groups3D.bin", "wireframe3D.bin"):  # required by LIMAP
-        (folder / name).write_bytes(struct.pack("<Q", 0))
+        files[name] = struct.pack("<Q", 0)
+    record: dict[str, Any] = {"versions": {PROGRAM: colmap_edges.__version__}}
+    record["files"] = {name: len(data) for name, data in files.items()}
+    files[STRUCTURES.record] = f"{json.dumps(record, indent=2)}\n".encode()
+    with new_folder(folder, STRUCTURES, overwrite) as new:
+        for name, data in files.items():
+            write_whole(new / name, data, "lines")
     return len(lines)
 
 

@@ -6,20 +6,23 @@ from pathlib import Path
 
 import numpy as np
 
+from colmap_edges.core.arrays import Int32Array
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.export.edges import formatted
+from colmap_edges.export.glb import TRIANGLES, as_glb
+from colmap_edges.export.precision import needs_double
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
 
 MESH_FORMATS = (".ply", ".obj", ".glb")
-PLY_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
 PLY_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
 PLY_HEADER = """ply
 format binary_little_endian 1.0
 comment mesh by colmap-edges
 element vertex {vertices}
-property float x
-property float y
-property float z
+property {number} x
+property {number} y
+property {number} z
 property uchar red
 property uchar green
 property uchar blue
@@ -30,11 +33,16 @@ end_header
 """
 
 
-def write_mesh(mesh: Mesh, path: Path | str) -> None:
-    """Write a mesh with colours as PLY, OBJ or GLB, atomically.
+def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
+    """Write a mesh with colours as PLY, OBJ or GLB, complete or not at all.
+
+    Returns:
+        Whether 32-bit coordinates would distort the mesh, because it lies far from the origin. Then
+            a PLY has 64-bit coordinates and a GLB an offset; an OBJ is precise in any case.
 
     Raises:
-        ColmapEdgesError: if the suffix is unknown or the file cannot be written.
+        ColmapEdgesError: if the suffix is unknown, the file cannot be written, or exists and
+            `overwrite` is false.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -42,24 +50,37 @@ def write_mesh(mesh: Mesh, path: Path | str) -> None:
         raise ColmapEdgesError(
             f"cannot write a mesh as {path.name!r}; choose one of: {', '.join(MESH_FORMATS)}"
         )
-    write_whole(path, as_ply(mesh) if suffix == ".ply" else by_trimesh(mesh, suffix), "mesh")
+    far = needs_double(mesh.vertices, sides_of(mesh))
+    if suffix == ".ply":
+        data = as_ply(mesh, "f8" if far else "f4")
+    elif suffix == ".obj":
+        data = as_obj(mesh)
+    else:
+        data = as_glb("mesh", mesh.vertices, mesh.colors, mesh.faces, TRIANGLES, far=far)
+    write_whole(path, data, "mesh", overwrite=overwrite)
+    return far
 
 
-def as_ply(mesh: Mesh) -> bytes:
-    """A binary PLY of the mesh; coordinates in float32, as most readers expect."""
-    vertices = np.full(len(mesh.vertices), 255, PLY_VERTEX)
+def sides_of(mesh: Mesh) -> Int32Array:
+    """(3 F, 2) the sides of all triangles, by their vertices."""
+    return mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def as_ply(mesh: Mesh, number: str) -> bytes:
+    """A binary PLY of the mesh, with coordinates of type f4, as most readers expect, or f8."""
+    vertex = np.dtype([("xyz", f"<{number}", 3), ("rgba", "u1", 4)])
+    vertices = np.full(len(mesh.vertices), 255, vertex)
     vertices["xyz"], vertices["rgba"][:, :3] = mesh.vertices, mesh.colors
     faces = np.full(len(mesh.faces), 3, PLY_FACE)
     faces["indices"] = mesh.faces
-    header = PLY_HEADER.format(vertices=len(vertices), faces=len(faces))
+    name = {"f4": "float", "f8": "double"}[number]
+    header = PLY_HEADER.format(vertices=len(vertices), faces=len(faces), number=name)
     return header.encode() + vertices.tobytes() + faces.tobytes()
 
 
-def by_trimesh(mesh: Mesh, suffix: str) -> bytes:
-    """The mesh in one of the other formats."""
-    import trimesh  # takes a second
-
-    exported = trimesh.Trimesh(
-        mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False, validate=False
-    ).export(file_type=suffix[1:])
-    return exported.encode() if isinstance(exported, str) else exported
+def as_obj(mesh: Mesh) -> bytes:
+    """An OBJ of the mesh, with colours from 0 to 1 after the coordinates."""
+    rows = np.column_stack([mesh.vertices, mesh.colors / 255])
+    text = formatted("v %.15g %.15g %.15g %.4g %.4g %.4g\n", rows)
+    faces = formatted("f %d %d %d\n", mesh.faces + 1)
+    return f"# mesh by colmap-edges\n{text}{faces}".encode("ascii")

@@ -3,26 +3,46 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.runtime.output import write_whole
 
-PRODUCT = re.compile(r"PRODUCT\('[^']*',\s*'[^']*'")
-SMALLEST = 1e-7  # minimum length of an edge in OpenCASCADE (Precision::Confusion)
+PRODUCT = re.compile(rb"PRODUCT\('[^']*',\s*'[^']*'")
+SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precision::Confusion)
+SHORTEST = 100 * SMALLEST  # of a curve in the file
 
 
-def write_step(curves: Curves3D, path: Path) -> None:
+@dataclass(frozen=True, kw_only=True)
+class StepFile:
+    """What a STEP file holds.
+
+    Attributes:
+        num_curves: number of curves in it.
+        unit_mm: millimetres that stand for one world unit.
+    """
+
+    num_curves: int
+    unit_mm: float
+
+
+def write_step(curves: Curves3D, path: Path, *, overwrite: bool = True) -> StepFile:
     """Write a STEP file with one edge per curve, using OpenCASCADE.
 
-    STEP files are in millimetres; one world unit becomes one millimetre. Lines of length zero,
-    which OpenCASCADE does not support, are left out.
+    STEP files are in millimetres, and programs take points closer than 1e-7 mm as one. One world
+    unit becomes one millimetre; if that makes curves too short, a power of ten of millimetres.
+    Curves without length, or of less than a ten-millionth of the longest, are left out.
 
     Raises:
-        ColmapEdgesError: if OpenCASCADE is not installed or writing fails.
+        ColmapEdgesError: if OpenCASCADE is not installed, the file cannot be written, or exists
+            and `overwrite` is false.
     """
     try:
         from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
@@ -33,22 +53,32 @@ def write_step(curves: Curves3D, path: Path) -> None:
     be_silent()
     builder, compound = BRep.BRep_Builder(), TopoDS.TopoDS_Compound()
     builder.MakeCompound(compound)
-    long = curves.lengths() > 10 * SMALLEST
-    for curve in np.flatnonzero(long).tolist():
-        made = BRepBuilderAPI.BRepBuilderAPI_MakeEdge(*geometry(curves, curve))
+    unit_mm, count = unit_of(curves.lengths()), 0
+    scaled = replace(
+        curves, frames=curves.frames * unit_mm, control_points=curves.control_points * unit_mm
+    )
+    for curve in np.flatnonzero(scaled.lengths() > 10 * SMALLEST).tolist():
+        made = BRepBuilderAPI.BRepBuilderAPI_MakeEdge(*geometry(scaled, curve))
         if made.IsDone():
             builder.Add(compound, made.Edge())
+            count += 1
     writer = STEPControl.STEPControl_Writer()
     Interface.Interface_Static.SetIVal_s("write.step.assembly", 0)  # a single part
     writer.Transfer(compound, STEPControl.STEPControl_StepModelType.STEPControl_AsIs)
     without_date(writer)
-    if writer.Write(str(path)) != IFSelect.IFSelect_ReturnStatus.IFSelect_RetDone:
-        raise ColmapEdgesError(
-            f"cannot write {path} as STEP; check that its folder exists and is writable"
-        )
+    written = BytesIO()
+    if writer.WriteStream(written) != IFSelect.IFSelect_ReturnStatus.IFSelect_RetDone:
+        raise ColmapEdgesError(f"OpenCASCADE cannot write the curves as STEP; {path} is not made")
     # OpenCASCADE appends a counter to the name.
-    text = PRODUCT.sub("PRODUCT('edges','edges'", path.read_text(encoding="ascii"), count=1)
-    path.write_text(text, encoding="ascii")
+    data = PRODUCT.sub(b"PRODUCT('edges','edges'", written.getvalue(), count=1)
+    write_whole(path, data, "curves", overwrite=overwrite)
+    return StepFile(num_curves=count, unit_mm=unit_mm)
+
+
+def unit_of(lengths: FloatArray) -> float:
+    """Millimetres per world unit: 1, or the power of ten that makes all curves long enough."""
+    long = lengths[lengths > SMALLEST * lengths.max(initial=0)]
+    return float(10.0 ** np.ceil(np.log10(SHORTEST / long.min(initial=SHORTEST))))
 
 
 def be_silent() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.curves3d import KINDS, LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
+from colmap_edges.errors import printable
+from colmap_edges.runtime.output import write_whole
 
 COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
 STEPS = 128  # segments of a drawn curve
@@ -27,7 +30,15 @@ path {{ fill: none; stroke-width: {stroke:.3g}; stroke-linecap: round; stroke-li
 """
 
 
-def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Path) -> None:
+def write_svg(
+    edges: Edges3D,
+    curves: Curves3D,
+    view: View,
+    index: int,
+    path: Path,
+    *,
+    overwrite: bool = True,
+) -> None:
     """Write curves projected into a view, grouped by kind, dashed where they are not observed.
 
     Args:
@@ -36,11 +47,15 @@ def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Pa
         view: the view.
         index: index of the view in the model.
         path: file to write.
+        overwrite: replace an existing file.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
     seen = points_seen(edges, index)
     size = max(view.width, view.height)
     styles = "\n".join(f".{kind} {{ stroke: {c} }}" for kind, c in zip(KINDS, COLORS, strict=True))
-    title = view.name.replace("&", "&amp;").replace("<", "&lt;")
+    title = html.escape(printable(view.name))  # XML cannot hold control characters
     lines = [
         HEAD.format(
             width=view.width,
@@ -56,7 +71,7 @@ def write_svg(edges: Edges3D, curves: Curves3D, view: View, index: int, path: Pa
         for curve in np.flatnonzero(curves.kinds == kind).tolist():
             lines += paths_of(edges, curves, curve, seen, view)
         lines.append("</g>\n")
-    path.write_text("".join(lines) + "</svg>\n", encoding="utf-8")
+    write_whole(path, ("".join(lines) + "</svg>\n").encode(), "curves", overwrite=overwrite)
 
 
 def points_seen(edges: Edges3D, index: int) -> BoolArray:

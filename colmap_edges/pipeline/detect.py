@@ -30,6 +30,7 @@ from colmap_edges.images.files import encoded, path_of_image, single_threaded_op
 from colmap_edges.options import EdgeGraphOptions, PipelineOptions
 from colmap_edges.report.overlay import draw_edge_graph
 from colmap_edges.runtime.executors import Workers, open_workers, run_all
+from colmap_edges.runtime.output import write_whole
 from colmap_edges.runtime.stages import Stage, Stages
 
 logger = logging.getLogger(__name__)
@@ -174,8 +175,9 @@ class GraphWriter:
         packed = BytesIO()  # np.savez raises again on deletion if the disk is full
         topology = topology_of(found.graph, view, self.options)
         np.savez(packed, **vars(found.graph), **vars(topology))
-        arrays.write_bytes(packed.getvalue())
-        picture.write_bytes(encoded(".png", draw_edge_graph(read(), found.graph, topology)))
+        overlay = encoded(".png", draw_edge_graph(read(), found.graph, topology))
+        write_whole(arrays, packed.getvalue(), "edge graph")
+        write_whole(picture, overlay, "overlay")
 
     def collect(self, index: int, kept: None) -> None:
         """Do nothing."""

@@ -90,6 +90,8 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     findings += residual_findings(counts.get("write", {}))
     if counts.get("mesh", {}).get("faces") == 0:
         findings.append(empty_mesh(counts["mesh"], options))
+    if counts.get("mesh", {}).get("far_from_origin"):
+        findings.append(far_mesh(options))
     return findings
 
 
@@ -287,6 +289,21 @@ def no_edges(trace: Counts, options: PipelineOptions) -> Finding:
         text="no 3D edge was found: no candidate has "
         f"{options.tracing.min_curve_points} points seen in {needed_views(options)[1]} views",
         remedy=f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
+    )
+
+
+def far_mesh(options: PipelineOptions) -> Finding:
+    """The finding that 32-bit coordinates would distort the mesh."""
+    kept = {
+        "PLY": "mesh.ply holds 64-bit ones",
+        "OBJ": "mesh.obj holds all digits",
+        "GLB": "mesh.glb holds them relative to an offset",
+    }[options.mesh_type]
+    return Finding(
+        text="the model lies so far from the origin that coordinates of 32 bits would distort the "
+        f"mesh; {kept}, but some programs round them when they read them",
+        remedy="move the origin into the scene, for example with `colmap model_aligner` and its "
+        "--alignment_type enu, and run again",
     )
 
 

@@ -22,6 +22,7 @@ from colmap_edges.report.pictures import reprojected_layer
 from colmap_edges.report.scene3d import scene_figure
 from colmap_edges.report.still import still_picture
 from colmap_edges.report.tracks import edge_data, views_per_edge
+from colmap_edges.runtime.output import write_whole
 
 
 def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> dict[str, int]:
@@ -69,8 +70,9 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         script=resource("page.js"),
     )
     # Folder names may not be valid text.
-    path.write_text(page, encoding="utf-8", errors="backslashreplace")
-    return {"pictures": len(pictures), "bytes": path.stat().st_size}
+    data = page.encode("utf-8", "backslashreplace")
+    write_whole(path, data, "report")
+    return {"pictures": len(pictures), "bytes": len(data)}
 
 
 def resource(name: str) -> str:

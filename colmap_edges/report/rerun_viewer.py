@@ -26,7 +26,7 @@ from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.scene3d import pyramid_depth
 from colmap_edges.report.tracks import views_per_edge
 from colmap_edges.report.viewpoint import bounds, up_direction
-from colmap_edges.runtime.output import check_apart, write_whole
+from colmap_edges.runtime.output import check_apart, check_file, one_line, write_whole
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -188,7 +188,7 @@ def open_viewer(
         # Kept in memory, since rerun does not report a full disk.
         recording = stream.binary_stream()
         yield RerunViewer(rerun, stream)
-        write_whole(Path(target), recording.read(), "recording")
+        write_whole(Path(target), recording.read(), "recording", overwrite=overwrite)
 
 
 def load_rerun() -> Any:
@@ -247,11 +247,8 @@ def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequ
     check_apart("--rerun", place, [Path(os.path.realpath(source)) for source in inputs])
     if Path(os.path.realpath(output)) in place.parents:
         raise ColmapEdgesError(f"{path} is inside output_path {output}; choose another place")
-    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
-        what = "folder" if path.is_dir() else "link or device"
-        raise ColmapEdgesError(f"cannot write {path}: a {what} of that name exists")
-    if path.exists() and not overwrite:
-        raise ColmapEdgesError(f"{path} exists already; choose another or add --overwrite")
+    with one_line("cannot write", path):
+        check_file(path, overwrite)
 
 
 def up_axis(model: Model) -> str:

@@ -7,13 +7,14 @@ import os
 import re
 import secrets
 import shutil
-import tempfile
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime import platform
+from colmap_edges.runtime.input_files import KINDS
 from colmap_edges.runtime.ownership import (
     OUTPUT,
     Kind,
@@ -28,6 +29,7 @@ logger = logging.getLogger(__name__)
 # Entries of a run's work folder: the lock that identifies its owner, the unfinished output, and
 # the output that it replaces.
 LOCK, NEW, PREVIOUS = "lock", "new", "previous"
+HIDDEN = re.compile(r"\.([^/\\]+)\.colmap-edges-[0-9a-f]{32}[/\\]" + NEW)  # unfinished output
 
 
 def check_output_path(output: Path, inputs: list[Path], overwrite: bool) -> None:
@@ -281,33 +283,61 @@ def discard(earlier: Path, output: Path, kind: Kind) -> None:
     earlier.rmdir()
 
 
-def write_whole(path: Path, data: bytes, what: str) -> None:
-    """Write a file atomically.
+def write_whole(path: Path, data: bytes, what: str, *, overwrite: bool = True) -> None:
+    """Write a file so that it appears complete, or not at all; an earlier one is kept until then.
 
     Args:
         path: the file.
         data: the content.
         what: name of the file's content in errors.
+        overwrite: replace an existing file.
 
     Raises:
-        ColmapEdgesError: if it cannot be written.
+        ColmapEdgesError: if it cannot be written, must not be replaced, or is not a file.
     """
-    temporary = None
+    unfinished = path.parent / f".{secrets.token_hex(16)}.colmap-edges"
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", delete=False) as file:
-            temporary = Path(file.name)
+        check_file(path, overwrite)
+        if not path.parent.is_dir():
+            raise ColmapEdgesError(
+                f"cannot write the {what} to {path}: {path.parent} is not a folder; create it"
+            )
+        with unfinished.open("xb") as file:
             file.write(data)
-        temporary.chmod(0o666 & ~current_umask())
-        temporary.replace(path)
-    except OSError as error:
-        raise ColmapEdgesError(f"cannot write the {what} to {path}: {error}") from error
+        check_file(path, overwrite)
+        unfinished.replace(path)
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the path
+        reason = getattr(error, "strerror", None) or error
+        raise ColmapEdgesError(f"cannot write the {what} to {finished(path)}: {reason}") from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        with suppress(OSError, ValueError):
+            unfinished.unlink(missing_ok=True)
 
 
-def current_umask() -> int:
-    """The process's umask, which can only be read by setting it."""
-    umask = os.umask(0o022)
-    os.umask(umask)
-    return umask
+def check_file(path: Path, overwrite: bool) -> None:
+    """Check that there is nothing at `path`, or a file that is to be overwritten.
+
+    Raises:
+        ColmapEdgesError: otherwise; links, folders, pipes and devices are never replaced.
+        OSError: if the place cannot be inspected.
+    """
+    try:
+        kind = stat.S_IFMT(path.lstat().st_mode)
+    except FileNotFoundError:
+        return
+    if kind == stat.S_IFLNK:
+        raise ColmapEdgesError(
+            f"cannot write {path}: it is a link to {path.readlink()}; give the file itself"
+        )
+    if kind != stat.S_IFREG:
+        raise ColmapEdgesError(
+            f"cannot write {path}: it is {KINDS.get(kind, 'something else')}, not a file; "
+            "choose another name"
+        )
+    if not overwrite:
+        raise ColmapEdgesError(f"{path} exists already; choose another path or add --overwrite")
+
+
+def finished(path: Path) -> str:
+    """The place of a file when the run is complete that writes it to a work folder."""
+    return HIDDEN.sub(r"\1", str(path))

@@ -36,6 +36,7 @@ OUTPUT = Kind(
     record=REPORT_NAME, kept=re.compile(r"evaluation|\.evaluation\.colmap-edges-[0-9a-f]+")
 )
 EVALUATION = Kind(record="evaluation.json")
+STRUCTURES = Kind(record="colmap-edges.json")
 
 
 def file_sizes(folder: Path) -> dict[str, int]:

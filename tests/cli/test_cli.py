@@ -137,12 +137,12 @@ def test_hyphens_and_case_do_not_matter(scene_paths, tmp_path):
 def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
-        "num_threads = 1\nrandom-seed = 7\n[EdgeGraph]\nmax_gap_points = 2.5\n"
+        "num_threads = 1\nmax-graph-memory-gb = 7\n[EdgeGraph]\nmax_gap_points = 2.5\n"
         "filter_regular_length = true\n"
     )
-    call("detect", *flags, "--config", config, "--random_seed", "8")
+    call("detect", *flags, "--config", config, "--max_graph_memory_gb", "8")
     report = (tmp_path / "out" / "report.json").read_text()
-    for text in ('"max_gap_points": 2.5', '"num_threads": 1', '"random_seed": 8'):
+    for text in ('"max_gap_points": 2.5', '"num_threads": 1', '"max_graph_memory_gb": 8'):
         assert text in report
     assert '"filter_regular_length": true' in report
 
@@ -174,7 +174,8 @@ def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
             ["--EdgeGraph.max_gap_points", "-1"],
             "--EdgeGraph.max_gap_points is -1.0; it must be from 0",
         ),
-        (["--random_seed", "-1"], "Error: --random_seed is -1; it must be"),
+        (["--max_graph_memory_gb", "-1"], "Error: --max_graph_memory_gb is -1.0; it must be"),
+        (["--random_seed", "1"], "No such option"),
         (["--EdgeGraph.filter_regular_length", "2"], "neither 0 nor 1"),
         (["--num_threads", "many"], "not a valid int"),
         (["--num_threads", "10000000"], "--num_threads is 10000000; it must be from -1 to 100000"),
@@ -184,6 +185,13 @@ def test_config_mistakes_are_usage_errors(flags, tmp_path, text, message):
 def test_usage_errors_exit_2(flags, tmp_path, args, message):
     assert message in call("detect", *flags, *args, code=2)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "flag", ["--mesh_type", "--use_faces", "--use_edges", "--Meshing.method", "--max_faces"]
+)
+def test_flags_of_the_mesh_alone_are_no_flags_of_reconstruct(flags, tmp_path, flag):
+    assert "No such option" in call("reconstruct", *flags, flag, "1", code=2)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +282,9 @@ def test_closed_pipe_is_not_an_error(flags, tmp_path):
 def test_full_disk_is_one_line_and_leaves_no_files(flags, tmp_path):
     done = call_forked(["detect", *flags], file_size=50_000)
     assert done.returncode == 1
-    assert done.stderr == f"Error: cannot write to {tmp_path / 'out'}: File too large\n"
+    place = re.escape(str(tmp_path / "out" / "edge_graphs"))
+    message = rf"Error: cannot write the edge graph to {place}/view_\d+.png.npz: File too large\n"
+    assert re.fullmatch(message, done.stderr), done.stderr
     assert not any(tmp_path.iterdir())
 
 

@@ -1,5 +1,6 @@
 """The command `export`: written files and outputs of runs are read back."""
 
+import os
 import shutil
 
 import ezdxf
@@ -89,7 +90,89 @@ def test_bad_requests_are_one_line(run_path, tmp_path):
         assert done.exit_code == 1 and message in done.output, done.output
         assert done.output.strip().count("\n") == 0
     done = export("--run_path", run_path, "--output_path", run_path / "a.dxf")
-    assert done.exit_code == 1 and "outside" in done.output
+    assert done.exit_code == 1 and "is inside" in done.output
     (tmp_path / "empty").mkdir()
     done = export("--run_path", tmp_path / "empty", "--output_path", tmp_path / "a.dxf")
     assert done.exit_code == 1 and "no edges.json" in done.output
+
+
+SUFFIXES = ("ply", "obj", "glb", "dxf", "step", "svg")
+
+
+def files_of(tmp_path, suffix, view):
+    """A file to write, and the arguments for its format."""
+    if suffix == "step":
+        pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+    return tmp_path / f"a.{suffix}", ("--svg", view.name) if suffix == "svg" else ()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_links_are_not_written_through(run_path, scene_model, tmp_path, suffix):
+    path, more = files_of(tmp_path, suffix, scene_model.views[0])
+    victim = tmp_path / "victim"
+    path.symlink_to(victim)
+    for content in (None, "precious"):
+        if content:
+            victim.write_text(content)
+        for flags in ((), ("--overwrite",)):
+            done = export("--run_path", run_path, "--output_path", path, *more, *flags)
+            assert done.exit_code == 1 and "it is a link to" in done.output
+        assert victim.exists() == bool(content) and path.is_symlink()
+    assert victim.read_text() == "precious"
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_failed_export_leaves_the_earlier_file(run_path, scene_model, tmp_path, suffix):
+    resource = pytest.importorskip("resource", reason="limits of file sizes are POSIX")
+    path, more = files_of(tmp_path, suffix, scene_model.views[0])
+    path.write_bytes(b"earlier")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+    try:
+        done = export("--run_path", run_path, "--output_path", path, *more, "--overwrite")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert done.exit_code == 1 and done.output.count("\n") == 1
+    assert f"to {path}: File too large" in done.output
+    assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
+
+
+def test_pipes_and_folders_are_refused(run_path, tmp_path):
+    os.mkfifo(tmp_path / "pipe.ply")
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "structures").write_text("precious")
+    named = {"pipe.ply": "a pipe", "folder.ply": "a folder", "structures": "a file of that name"}
+    for name, what in named.items():
+        done = export("--run_path", run_path, "--output_path", tmp_path / name, "--overwrite")
+        assert done.exit_code == 1 and what in done.output
+    assert (tmp_path / "structures").read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", ["alltracks.txt", "track_0.txt"])
+def test_lines_of_limap_1_are_exported(run_path, scene_model, scene_edges, tmp_path, name):
+    shutil.copytree(run_path / "sparse", tmp_path / "limap" / "sparse")
+    (tmp_path / "limap" / name).write_text(tracks_of_limap_1(name, scene_model, scene_edges))
+    given = [tmp_path / "limap", *([tmp_path / "limap" / name] if name == "alltracks.txt" else [])]
+    for number, path in enumerate(given):
+        output = tmp_path / f"{number}.dxf"
+        done = export("--run_path", path, "--output_path", output)
+        assert done.exit_code == 0, done.output
+        (line,) = ezdxf.readfile(output).modelspace()
+        np.testing.assert_allclose(line.dxf.start, scene_edges.points[0], atol=1e-6)
+
+
+def tracks_of_limap_1(name, model, edges):
+    """The first segment of the edges as a track of LIMAP 1.x, seen twice in the first image."""
+    ids = [model.views[0].image_id, model.views[0].image_id, model.views[1].image_id]
+    rows = [" ".join(map(str, point)) for point in edges.points[:2].tolist()]
+    seen = " ".join(map(str, ids))
+    if name == "alltracks.txt":
+        return f"1\n0 3 2\n{rows[0]}\n{rows[1]}\n{seen} \n4 5 6 \n"
+    return f"{rows[0]} {rows[1]} \n3 2\nimage_id_list {seen} \nline_id_list 4 5 6 \nEND\n"
+
+
+def test_an_output_without_edges_is_an_error(run_path, tmp_path):
+    shutil.copytree(run_path, tmp_path / "run")
+    (tmp_path / "run" / "edges.json").write_text('{"edges": [], "nodes": [], "curves": []}')
+    done = export("--run_path", tmp_path / "run", "--output_path", tmp_path / "a.glb")
+    assert done.exit_code == 1 and "holds no edges" in done.output

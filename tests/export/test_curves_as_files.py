@@ -114,28 +114,35 @@ def test_dxf_keeps_points_at_any_scale(curves, tmp_path, scale, offset):
     np.testing.assert_allclose(found, moved.ends()[[0, 5]].reshape(4, 3), rtol=1e-11)
 
 
-def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
-    pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+def step_curves(path):
+    """The curves of a STEP file, as OpenCASCADE reads them."""
     from OCP import TopoDS
     from OCP.BRepAdaptor import BRepAdaptor_Curve
     from OCP.STEPControl import STEPControl_Reader
     from OCP.TopAbs import TopAbs_ShapeEnum
     from OCP.TopExp import TopExp_Explorer
 
-    from colmap_edges.export.step import write_step
-
-    write_step(curves, tmp_path / "edges.step")
-    first = (tmp_path / "edges.step").read_bytes()
-    write_step(curves, tmp_path / "edges.step")
-    assert (tmp_path / "edges.step").read_bytes() == first
     reader = STEPControl_Reader()
-    reader.ReadFile(str(tmp_path / "edges.step"))
+    reader.ReadFile(str(path))
     reader.TransferRoots()
     explorer = TopExp_Explorer(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_EDGE)
     found = []
     while explorer.More():
         found.append(BRepAdaptor_Curve(TopoDS.TopoDS.Edge(explorer.Current())))
         explorer.Next()
+    return found
+
+
+def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
+    pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+    from colmap_edges.export.step import write_step
+
+    written = write_step(curves, tmp_path / "edges.step")
+    assert (written.num_curves, written.unit_mm) == (6, 1)
+    first = (tmp_path / "edges.step").read_bytes()
+    write_step(curves, tmp_path / "edges.step")
+    assert (tmp_path / "edges.step").read_bytes() == first
+    found = step_curves(tmp_path / "edges.step")
     names = [curve.GetType().name.removeprefix("GeomAbs_") for curve in found]
     assert names == ["Line", "Circle", "Circle", "Ellipse", "Ellipse", "BSplineCurve"]
     for row in (1, 2):
@@ -148,6 +155,24 @@ def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
         points = [found[row].Value(place) for place in places]
         ends = [(point.X(), point.Y(), point.Z()) for point in points]
         np.testing.assert_allclose(ends, curves.ends()[row], atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1e-9, 1e6])
+def test_the_cad_kernel_reads_curves_of_scenes_in_any_unit(curves, tmp_path, scale):
+    pytest.importorskip("OCP", reason="STEP files are written by OpenCASCADE (extra step)")
+    from colmap_edges.export.step import write_step
+
+    frames = curves.frames * scale
+    frames[0, 1] = 0  # a line without length
+    scaled = replace(curves, frames=frames, control_points=curves.control_points * scale)
+    written = write_step(scaled, tmp_path / "edges.step")
+    found = step_curves(tmp_path / "edges.step")
+    assert written.num_curves == len(found) == 5
+    wanted = scaled.radii[1, 0] * written.unit_mm
+    assert found[0].Circle().Radius() == pytest.approx(wanted, rel=1e-9)
+    shortest = scaled.lengths()[1:].min() * written.unit_mm
+    assert shortest >= 1e-5
+    assert written.unit_mm == 1 or shortest < 1e-4  # no larger than needed
 
 
 def test_step_without_the_kernel_says_what_to_install(curves, tmp_path, monkeypatch):
@@ -198,6 +223,29 @@ def test_svg_shows_what_a_view_sees(scene_model, scene_edges, tmp_path):
     assert {path.get("class") for path in root.iter(f"{name}path")} == {"hidden"}
 
 
+def test_svg_is_xml_whatever_the_image_is_called(scene_model, scene_edges, tmp_path):
+    name = 'a\x01\x1b\x00<&>"\n\udcff\uffff.jpg'  # of bytes that are no text, too
+    view = replace(scene_model.views[0], name=name)
+    write_svg(scene_edges, fit_curves(scene_edges), view, 0, tmp_path / "view.svg")
+    root = ElementTree.parse(tmp_path / "view.svg").getroot()
+    wanted = r"a\x01\x1b\x00<&>" + '"' + r"\n\udcff\uffff.jpg"
+    assert root.findtext("{http://www.w3.org/2000/svg}title") == wanted
+
+
+def test_a_folder_of_lines_replaces_its_like_alone(scene_model, scene_edges, tmp_path):
+    curves, folder = fit_curves(scene_edges), tmp_path / "structures"
+    write_structures(scene_edges, curves, scene_model, folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(ColmapEdgesError, match="exists already"):
+        write_structures(scene_edges, curves, scene_model, folder)
+    write_structures(scene_edges, curves, scene_model, folder, overwrite=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    (folder / "lines3D.bin").write_bytes(b"of another program")
+    with pytest.raises(ColmapEdgesError, match="was changed since"):
+        write_structures(scene_edges, curves, scene_model, folder, overwrite=True)
+    assert (folder / "lines3D.bin").read_bytes() == b"of another program"
+
+
 def test_limap_reader_gets_lines_with_their_segments(scene_model, scene_edges, tmp_path):
     curves = fit_curves(scene_edges)
     count = write_structures(scene_edges, curves, scene_model, tmp_path / "structures")
@@ -205,7 +253,7 @@ def test_limap_reader_gets_lines_with_their_segments(scene_model, scene_edges, t
     assert len(lines) == count > 0
     names = {path.name for path in (tmp_path / "structures").iterdir()}
     wanted = {"lines3D.bin", "structures2d.bin", "groups3D.bin", "wireframe3D.bin"}
-    assert names == wanted  # without one of them LIMAP reads none
+    assert names == wanted | {"colmap-edges.json"}  # without one of them LIMAP reads none
     views = {view.image_id: view for view in scene_model.views}
     for line in lines:
         assert len(line.image_ids) == len(line.ends2D) >= 2

@@ -73,37 +73,53 @@ def test_obj_names_every_polyline(square_and_line, tmp_path):
     np.testing.assert_array_equal(vertices, square_and_line.points)
 
 
-def read_glb_strips(path):
-    """Positions (n, 3) and colours (n, 4) of each strip of a binary glTF with one mesh."""
+def read_glb(path):
+    """The node of a binary glTF with one primitive, its mode, and its arrays by name."""
     data = path.read_bytes()
     assert data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") == len(data)
     json_end = 20 + int.from_bytes(data[12:16], "little")
     document = json.loads(data[20:json_end])
+    ((primitive,),) = [mesh["primitives"] for mesh in document["meshes"]]
 
-    def array(accessor, kind, columns):
-        accessor = document["accessors"][accessor]
+    def array(index):
+        accessor = document["accessors"][index]
         view = document["bufferViews"][accessor["bufferView"]]
-        start = view["byteOffset"] + accessor.get("byteOffset", 0)
-        found = np.frombuffer(data, kind, columns * accessor["count"], json_end + 8 + start)
-        return found.reshape(-1, columns)
+        kind = {5126: "<f4", 5121: "u1", 5125: "<u4"}[accessor["componentType"]]
+        columns = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        start = json_end + 8 + view["byteOffset"]
+        found = np.frombuffer(data, kind, columns * accessor["count"], start).reshape(-1, columns)
+        assert found.nbytes == view["byteLength"]
+        if "min" in accessor:
+            assert accessor["min"] == found.min(axis=0).tolist()
+            assert accessor["max"] == found.max(axis=0).tolist()
+        return found
 
-    strips = []
-    for primitive in document["meshes"][0]["primitives"]:
-        assert primitive["mode"] == 3  # each vertex goes on from the one before
-        rows = array(primitive["indices"], "<u4", 1)[:, 0]
-        points = array(primitive["attributes"]["POSITION"], "<f4", 3)
-        assert document["accessors"][0]["min"] == points.min(axis=0).tolist()
-        strips.append((points[rows], array(primitive["attributes"]["COLOR_0"], "u1", 4)[rows]))
-    return strips
+    arrays = {name: array(index) for name, index in primitive["attributes"].items()}
+    (node,) = document["nodes"]
+    return node, primitive["mode"], arrays | {"indices": array(primitive["indices"])[:, 0]}
 
 
-def test_glb_has_a_strip_an_edge_and_colours(square_and_line, tmp_path):
+def test_glb_is_one_set_of_lines_with_colours_and_edges(square_and_line, tmp_path):
     write_glb(square_and_line, tmp_path / "edges.glb")
-    (square, red), (line, dark) = read_glb_strips(tmp_path / "edges.glb")
-    np.testing.assert_array_equal(square, square_and_line.points[[0, 1, 2, 3, 0]])
-    np.testing.assert_array_equal(line, square_and_line.points[4:])
-    assert red.tolist() == 5 * [[200, 100, 50, 255]] and dark.tolist() == 3 * [[9, 9, 9, 255]]
-    trimesh.load(tmp_path / "edges.glb")  # has no strips, but reads the file
+    node, mode, arrays = read_glb(tmp_path / "edges.glb")
+    assert mode == 1 and "translation" not in node
+    assert arrays["indices"].reshape(-1, 2).tolist() == square_and_line.segments.tolist()
+    np.testing.assert_array_equal(arrays["POSITION"], square_and_line.points)
+    wanted = 4 * [[200, 100, 50, 255]] + 3 * [[9, 9, 9, 255]]
+    assert arrays["COLOR_0"].tolist() == wanted
+    assert arrays["_EDGE_ID"][:, 0].tolist() == [0, 0, 0, 0, 1, 1, 1]
+
+
+def test_trimesh_reads_glb_far_from_the_origin(square_and_line, tmp_path):
+    offset = np.array([4358067.1, 506612.2, 4614943.3])
+    points = square_and_line.points / 100 + offset
+    write_glb(replace(square_and_line, points=points), tmp_path / "edges.glb")
+    node, _, arrays = read_glb(tmp_path / "edges.glb")
+    np.testing.assert_allclose(arrays["POSITION"] + node["translation"], points, atol=1e-8, rtol=0)
+    scene = trimesh.load(tmp_path / "edges.glb")
+    (path,) = scene.dump()
+    found = path.vertices[np.argsort(path.vertices[:, 2])]
+    np.testing.assert_allclose(np.sort(found[:, 2]), np.sort(points[:, 2]), atol=1e-8, rtol=0)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-9, 0.0), (1e7, 0.0), (1.0, 4.5e6)])

@@ -140,3 +140,26 @@ def test_first_line_of_a_module_describes_it():
     for path in MODULES.values():
         docstring = ast.get_docstring(ast.parse(path.read_text())) or ""
         assert re.fullmatch(r".{8,}[.:]", docstring.partition("\n")[0]), path
+
+
+def test_files_of_users_are_written_in_one_way():
+    """All others write to folders that they made, or to caches."""
+    allowed = {
+        "runtime.output",  # the way
+        "runtime.cache",
+        "runtime.platform",  # of the kernel
+        "edges2d.graphs",  # temporary files
+        "colmap.binary_files",  # appends to files that pycolmap wrote to a new folder
+        "colmap.triangulation",  # temporary files
+        "colmap.writing",  # pycolmap writes to a new folder
+    }
+    writing = re.compile(r"""\.write_(text|bytes)\(|open\(.*["'][rwax]b?\+?b?["']\)|\.export\(""")
+    reading = re.compile(r"""open\(.*["']rb?["']\)""")
+    found = {
+        module
+        for module, path in MODULES.items()
+        for line in path.read_text().splitlines()
+        if writing.search(line) and not reading.search(line)
+    }
+    assert found <= allowed
+    assert {"runtime.output", "runtime.cache", "colmap.binary_files"} <= found  # it sees them

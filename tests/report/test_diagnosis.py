@@ -67,6 +67,7 @@ def test_good_run_has_no_findings(options, details):
             "invert them",
         ),
         ({"mesh": {"faces": 0}}, "the mesh is empty", "--Meshing.background_weight 0"),
+        ({"mesh": {"far_from_origin": 1}}, "mesh.ply holds 64-bit ones", "--alignment_type enu"),
         ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (

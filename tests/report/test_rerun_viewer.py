@@ -196,10 +196,10 @@ def test_without_display_the_recording_is_named(rerun, monkeypatch):
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("run.rrd", "exists already; choose another or add --overwrite"),
+        ("run.rrd", "exists already; choose another path or add --overwrite"),
         ("missing/run.rrd", "is not a folder; create it"),
         ("out/run.rrd", "is inside output_path"),
-        ("folder.rrd", "a folder of that name exists"),
+        ("folder.rrd", "it is a folder, not a file"),
     ],
 )
 def test_recording_that_cannot_be_made(target, message, tmp_path):

@@ -628,6 +628,26 @@ def test_written_mesh_is_read_back(tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+@pytest.mark.parametrize("shift", [0, 5.7e6, 1e9])
+def test_a_mesh_far_from_the_origin_keeps_its_shape(tmp_path, suffix, shift):
+    mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
+    moved = replace(mesh, vertices=mesh.vertices + shift)
+    assert write_mesh(moved, tmp_path / f"mesh{suffix}") == (shift > 0)
+    read = trimesh.load(tmp_path / f"mesh{suffix}", force="mesh", process=False)
+    np.testing.assert_allclose(read.vertices, moved.vertices, atol=1e-6, rtol=1e-14)
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_a_mesh_without_triangles_is_written(tmp_path, suffix):
+    mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
+    nothing = np.zeros((0, 3))
+    empty = replace(mesh, vertices=nothing, colors=np.uint8(nothing), faces=np.int32(nothing))
+    assert not write_mesh(empty, tmp_path / f"mesh{suffix}")
+    assert (tmp_path / f"mesh{suffix}").stat().st_size > 20
+
+
 def test_unwritable_mesh_is_one_clear_line(tmp_path):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
     with pytest.raises(ColmapEdgesError, match="choose one of"):

@@ -52,8 +52,8 @@ class Line:
 def load(path: Path, model: Model, spacing_px: float = 4.0) -> Edges3D:
     """Read a result of another system, recognised by its path.
 
-    Line3D++: `.txt`; LIMAP 2.0: the model folder or its `structures`; LIMAP 1.x: `alltracks.txt`
-    or the folder of `track_*.txt`; EdgeGraph3D: openMVG `.json`.
+    Line3D++: `.txt`; LIMAP 2.0: the model folder or its `structures`; LIMAP 1.x: `alltracks.txt`,
+    or the folder of it or of `track_*.txt`; EdgeGraph3D: openMVG `.json`.
 
     Args:
         path: File or folder of the result.
@@ -82,7 +82,11 @@ def read_lines(path: Path) -> list[Line]:
         tracks = sorted(path.glob("track_*.txt"), key=lambda p: (len(p.name), p.name))
         if tracks:
             return [read_limap1_track(track) for track in tracks]
-        raise ColmapEdgesError(f"{path} holds neither lines3D.bin nor track_*.txt")
+        if (path / "alltracks.txt").is_file():
+            return read_limap1(path / "alltracks.txt")
+        raise ColmapEdgesError(
+            f"{path} holds no lines: neither lines3D.bin, track_*.txt nor alltracks.txt"
+        )
     if path.suffix == ".obj":
         return read_obj(path)
     first = read_text(path).split("\n", 1)[0].split()

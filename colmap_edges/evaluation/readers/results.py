@@ -51,7 +51,7 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
 
     Args:
         path: an output folder of `reconstruct` or `mesh`; or LIMAP's output: the folder that holds
-            `structures`, that folder, `alltracks.txt` or the folder of `track_*.txt`.
+            `structures`, that folder, `alltracks.txt`, or the folder of it or of `track_*.txt`.
         model_path: COLMAP model that LIMAP's lines were made from; not needed when it lies in the
             folder or in `sparse` there.
 
