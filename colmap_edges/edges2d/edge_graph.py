@@ -71,6 +71,24 @@ class EdgeGraph:
     smoothed: IntArray
     smoothed_offsets: IntArray
 
+    @classmethod
+    def none(cls) -> EdgeGraph:
+        """A graph without polylines."""
+        pairs = np.zeros((0, 2), np.float32)
+        return cls(
+            points=pairs,
+            undistorted=pairs,
+            normals=pairs,
+            sides=np.zeros((0, 2), np.uint8),
+            colors=np.zeros((0, 3), np.uint8),
+            polyline_offsets=np.zeros(1, np.int64),
+            closed=np.zeros(0, bool),
+            end_nodes=np.zeros((0, 2), np.int32),
+            node_polylines=np.zeros(0, np.int32),
+            smoothed=np.zeros(0, np.int64),
+            smoothed_offsets=np.zeros(1, np.int64),
+        )
+
     @property
     def num_polylines(self) -> int:
         """Number of polylines."""
