@@ -10,6 +10,7 @@ import click
 
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.help import Command
+from colmap_edges.cli.imports import importing
 from colmap_edges.cli.terminal import say
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -48,10 +49,11 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
     Raises:
         ColmapEdgesError: the edges, the format or the image do not exist, or the output exists.
     """
-    from colmap_edges.errors import ColmapEdgesError
-    from colmap_edges.evaluation.readers.results import read_edges
+    with importing():
+        from colmap_edges.errors import ColmapEdgesError
+        from colmap_edges.evaluation.readers.results import read_edges
 
-    write = writers().get(output_path.suffix.lower())
+        write = writers().get(output_path.suffix.lower())
     if (output_path.name != STRUCTURES and write is None) or (
         (svg is not None) != (output_path.suffix.lower() == ".svg")
     ):
