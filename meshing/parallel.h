@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <exception>
 #include <optional>
-#include <system_error>
 #include <thread>
 #include <type_traits>
 #include <vector>
@@ -32,8 +31,8 @@ void ParallelChunks(std::int64_t count, int num_threads, Work&& work) {
   threads.reserve(errors.size());
   try {
     for (std::size_t i = 1; i < errors.size(); ++i) threads.emplace_back(run, std::ref(errors[i]));
-  } catch (const std::system_error&) {
-    // The system refuses more threads; the existing ones do the work.
+  } catch (const std::exception&) {
+    // The system refuses more threads or their memory; the existing ones do the work.
   }
   run(errors[0]);
   for (auto& thread : threads) thread.join();

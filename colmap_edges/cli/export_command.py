@@ -10,7 +10,8 @@ import click
 
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.help import Command
-from colmap_edges.cli.terminal import HEEDED, heed, say
+from colmap_edges.cli.imports import importing
+from colmap_edges.cli.terminal import say
 
 STRUCTURES = "structures"  # folder name required by LIMAP
 
@@ -48,11 +49,12 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
         ColmapEdgesError: the edges, the format or the image do not exist, or the output exists or
             cannot be written.
     """
-    from colmap_edges.errors import ColmapEdgesError
-    from colmap_edges.evaluation.readers.results import read_edges
-    from colmap_edges.runtime.output import one_line
+    with importing():
+        from colmap_edges.errors import ColmapEdgesError
+        from colmap_edges.evaluation.readers.results import read_edges
+        from colmap_edges.runtime.output import one_line
 
-    write = writers().get(output_path.suffix.lower())
+        write = writers().get(output_path.suffix.lower())
     if (output_path.name != STRUCTURES and write is None) or (
         (svg is not None) != (output_path.suffix.lower() == ".svg")
     ):
@@ -61,7 +63,6 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
             ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
         )
     check_place(output_path, run_path, write is not None, overwrite)
-    heed(HEEDED)
     written = read_edges(run_path)
     if not written.edges.num_edges:
         raise ColmapEdgesError(f"{run_path} holds no edges, so there is nothing to write")

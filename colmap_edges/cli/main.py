@@ -15,6 +15,7 @@ from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.export_command import export
 from colmap_edges.cli.flags import normalize
 from colmap_edges.cli.help import Command, full_help_flag
+from colmap_edges.cli.imports import importing
 from colmap_edges.cli.run_commands import (
     DETECT_FLAGS,
     MESH_FLAGS,
@@ -45,7 +46,8 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 def info(path: Path, verbose: bool) -> None:
     """Describe the COLMAP model or output folder at PATH."""
     with one_line_errors(verbose):
-        from colmap_edges.cli.info import describe
+        with importing():
+            from colmap_edges.cli.info import describe
 
         say(*describe(path).split("\n"))
 
@@ -80,10 +82,9 @@ def info(path: Path, verbose: bool) -> None:
 def evaluate(verbose: bool, **values: Any) -> None:
     """Evaluate an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
-        from colmap_edges.colmap import model  # noqa: F401 - heavy imports, after parsing
-        from colmap_edges.evaluation import run as evaluation
+        with importing():
+            from colmap_edges.evaluation import run as evaluation
 
-        heed(HEEDED)
         evaluation.run(**values)
         output = values["run_path"] / "evaluation"
         say(*(output / "evaluation.md").read_text(encoding="utf-8").split("\n"))
@@ -126,6 +127,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     gc.set_threshold(GARBAGE_THRESHOLD)
     open_streams()
     HEEDED[:] = heeded_signals()
+    heed(HEEDED)
     reuse_freed_memory()
     run: Callable[..., Any] = cli.main
     try:

@@ -13,7 +13,8 @@ import click
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.flags import Word, make_flags, options_from_flags, read_config
 from colmap_edges.cli.help import Command
-from colmap_edges.cli.terminal import HEEDED, heed, progress_bars, say
+from colmap_edges.cli.imports import importing
+from colmap_edges.cli.terminal import progress_bars, say
 from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
 from colmap_edges.runtime.stages import Progress
@@ -152,11 +153,11 @@ def run_stages(
     progress: Progress,
 ) -> dict[str, Any]:
     """Import the stages, run them, and return the report."""
-    from colmap_edges.pipeline.paths import Paths
-    from colmap_edges.pipeline.run import run
-    from colmap_edges.report.rerun_viewer import open_viewer
+    with importing():
+        from colmap_edges.pipeline.paths import Paths
+        from colmap_edges.pipeline.run import run
+        from colmap_edges.report.rerun_viewer import open_viewer
 
-    heed(HEEDED)
     optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
     paths, overwrite = Paths(**paths_of_flags, **optional), values["overwrite"]
     with open_viewer(values["rerun"], paths.output_path, overwrite, paths.inputs) as viewer:

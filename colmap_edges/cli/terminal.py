@@ -105,7 +105,7 @@ def heeded_signals() -> list[int]:
 
 
 def heed(signals: list[int]) -> None:
-    """Install signal handlers; call it after importing pycolmap, which installs its own."""
+    """Install signal handlers that end the run with its output cleaned up."""
     for number in signals:
         signal.signal(number, on_signal)
 

@@ -59,6 +59,20 @@ class EdgeGraph:
     polyline_offsets: IntArray
     closed: BoolArray
 
+    @classmethod
+    def none(cls) -> EdgeGraph:
+        """A graph without polylines."""
+        pairs = np.zeros((0, 2), np.float32)
+        return cls(
+            points=pairs,
+            undistorted=pairs,
+            normals=pairs,
+            sides=np.zeros((0, 2), np.uint8),
+            colors=np.zeros((0, 3), np.uint8),
+            polyline_offsets=np.zeros(1, np.int64),
+            closed=np.zeros(0, bool),
+        )
+
     @property
     def num_polylines(self) -> int:
         """Number of polylines."""

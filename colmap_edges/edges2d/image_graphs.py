@@ -10,6 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Picture, flattened
+from colmap_edges.core.validity import (
+    check,
+    check_finite,
+    check_like,
+    check_offsets,
+    check_rows,
+)
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains, detect_chains
 from colmap_edges.edges2d.edge_graph import EdgeGraph, build_edge_graph
@@ -61,6 +68,11 @@ class DetectedEdges:
     num_chains: int
     num_chain_pixels: int
     background_mask: BackgroundMask = NO_BACKGROUND_MASK
+
+
+NO_EDGES = DetectedEdges(
+    graph=EdgeGraph.none(), dropped=np.zeros((0, 2)), num_chains=0, num_chain_pixels=0
+)
 
 
 class Visitor(Protocol):
@@ -203,22 +215,22 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     data, mask = read_bytes(path), read_mask(work.mask_path, view.name)
     edge_map = read_edge_map(work.edge_path, view.name)
     key = graph_key(data, mask, edge_map, view, work) if work.cache else ""
-    entry = work.cache.load(KIND, key) if work.cache else None
+    kept = work.cache.load(KIND, key, lambda a: edges_from(a, view)) if work.cache else None
     usable = None
-    if mask and (entry is None or work.masks_are_background):
+    if mask and (kept is None or work.masks_are_background):
         usable = decode_mask(mask, view)
-    if entry is None:
+    if kept is None:
         image = decode_image(data, path, view)
         found = detect_edges(image, usable, edge_map, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
     else:
-        found = edges_from(entry)
+        found = kept
     visited = None
     if work.visitor:
 
         def read() -> Picture:
-            return image if entry is None else decode_image(data, path, view)
+            return image if kept is None else decode_image(data, path, view)
 
         visited = work.visitor.visit(index, view, read, found)
     background_mask = found.background_mask
@@ -228,7 +240,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
         counts=counts_of(found),
         key=key,
         masked=mask is not None,
-        reused=entry is not None,
+        reused=kept is not None,
         visited=visited,
         background_mask=background_mask,
     )
@@ -298,23 +310,50 @@ def arrays_of(found: DetectedEdges) -> Arrays:
     }
 
 
-def edges_from(arrays: Arrays) -> DetectedEdges:
-    """The inverse of `arrays_of`."""
+def edges_from(arrays: Arrays, view: View) -> DetectedEdges:
+    """The inverse of `arrays_of`, for the image of a view.
+
+    Raises:
+        ValueError: if the arrays are not those of such edges.
+    """
+    like = arrays_of(NO_EDGES)
+    for name in like.keys() - flattened(NO_EDGES.graph).keys():
+        found = arrays.get(name)
+        check(found is not None and found.dtype == like[name].dtype, name)
+        check(found is not None and found.ndim == like[name].ndim, name)
+    graph, dropped = graph_from(arrays), arrays["dropped"]
+    for points in (graph.points, dropped):
+        check(points.shape[1] == 2, "dropped")
+        check(bool((np.abs(points / (view.width, view.height) - 0.5) <= 0.51).all()), "points")
     num_chains, num_chain_pixels = arrays["num_chains_and_pixels"].tolist()
+    mask = BackgroundMask(
+        **{e.name: arrays[f"background_mask_{e.name}"] for e in fields(BackgroundMask)}
+    )
+    check(mask.body_width.shape == (1,) and mask.body_pixels.shape == (2,), "background_mask")
+    check(mask.packed_body.shape[1] == -(-int(mask.body_width[0]) // 8), "background_mask")
     return DetectedEdges(
-        graph=graph_from(arrays),
-        dropped=arrays["dropped"],
+        graph=graph,
+        dropped=dropped,
         num_chains=num_chains,
         num_chain_pixels=num_chain_pixels,
-        background_mask=BackgroundMask(
-            **{e.name: arrays[f"background_mask_{e.name}"] for e in fields(BackgroundMask)}
-        ),
+        background_mask=mask,
     )
 
 
 def graph_from(arrays: Arrays) -> EdgeGraph:
-    """The edge graph among the arrays of a cache entry."""
-    return EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)})
+    """The edge graph among the arrays of a cache entry.
+
+    Raises:
+        ValueError: if they are not those of a graph, or offsets lead out of them.
+    """
+    check_like(arrays, EdgeGraph.none())
+    graph = EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)})
+    count, num_polylines = len(graph.points), graph.num_polylines
+    check_rows(graph, "points undistorted normals sides colors", count)
+    check_finite(graph, "points undistorted normals")
+    check_rows(graph, "polyline_offsets", num_polylines + 1)
+    check_offsets(graph.polyline_offsets, count, 1, "polyline_offsets")
+    return graph
 
 
 def save_graph(cache: Cache, key: str, graph: EdgeGraph) -> None:
@@ -328,9 +367,9 @@ def load_graph(cache: Cache, key: str) -> EdgeGraph:
     Raises:
         ColmapEdgesError: if it is missing or damaged.
     """
-    entry = cache.load(KIND, key)
-    if entry is None:
+    graph = cache.load(KIND, key, graph_from)
+    if graph is None:
         raise ColmapEdgesError(
             f"{cache.path(KIND, key)} is missing or damaged; do not change the cache during a run"
         )
-    return graph_from(entry)
+    return graph

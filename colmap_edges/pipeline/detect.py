@@ -116,7 +116,7 @@ def find_graphs(
     max_bytes = options.max_graph_memory_gb * 1e9 / 2
     if workers.remote and workers.cache:
         calls = [(work_in_cache, (work, i, view)) for i, view in enumerate(views)]
-        records = run_all(workers.images, calls, stage.advance)
+        records = run_all(workers.images, calls, stage.advance, workers.check)
         keys = {i: record.key for i, record in enumerate(records)}
         graphs = Graphs(max_bytes, CacheBackend(workers.cache, keys))
     else:

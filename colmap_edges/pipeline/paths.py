@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from colmap_edges.errors import ColmapEdgesError, OptionError
-from colmap_edges.runtime.output import check_output_path
+from colmap_edges.runtime.output import check_apart, check_output_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +33,12 @@ class Paths:
     @property
     def inputs(self) -> list[Path]:
         """The input paths, which must not contain the output."""
-        given = (
-            self.image_path,
-            self.input_path,
-            self.mask_path,
-            self.edge_path,
-            self.cache_path,
-        )
+        return self.sources + ([self.cache_path] if self.cache_path else [])
+
+    @property
+    def sources(self) -> list[Path]:
+        """The input paths that are only read, which must not contain the cache."""
+        given = (self.image_path, self.input_path, self.mask_path, self.edge_path)
         return [path for path in given if path is not None]
 
 
@@ -58,6 +57,8 @@ def check_paths(paths: Paths, overwrite: bool) -> None:
         path = getattr(paths, name)
         if path and not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is not a folder; give an existing folder")
+    if paths.cache_path:
+        check_apart("cache_path", paths.cache_path, paths.sources)
     check_output_path(paths.output_path, paths.inputs, overwrite)
 
 

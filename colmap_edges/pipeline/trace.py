@@ -5,20 +5,27 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
-from colmap_edges.core.arrays import flattened, unflattened
-from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.core.arrays import FloatArray, flattened, unflattened
+from colmap_edges.core.edges3d import Edges3D, Nodes, TracedEdges
+from colmap_edges.core.validity import check, check_edges, check_like
+from colmap_edges.core.view import View, track_residuals
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.options import PipelineOptions, of_pose_edges
 from colmap_edges.pipeline.detect import Detection
-from colmap_edges.runtime.cache import key_of
+from colmap_edges.runtime.cache import Arrays, key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+
+# Largest median residual of a point in a cache entry, relative to the limits of observations: in
+# results it is below 1.1.
+MAX_RESIDUAL_RATIO = 3
 
 # Options that do not affect tracing; those of detection affect it only through the graphs.
 NOT_OF_TRACING = {
@@ -95,22 +102,60 @@ def trace_stage(
     passes = 2 * len(model.views) * options.tracing.num_rounds
     steps = 1 if options.tracing.method == "paper" else passes
     with stages.stage(name, steps) as stage:
-        entry = cache.load("edges", key) if cache else None
-        if entry is None:
+        read = partial(traced_from, views=model.views, options=options)
+        kept = cache.load("edges", key, read) if cache else None
+        if kept is None:
             traced, stats = trace(model, detection.graphs, options, stage.advance, workers)
             details = plain_counts(stats)
             if cache:
                 text = np.array(json.dumps(details))
                 cache.save("edges", key, flattened(traced) | {"details": text})
         else:
-            details = json.loads(str(entry.pop("details")))
-            traced = unflattened(TracedEdges, entry)
+            traced, details = kept
         edges = traced.edges
         stage.counts = {"edges": edges.num_edges, "edge_points": edges.num_distinct}
         if cache:
-            stage.counts["edges_reused"] = edges.num_edges if entry is not None else 0
+            stage.counts["edges_reused"] = edges.num_edges if kept is not None else 0
         stage.counts["details"] = details
     return traced
+
+
+def traced_from(
+    arrays: Arrays, views: Sequence[View], options: PipelineOptions
+) -> tuple[TracedEdges, dict[str, Any]]:
+    """The traced edges and their counts in a cache entry.
+
+    Raises:
+        ValueError: if the arrays are not those of such edges, or points do not project to where
+            they are observed.
+    """
+    check_like(arrays, TracedEdges(edges=Edges3D.none(), contours=Edges3D.none()))
+    traced = unflattened(TracedEdges, arrays)
+    limit_px = MAX_RESIDUAL_RATIO * max(
+        options.refinement.max_residual_px, options.following.max_error_px
+    )
+    for edges in (traced.edges, traced.contours):
+        check_edges(edges, len(views))
+        for of in (edges, edges.nodes):
+            check(bool((median_residuals(views, of) <= limit_px).all()), "points")
+    check("details" in arrays, "details")
+    details = json.loads(str(arrays["details"]))
+    check(isinstance(details, dict), "details")
+    return traced, details
+
+
+def median_residuals(views: Sequence[View], points: Edges3D | Nodes) -> FloatArray:
+    """(M,) lower median of the reprojection errors of each observed point, pixels.
+
+    NaN for points that are mostly behind the cameras.
+    """
+    seen = points.observations
+    residuals = track_residuals(views, points.points[seen.points], seen.views, seen.pixels)
+    order = np.lexsort((residuals, seen.points))  # NaN last
+    observed = seen.counts > 0
+    middle = seen.offsets[:-1] + (seen.counts - 1) // 2
+    found: FloatArray = residuals[order][middle[observed]]
+    return found
 
 
 def trace(

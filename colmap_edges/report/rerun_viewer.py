@@ -36,6 +36,7 @@ APPLICATION = "colmap-edges"
 PORT = 9876  # rerun's default
 FLUSH_S = 60.0  # seconds to wait until the viewer has received all data
 POINT_SIZE, LINE_WIDTH = 1.5, 1.0  # on the screen
+MAGIC = b"RRF"  # with which recordings begin, before a digit
 FACE_ALPHA = 128  # of 255
 REMEDY = "run: pip install 'colmap-edges[rerun]'"
 
@@ -249,6 +250,16 @@ def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequ
         raise ColmapEdgesError(f"{path} is inside output_path {output}; choose another place")
     with one_line("cannot write", path):
         check_file(path, overwrite)
+    if path.exists() and not is_recording(path):
+        raise ColmapEdgesError(
+            f"{path} is not a recording of rerun, so it is not replaced; choose another file"
+        )
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording of rerun, by its first bytes, or empty."""
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) in (MAGIC, b"")
 
 
 def up_axis(model: Model) -> str:

@@ -15,12 +15,13 @@ import re
 import stat
 import struct
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from uuid import uuid4
 
 import numpy as np
@@ -32,10 +33,13 @@ from colmap_edges.runtime.input_files import read_bytes
 logger = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
+Record = TypeVar("Record")
 LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap")
 HEAD_LENGTH = struct.Struct("<Q")
 ALIGNMENT = 16  # bytes at multiples of which arrays start
 DIGEST_BYTES = hashlib.sha256().digest_size
+PLAIN_TYPE = re.compile("[<|=>][biufU][0-9]+")  # types of numbers and text, as numpy writes them
+NOT_AN_ENTRY = (ValueError, TypeError, OverflowError, RecursionError, struct.error)
 UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # unfinished files older than this were left by killed runs
 
@@ -63,8 +67,12 @@ class Cache:
         """The path of an entry."""
         return self.folder / kind / key[:2] / f"{key}.entry"
 
-    def load(self, kind: str, key: str) -> Arrays | None:
-        """The arrays of an entry; None if it is missing or damaged."""
+    def load(self, kind: str, key: str, read: Callable[[Arrays], Record]) -> Record | None:
+        """What `read` makes of an entry's arrays; None if it is missing or damaged.
+
+        The checksum reveals damage, but not who wrote the entry. `read` therefore checks the arrays
+        and raises a ValueError if they cannot be the result for this key.
+        """
         path = self.path(kind, key)
         try:
             data = read_bytes(path)
@@ -76,10 +84,8 @@ class Cache:
         with suppress(OSError):  # of another user, or read-only
             os.utime(path)  # marks the entry as recently used
         if seal(kind, key, memoryview(data)[DIGEST_BYTES:]) == data[:DIGEST_BYTES]:
-            try:
-                return unpacked(bytearray(data)[DIGEST_BYTES:])
-            except (ValueError, TypeError, struct.error):
-                pass  # not an entry of this cache
+            with suppress(*NOT_AN_ENTRY):
+                return read(unpacked(bytearray(data)[DIGEST_BYTES:]))
         logger.warning("cache entry %s is damaged; it is made again", path)
         return None
 
@@ -126,16 +132,16 @@ def unpacked(data: bytearray) -> Arrays:
     """The inverse of `packed`; arrays share the memory of `data`.
 
     Raises:
-        ValueError, TypeError, struct.error: if the bytes are not from `packed`.
+        ValueError, TypeError, OverflowError, RecursionError, struct.error: if the bytes are not
+            from `packed`.
     """
     (length,) = HEAD_LENGTH.unpack_from(data)
     at = ALIGNMENT + length + -length % ALIGNMENT
     arrays: Arrays = {}
     for name, kind, shape in json.loads(data[ALIGNMENT : ALIGNMENT + length]):
-        dtype = np.dtype(kind)
-        if dtype.hasobject:
-            raise ValueError("objects are not read: their bytes would be addresses")
-        array: NDArray[Any] = np.ndarray(shape, dtype, data, at)
+        if not PLAIN_TYPE.fullmatch(kind):
+            raise ValueError("only numbers and text are read: bytes of objects would be addresses")
+        array: NDArray[Any] = np.ndarray(shape, np.dtype(kind), data, at)
         arrays[name] = array
         at += array.nbytes + -array.nbytes % ALIGNMENT
     return arrays

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import math
 import os
 import signal
 import sys
 import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -47,6 +50,27 @@ def ending_signals() -> list[int]:
     """The signals that users and systems send to end a program."""
     names = ("SIGINT", "SIGTERM", "SIGHUP")
     return [getattr(signal, name) for name in names if hasattr(signal, name)]
+
+
+@contextmanager
+def signals_deferred(numbers: Collection[int]) -> Iterator[None]:
+    """Hold back signals until the block ends, where the system can."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def address_space_mb() -> float:
+    """The limit of this process's address space (`ulimit -v`) in megabytes, infinite if none."""
+    if resource is None or not hasattr(resource, "RLIMIT_AS"):
+        return math.inf
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return math.inf if limit == resource.RLIM_INFINITY else limit / 1e6
 
 
 def open_plain(path: Path, flags: int, *, follow: bool) -> int:

@@ -46,14 +46,14 @@ def reused(counts):
 
 def test_entries_come_back_as_they_were(tmp_path):
     cache = Cache(tmp_path / "new" / "cache")
-    assert cache.load("kind", "key") is None
+    assert cache.load("kind", "key", dict) is None
     assert cache.save("kind", "key", ARRAYS)
-    found = cache.load("kind", "key")
+    found = cache.load("kind", "key", dict)
     assert list(found) == list(ARRAYS)
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(found[name], array)
         assert found[name].dtype == array.dtype
-    assert cache.load("kind", "other") is None
+    assert cache.load("kind", "other", dict) is None
     assert not any(cache.unfinished.iterdir())
 
 
@@ -69,15 +69,15 @@ def test_damaged_entries_are_not_found(tmp_path, caplog):
         damaged.append(bytes(flipped))
     for data in damaged:
         path.write_bytes(data)
-        assert cache.load("kind", "key") is None
+        assert cache.load("kind", "key", dict) is None
     assert len(caplog.records) == len(damaged)
     assert "is damaged; it is made again" in caplog.text
     # An entry under another's name is none, however whole.
     path.write_bytes(whole)
     cache.path("kind", "kez").parent.mkdir(exist_ok=True)
     shutil.copy(path, cache.path("kind", "kez"))
-    assert cache.load("kind", "kez") is None
-    assert cache.load("kind", "key") is not None
+    assert cache.load("kind", "kez", dict) is None
+    assert cache.load("kind", "key", dict) is not None
 
 
 @pytest.mark.parametrize("head", [b'[["a", "|O", [2]]]', b'[["a", "<f8", [9]]]', b"[[", b"3"])
@@ -89,7 +89,7 @@ def test_entries_of_other_content_are_not_found(tmp_path, head):
     path.parent.mkdir(parents=True)
     for content in (data, data[:3]):
         path.write_bytes(seal("kind", "key", content) + content)
-        assert cache.load("kind", "key") is None
+        assert cache.load("kind", "key", dict) is None
 
 
 def test_keys_differ_for_different_parts(monkeypatch):
@@ -141,9 +141,9 @@ def test_a_cache_of_another_user_is_read(public, other_user, caplog):
             folder.rmdir()
         with other_user():
             theirs = Cache(cache.folder)
-            found = theirs.load("kind", "open")
-            assert theirs.load("kind", "closed") is None
-            assert theirs.load("kind", "missing") is None
+            found = theirs.load("kind", "open", dict)
+            assert theirs.load("kind", "closed", dict) is None
+            assert theirs.load("kind", "missing", dict) is None
             assert not theirs.save("kind", "new", ARRAYS)
         np.testing.assert_array_equal(found["a"], ARRAYS["a"])
     assert "cannot read cache entry" in caplog.text
@@ -169,7 +169,7 @@ def test_edges_come_back_with_their_observations_and_contours(scene_edges, tmp_p
     made = flattened(TracedEdges(edges=scene_edges, contours=contours))
     cache = Cache(tmp_path)
     cache.save("edges", "key", made)
-    found = unflattened(TracedEdges, cache.load("edges", "key"))
+    found = unflattened(TracedEdges, cache.load("edges", "key", dict))
     assert found.contours.num_edges == contours.num_edges
     back = flattened(found)
     assert "edges.observations.positions" in back

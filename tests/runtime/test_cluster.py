@@ -2,10 +2,13 @@
 
 import os
 import signal
+import socket
+import time
 
 import pytest
 import scenes
-from cluster_tasks import die_once, fail_first, other_version
+from cluster_tasks import die, die_once, fail_first, other_version
+from forked import COMMAND, Forked
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
@@ -146,7 +149,90 @@ def test_results_arriving_during_cancellation_do_not_block(cluster, tmp_path):
 
 
 def test_no_scheduler_at_the_address(small, tmp_path, monkeypatch):
-    monkeypatch.setattr("colmap_edges.runtime.executors.CONNECT_S", 0.5)
+    monkeypatch.setattr("colmap_edges.runtime.executors.ANSWER_S", 0.5)
     with pytest.raises(ColmapEdgesError, match=r"cannot reach the scheduler tcp://127.0.0.1:9"):
         reconstruct(small, tmp_path / "out", tmp_path / "cache", scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def silent():
+    """The address of a port that accepts connections and never answers."""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield f"tcp://127.0.0.1:{listening.getsockname()[1]}"
+
+
+def new_cluster(allowed_failures=3):
+    """A cluster of one's own, of one worker."""
+    import dask
+
+    with dask.config.set({"distributed.scheduler.allowed-failures": allowed_failures}):
+        return distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"
+        )
+
+
+def test_a_silent_scheduler_is_given_up(silent, small, tmp_path, monkeypatch):
+    monkeypatch.setattr("colmap_edges.runtime.executors.ANSWER_S", 0.5)
+    with pytest.raises(ColmapEdgesError, match=rf"scheduler {silent}: no answer .*; check"):
+        reconstruct(small, tmp_path / "out", tmp_path / "cache", scheduler=silent)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_waiting_for_a_scheduler_ends_at_once(silent, small, tmp_path, number):
+    flags = ["--image_path", small[0], "--input_path", small[1], "--scheduler", silent]
+    flags += ["--cache_path", tmp_path / "cache", "--output_path", tmp_path / "out"]
+    process = Forked(COMMAND, "mesh", *flags)
+    while not (tmp_path / "cache").exists() and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(0.5)
+    started = time.monotonic()
+    process.send_signal(number)
+    _, errors = process.communicate()
+    assert process.returncode == 128 + number
+    assert "Traceback" not in errors
+    assert time.monotonic() - started < 5
+    assert [path.name for path in tmp_path.iterdir()] == ["cache"]
+
+
+def test_clusters_without_workers(tmp_path, monkeypatch):
+    """At the start, and when the last one is lost while work is done."""
+    monkeypatch.setattr("colmap_edges.runtime.executors.WATCH_S", 0.1)
+    with new_cluster() as cluster:
+        words = rf"scheduler {cluster.scheduler_address} had no workers .* dask worker"
+        with cluster_workers(cluster.scheduler_address, Cache(tmp_path)) as workers:
+            monkeypatch.setattr("colmap_edges.runtime.executors.WORKERS_S", 0.5)
+            cluster.scale(0)
+            calls = [(time.sleep, (60,))] * 3
+            with pytest.raises(ColmapEdgesError, match=words):
+                run_all(workers.views, calls, check=workers.check)
+        with (
+            pytest.raises(ColmapEdgesError, match=words),
+            cluster_workers(cluster.scheduler_address, Cache(tmp_path)),
+        ):
+            pass
+
+
+def test_tasks_that_end_their_workers_end_the_run(tmp_path):
+    with (
+        new_cluster(allowed_failures=0) as cluster,
+        pytest.raises(ColmapEdgesError, match="repeatedly ended its worker"),
+        cluster_workers(cluster.scheduler_address, Cache(tmp_path)) as workers,
+    ):
+        run_all(workers.views, [(die, ())], check=workers.check)
+
+
+def test_a_scheduler_that_is_lost(tmp_path, monkeypatch):
+    monkeypatch.setattr("colmap_edges.runtime.executors.ANSWER_S", 1)
+    cluster = new_cluster()
+    with (
+        pytest.raises(
+            ColmapEdgesError, match=r"scheduler tcp\S+ (was lost|does not answer); start"
+        ),
+        cluster_workers(cluster.scheduler_address, Cache(tmp_path)) as workers,
+    ):
+        cluster.close()
+        run_all(workers.views, [(time.sleep, (60,))], check=workers.check)

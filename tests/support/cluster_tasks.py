@@ -21,6 +21,11 @@ def die_once(marker):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def die():
+    """Kill the worker that runs this."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def fail_first(index):
     """Raise in the first of several calls that end at nearly the same time."""
     time.sleep(0.001 * (index % 3))

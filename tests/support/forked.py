@@ -44,6 +44,8 @@ for line in sys.stdin:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # also where jobs ignore it
     if request["file_size"]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (request["file_size"],) * 2)
+    if request["num_processes"]:
+        resource.setrlimit(resource.RLIMIT_NPROC, (request["num_processes"],) * 2)
     if request["user"]:
         os.setgroups([])
         os.setresgid(*[request["user"][1]] * 3)
@@ -82,7 +84,14 @@ class Forked:
     """A run of a program in a fork, used like `subprocess.Popen` with text captured."""
 
     def __init__(
-        self, program, *words, file_size=0, user=None, hangup_ignored=False, **environment
+        self,
+        program,
+        *words,
+        file_size=0,
+        user=None,
+        num_processes=0,
+        hangup_ignored=False,
+        **environment,
     ):
         """Start a script, or the command line as `COMMAND`.
 
@@ -91,6 +100,7 @@ class Forked:
             words: its arguments.
             file_size: limit of the size of files, bytes.
             user: ids of another user and group.
+            num_processes: limit of the user's processes and threads, which root does not have.
             hangup_ignored: whether SIGHUP is ignored, as nohup has it.
             environment: further variables.
         """
@@ -102,6 +112,7 @@ class Forked:
         request = {"words": [os.fspath(program), *map(str, words)], "files": files}
         request |= {"folder": str(Path.cwd()), "variables": dict(os.environ) | environment}
         how = {"file_size": file_size, "user": user, "hangup_ignored": hangup_ignored}
+        how["num_processes"] = num_processes
         self.pid = ask(request | how)
 
     def poll(self, flags=os.WNOHANG, timeout=120):

@@ -185,7 +185,7 @@ def find_depths(
             depth_range, threads = near.ranges[view], workers.threads_per_view
             yield compute_chain_depths, (part, view, depth_range, options, threads)
 
-    found = run_all(workers.views, calls(), advance)
+    found = run_all(workers.views, calls(), advance, workers.check)
     return [found[place] for place in np.argsort(order)]
 
 

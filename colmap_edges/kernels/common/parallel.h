@@ -6,7 +6,6 @@
 #include <cstdint>
 #include <exception>
 #include <mutex>
-#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -33,8 +32,8 @@ void ParallelFor(int64_t count, int num_threads, const Work& work) {
   threads.reserve(workers);
   try {
     for (int worker = 1; worker < workers; ++worker) threads.emplace_back(run, worker);
-  } catch (const std::system_error&) {
-    // The system refuses more threads; the existing ones do the work.
+  } catch (const std::exception&) {
+    // The system refuses more threads or their memory; the existing ones do the work.
   }
   run(0);
   for (std::thread& thread : threads) thread.join();
