@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,10 +20,12 @@ from colmap_edges.colmap.binary_files import (
     NO_POINT3D,
     ModelPoints,
     check_are_files,
+    is_binary,
     read_checked,
     read_points,
 )
 from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
+from colmap_edges.colmap.text_files import is_text, write_as_binary
 from colmap_edges.core.arrays import (
     BoolArray,
     ByteArray,
@@ -114,8 +117,9 @@ def load_model(path: Path | str) -> Model:
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
         check_are_files(path)
-        points = read_checked(path, camera_parameter_counts())
-        reconstruction = pycolmap.Reconstruction(str(path))
+        with as_binary(path) as folder:
+            points = read_checked(folder, camera_parameter_counts())
+            reconstruction = pycolmap.Reconstruction(str(folder))
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
@@ -127,11 +131,31 @@ def load_model(path: Path | str) -> Model:
     return model_from_reconstruction(reconstruction, points)
 
 
-def camera_parameter_counts() -> dict[int, int]:
-    """Number of parameters of each camera model, by COLMAP's model id."""
+@contextmanager
+def as_binary(path: Path) -> Iterator[Path]:
+    """Yield the folder of a model's binary files: `path`, or temporary copies of text files.
+
+    Raises:
+        ColmapEdgesError: if a text file is damaged, or the copies cannot be written.
+    """
+    if is_binary(path) or not is_text(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_as_binary(path, Path(folder), camera_models())
+        yield Path(folder)
+
+
+def camera_models() -> dict[str, tuple[int, int]]:
+    """Id and number of parameters of each of COLMAP's camera models, by its name."""
     models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
     cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
-    return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
+    return {m.name: (int(m), len(c.params)) for m, c in zip(models, cameras, strict=True)}
+
+
+def camera_parameter_counts() -> dict[int, int]:
+    """Number of parameters of each camera model, by COLMAP's model id."""
+    return dict(camera_models().values())
 
 
 def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
