@@ -25,6 +25,7 @@ from colmap_edges.colmap.binary_files import (
     read_points,
 )
 from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
+from colmap_edges.colmap.pose_check import Observed, check_frames_fit, check_poses
 from colmap_edges.colmap.text_files import is_text, write_as_binary
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -113,13 +114,27 @@ def load_model(path: Path | str) -> Model:
         ColmapEdgesError: if the folder holds no readable model.
     """
     path = Path(path)
+    with as_binary(path) as folder:
+        reconstruction, points = read_files(path, folder)
+        model, observed = model_and_observed(reconstruction, points)
+        if model.views and (folder / "frames.bin").is_file():
+            frames = path / ("frames.bin" if folder == path else "frames.txt")
+            check_frames_fit(folder / "images.bin", frames, model.views, observed)
+    check_poses(model.views, observed)
+    return without_far_points(model)
+
+
+def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
+    """Read the model at `path`, whose binary files are in `folder`, and its points.
+
+    Raises:
+        ColmapEdgesError: if the folder holds no readable model.
+    """
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
-        check_are_files(path)
-        with as_binary(path) as folder:
-            points = read_checked(folder, camera_parameter_counts())
-            reconstruction = pycolmap.Reconstruction(str(folder))
+        points = read_checked(folder, camera_parameter_counts())
+        return pycolmap.Reconstruction(str(folder)), points
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
@@ -128,7 +143,6 @@ def load_model(path: Path | str) -> Model:
         ) from error
     finally:
         pycolmap.logging.minloglevel = level
-    return model_from_reconstruction(reconstruction, points)
 
 
 @contextmanager
@@ -136,8 +150,10 @@ def as_binary(path: Path) -> Iterator[Path]:
     """Yield the folder of a model's binary files: `path`, or temporary copies of text files.
 
     Raises:
-        ColmapEdgesError: if a text file is damaged, or the copies cannot be written.
+        ColmapEdgesError: if a file is a pipe or device, a text file is damaged, or the copies
+            cannot be written.
     """
+    check_are_files(path)
     if is_binary(path) or not is_text(path):
         yield path
         return
@@ -167,6 +183,21 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
 
     Returns:
         The model without points at infinity.
+
+    Raises:
+        ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent, such as
+            poses and points.
+    """
+    model, observed = model_and_observed(reconstruction, points)
+    check_poses(model.views, observed)
+    return without_far_points(model)
+
+
+def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple[Model, Observed]:
+    """Convert a pycolmap.Reconstruction to arrays, with points at infinity.
+
+    Returns:
+        The model, and what its views observe, for checks of the poses.
 
     Raises:
         ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent.
@@ -200,7 +231,13 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         reconstruction=reconstruction,
     )
     check_values(model)
-    return without_far_points(model)
+    return model, Observed(
+        xyz=model.points3D_xyz,
+        stated_px=points.points3D["error"].astype(np.float64),
+        points=model.track_points,
+        views=track_views,
+        points2D=track_points2D,
+    )
 
 
 def points_of(reconstruction: Any) -> ModelPoints:
