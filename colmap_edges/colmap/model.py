@@ -25,7 +25,7 @@ from colmap_edges.colmap.binary_files import (
     read_points,
 )
 from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
-from colmap_edges.colmap.pose_check import Observed, check_frames_fit, check_poses
+from colmap_edges.colmap.pose_check import Observed, check_frames_fit, contradicted_views
 from colmap_edges.colmap.text_files import is_text, write_as_binary
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -56,6 +56,9 @@ class Model:
         unposed_names: names of images without pose.
         reconstruction: the pycolmap.Reconstruction that it was made from; never modified.
         far_point3D_ids: (F,) int64 ids of points at infinity, which are left out here.
+        contradicted_names: names of images whose poses the points contradict, left out here.
+        copies: pairs of a name of an image that is left out here, as a copy of a view, and the
+            name of that view.
     """
 
     views: tuple[View, ...]
@@ -68,6 +71,8 @@ class Model:
     unposed_names: tuple[str, ...]
     reconstruction: Any
     far_point3D_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    contradicted_names: tuple[str, ...] = ()
+    copies: tuple[tuple[str, str], ...] = ()
 
     @property
     def scale(self) -> float:
@@ -96,6 +101,16 @@ class Model:
             track_points2D=self.track_points2D[observations],
         )
 
+    def without_views(self, left_out: IntArray) -> Model:
+        """The model without (m,) views, by index, and their observations; points all stay."""
+        kept = np.setdiff1d(np.arange(len(self.views)), left_out)
+        numbers = np.full(len(self.views), -1, np.int32)
+        numbers[kept] = np.arange(len(kept))
+        observations = numbers[self.track_views] >= 0
+        model = self.selected(np.ones(len(self.point3D_ids), bool), observations)
+        views = tuple(self.views[index] for index in kept)
+        return replace(model, views=views, track_views=numbers[model.track_views])
+
     @cached_property
     def track_points(self) -> IntArray:
         """(T,) point index of each observation."""
@@ -120,8 +135,7 @@ def load_model(path: Path | str) -> Model:
         if model.views and (folder / "frames.bin").is_file():
             frames = path / ("frames.bin" if folder == path else "frames.txt")
             check_frames_fit(folder / "images.bin", frames, model.views, observed)
-    check_poses(model.views, observed)
-    return without_far_points(model)
+    return without_contradicted(model, observed)
 
 
 def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
@@ -182,19 +196,18 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         points: its points, if already read.
 
     Returns:
-        The model without points at infinity.
+        The model without points at infinity, and without views that the points contradict.
 
     Raises:
         ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent, such as
             poses and points.
     """
     model, observed = model_and_observed(reconstruction, points)
-    check_poses(model.views, observed)
-    return without_far_points(model)
+    return without_contradicted(model, observed)
 
 
 def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple[Model, Observed]:
-    """Convert a pycolmap.Reconstruction to arrays, with points at infinity.
+    """Convert a pycolmap.Reconstruction to arrays, without points at infinity.
 
     Returns:
         The model, and what its views observe, for checks of the poses.
@@ -231,12 +244,13 @@ def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple
         reconstruction=reconstruction,
     )
     check_values(model)
+    model = without_far_points(model)
     return model, Observed(
         xyz=model.points3D_xyz,
-        stated_px=points.points3D["error"].astype(np.float64),
+        stated_px=points.points3D["error"][places_among(ids, model.point3D_ids)],
         points=model.track_points,
-        views=track_views,
-        points2D=track_points2D,
+        views=model.track_views,
+        points2D=model.track_points2D,
     )
 
 
@@ -278,6 +292,19 @@ def without_far_points(model: Model) -> Model:
     if near.all():
         return model
     return replace(model.selected(near), far_point3D_ids=model.point3D_ids[~near])
+
+
+def without_contradicted(model: Model, observed: Observed) -> Model:
+    """The model without views whose poses the points contradict; their names are recorded.
+
+    Raises:
+        ColmapEdgesError: if they are too many.
+    """
+    wrong = contradicted_views(model.views, observed)
+    if not len(wrong):
+        return model
+    names = tuple(model.views[index].name for index in wrong)
+    return replace(model.without_views(wrong), contradicted_names=names)
 
 
 def view_from_image(image: Any, scale: float = 1.0) -> View:

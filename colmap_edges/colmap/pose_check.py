@@ -65,20 +65,21 @@ class Observed:
         return np.flatnonzero(errors > limits), errors
 
 
-def check_poses(views: Sequence[View], observed: Observed) -> None:
-    """Check that the observed points do not contradict the poses of the views.
+def contradicted_views(views: Sequence[View], observed: Observed) -> IntArray:
+    """Indices of the views whose poses the observed points contradict.
 
     Raises:
-        ColmapEdgesError: naming the worst image.
+        ColmapEdgesError: if they are half of the views with points, so that the points may be wrong.
     """
     wrong, errors = observed.contradicted(views)
-    if len(wrong):
+    if len(wrong) and 2 * len(wrong) >= np.count_nonzero(~np.isnan(errors)):
         worst = int(wrong[np.argmax(errors[wrong])])
         raise ColmapEdgesError(
             f"the poses of {len(wrong)} of {len(views)} images do not fit the points3D of the "
             f"model: most of what image {views[worst].name} observes projects "
             f"{pixels(errors[worst])}; write poses and points3D of one model"
         )
+    return wrong
 
 
 def check_frames_fit(

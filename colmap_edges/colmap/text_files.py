@@ -17,18 +17,21 @@ import numpy as np
 
 from colmap_edges.colmap.binary_files import (
     CAMERA_HEAD,
+    CAMERA_SENSOR,
     COUNT,
+    DATA_ID,
     IMAGE_HEAD,
     MODEL_NAMES,
     NO_POINT3D,
     POINT2D,
+    check_listed_images,
 )
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import read_bytes
 
 MARK = b"\xef\xbb\xbf"  # byte order mark, which editors of Windows write
 WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")  # those of UTF-16
-SENSORS = {b"CAMERA": 0, b"IMU": 1}  # COLMAP's sensor types
+SENSORS = {b"CAMERA": CAMERA_SENSOR, b"IMU": 1}  # COLMAP's sensor types
 MAX_ID = 2**32 - 2  # of cameras, images, rigs and frames; COLMAP reserves the next
 MAX_COUNT = 2**63 - 1
 IMAGE_WORDS = 10  # of a pose: image id, quaternion, translation, camera id, name
@@ -156,7 +159,7 @@ def write_as_binary(
     }
     if has_frames:
         records["rigs"] = [rig_record(line) for line in lines_of(folder / "rigs.txt")]
-        records["frames"] = [frame_record(line) for line in lines_of(folder / "frames.txt")]
+        records["frames"] = frame_records(folder / "frames.txt", images)
     for name in MODEL_NAMES:
         if name in records:
             data = COUNT.pack(len(records[name])) + b"".join(records[name])
@@ -392,14 +395,27 @@ def rig_record(line: Line) -> bytes:
     return record
 
 
-def frame_record(line: Line) -> bytes:
-    """The record of frames.bin of a line of frames.txt."""
+def frame_records(path: Path, images: Mapping[int, TextImage]) -> list[bytes]:
+    """The records of frames.bin; frames.txt must list the images of images.txt."""
+    records, listed = [], set()
+    for line in lines_of(path):
+        record, image_ids = frame_record(line)
+        records.append(record)
+        listed |= image_ids
+    check_listed_images(path, listed, set(images))
+    return records
+
+
+def frame_record(line: Line) -> tuple[bytes, set[int]]:
+    """The record of frames.bin of a line of frames.txt, and the ids of its images."""
     line.need(10, "a frame's id, rig id, pose and number of data ids")
     count = line.whole(9, "number of data ids")
     line.need(10 + 3 * count, f"{count} data ids of three values each")
-    ids = struct.pack("<II", line.whole(0, "frame id"), line.whole(1, "rig id"))
+    ids, image_ids = struct.pack("<II", line.whole(0, "frame id"), line.whole(1, "rig id")), set()
     record = ids + line.pose(2) + struct.pack("<I", count)
     for at in range(10, 10 + 3 * count, 3):
-        sensor = line.sensor(at), line.whole(at + 1, "sensor id"), line.whole(at + 2, "data id")
-        record += struct.pack("<iIQ", *sensor)
-    return record
+        kind, data_id = line.sensor(at), line.whole(at + 2, "data id")
+        record += DATA_ID.pack(kind, line.whole(at + 1, "sensor id"), data_id)
+        if kind == CAMERA_SENSOR:
+            image_ids.add(data_id)
+    return record, image_ids
