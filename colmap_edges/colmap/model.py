@@ -24,7 +24,13 @@ from colmap_edges.colmap.binary_files import (
     read_checked,
     read_points,
 )
-from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
+from colmap_edges.colmap.plausibility import (
+    check_camera,
+    check_ids,
+    check_lens,
+    check_pose,
+    within_reach,
+)
 from colmap_edges.colmap.pose_check import Observed, check_frames_fit, contradicted_views
 from colmap_edges.colmap.text_files import is_text, write_as_binary
 from colmap_edges.core.arrays import (
@@ -227,6 +233,8 @@ def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple
         check_camera(image.camera, image.name)
         check_pose(image.cam_from_world(), image.name)
     views = tuple(view_from_image(image) for image in posed)
+    for view in {view.camera.camera_id: view for view in reversed(views)}.values():
+        check_lens(view)
     points = points or points_of(reconstruction)
     check_ids(points.points3D["id"])
     ids = points.points3D["id"].astype(np.int64)

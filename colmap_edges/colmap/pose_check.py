@@ -69,7 +69,7 @@ def contradicted_views(views: Sequence[View], observed: Observed) -> IntArray:
     """Indices of the views whose poses the observed points contradict.
 
     Raises:
-        ColmapEdgesError: if they are half of the views with points, so that the points may be wrong.
+        ColmapEdgesError: if they are half of the views with points: points may be wrong.
     """
     wrong, errors = observed.contradicted(views)
     if len(wrong) and 2 * len(wrong) >= np.count_nonzero(~np.isnan(errors)):
