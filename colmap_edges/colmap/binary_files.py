@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, order_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    order_of,
+    ranks_of,
+)
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.input_files import open_file, read_bytes
@@ -29,6 +36,8 @@ IMAGE_HEAD = struct.Struct("<I7dI")  # image id, quaternion, translation, camera
 NO_POINT3D = np.iinfo(np.uint64).max  # id of a point2D without point3D
 CAMERA_HEAD = struct.Struct("<IiQQ")  # camera id, model, width, height
 COUNT = struct.Struct("<Q")
+DATA_ID = struct.Struct("<iIQ")  # of a frame: sensor type, sensor id, data id (of an image)
+CAMERA_SENSOR = 0  # COLMAP's type of sensors that are cameras
 MODEL_NAMES = ("cameras", "images", "points3D", "rigs", "frames")
 
 
@@ -114,16 +123,35 @@ def read_checked(folder: Path, parameters_of_model: dict[int, int]) -> ModelPoin
     """
     if not is_binary(folder):
         return None
+    check_rigs_and_frames(folder)
     check_small_files(folder, parameters_of_model)
     path = folder / "images.bin"
     data = read_bytes(path)
     images = image_records(data, path)
     points2D = points2D_of(data, images)
     check_image_points(images, points2D, path)
-    if not (folder / "frames.bin").is_file():
+    if (folder / "frames.bin").is_file():
+        frames = folder / "frames.bin"
+        check_listed_images(frames, check_frames(frames), set(points2D))
+    else:
         for image in images:
             check_rotation(IMAGE_HEAD.unpack_from(data, image.start)[1:5], path)
-    return ModelPoints(points2D, read_points3D(folder / "points3D.bin", images))
+    return ModelPoints(points2D, read_points3D(folder / "points3D.bin", images, points2D))
+
+
+def check_rigs_and_frames(folder: Path) -> None:
+    """Check that there are rigs and frames, or neither.
+
+    Raises:
+        ColmapEdgesError: if one is missing.
+    """
+    rigs, frames = folder / "rigs.bin", folder / "frames.bin"
+    if rigs.is_file() != frames.is_file():
+        left, missing = (rigs, frames) if rigs.is_file() else (frames, rigs)
+        raise ColmapEdgesError(
+            f"{left} needs {missing.name} beside it; copy that, too, or delete {left.name}, as "
+            "images.bin holds the poses, too"
+        )
 
 
 def check_complete(folder: Path, parameters_of_model: dict[int, int]) -> None:
@@ -223,14 +251,42 @@ def check_rigs(path: Path) -> None:
     reader.end()
 
 
-def check_frames(path: Path) -> None:
-    """Check that frames.bin holds the stated numbers of frames and data ids."""
-    reader = Reader(path)
+def check_frames(path: Path) -> set[int]:
+    """Check that frames.bin holds the stated numbers of frames and data ids.
+
+    Returns:
+        The ids of the images that it lists.
+    """
+    reader, images = Reader(path), set()
     for _ in range(reader.take(COUNT)[0]):
         frame = reader.take(struct.Struct("<II7dI"))
         check_rotation(frame[2:6], path)
-        reader.skip(16 * frame[-1])
+        for _ in range(frame[-1]):
+            kind, _, data_id = reader.take(DATA_ID)
+            if kind == CAMERA_SENSOR:
+                images.add(data_id)
     reader.end()
+    return images
+
+
+def check_listed_images(frames: Path, listed: set[int], image_ids: set[int]) -> None:
+    """Check that a frames file lists the images of the images file.
+
+    Raises:
+        ColmapEdgesError: if a program that does not know frames has deleted or added images.
+    """
+    images, rigs = (frames.with_stem(name).name for name in ("images", "rigs"))
+    if listed != image_ids:
+        gone = sorted(listed - image_ids)
+        fault = (
+            f"lists image {gone[0]}, which is not in {images}"
+            if gone
+            else f"does not list image {min(image_ids - listed)}, which is in {images}"
+        )
+        raise ColmapEdgesError(
+            f"{frames} {fault}: a program that does not know frames has changed the model; delete "
+            f"{frames.name} and {rigs}, as {images} holds the poses, too"
+        )
 
 
 def check_rotation(quaternion: tuple[float, ...], path: Path) -> None:
@@ -269,8 +325,10 @@ def check_image_points(
             raise damaged(path, f"image {image_id} has a point2D that is not finite")
 
 
-def read_points3D(path: Path, images: list[ImageSpan]) -> NDArray[np.void]:
-    """(N,) `POINT3D` records of points3D.bin, ids ascending; tracks must be of existing points2D.
+def read_points3D(
+    path: Path, images: list[ImageSpan], points2D: dict[int, NDArray[np.void]]
+) -> NDArray[np.void]:
+    """(N,) `POINT3D` records of points3D.bin, ids ascending; tracks must be of their points2D.
 
     Raises:
         ColmapEdgesError: if the file is damaged.
@@ -289,7 +347,44 @@ def read_points3D(path: Path, images: list[ImageSpan]) -> NDArray[np.void]:
     if fault:
         named = "an image that is not in images.bin", "a point2D that its image does not have"
         raise damaged(path, f"a track names {named[fault - 1]}")
+    check_track_points(path, data, starts, lengths, points2D)
     return heads
+
+
+def check_track_points(
+    path: Path,
+    data: bytes,
+    starts: IntArray,
+    lengths: IntArray,
+    points2D: dict[int, NDArray[np.void]],
+) -> None:
+    """Check that the points2D of tracks observe the points of the tracks.
+
+    Args:
+        path: points3D.bin, for messages.
+        data: its bytes.
+        starts: (N,) offsets of the points in `data`.
+        lengths: (N,) track lengths.
+        points2D: `POINT2D` records by image id, with all of the tracks' points2D.
+
+    Raises:
+        ColmapEdgesError: if one observes another point or none.
+    """
+    places = np.repeat(starts + POINT3D.itemsize, lengths)
+    tracks = gather(data, places + TRACK_ELEMENT.itemsize * ranks_of(lengths), TRACK_ELEMENT)
+    owners = np.repeat(gather(data, starts, POINT3D)["id"], lengths)
+    image_ids = np.array(sorted(points2D), np.uint32)
+    ids = [np.zeros(0, np.uint64), *(points2D[image_id]["point3D_id"] for image_id in image_ids)]
+    offsets = offsets_of(np.array([len(of) for of in ids[1:]], np.int64))
+    first = offsets[np.searchsorted(image_ids, tracks["image_id"])]
+    wrong = np.flatnonzero(np.concatenate(ids)[first + tracks["point2D_idx"]] != owners)
+    if len(wrong):
+        image_id, index = tracks[wrong[0]].tolist()
+        raise damaged(
+            path,
+            f"the track of point3D {owners[wrong[0]]} names point2D {index} of image {image_id}, "
+            "which observes another point or none",
+        )
 
 
 def point3D_records(data: bytes, path: Path) -> tuple[IntArray, IntArray]:

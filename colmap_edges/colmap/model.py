@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,10 +20,19 @@ from colmap_edges.colmap.binary_files import (
     NO_POINT3D,
     ModelPoints,
     check_are_files,
+    is_binary,
     read_checked,
     read_points,
 )
-from colmap_edges.colmap.plausibility import check_camera, check_ids, check_pose, within_reach
+from colmap_edges.colmap.plausibility import (
+    check_camera,
+    check_ids,
+    check_lens,
+    check_pose,
+    within_reach,
+)
+from colmap_edges.colmap.pose_check import Observed, check_frames_fit, contradicted_views
+from colmap_edges.colmap.text_files import is_text, write_as_binary
 from colmap_edges.core.arrays import (
     BoolArray,
     ByteArray,
@@ -52,6 +62,9 @@ class Model:
         unposed_names: names of images without pose.
         reconstruction: the pycolmap.Reconstruction that it was made from; never modified.
         far_point3D_ids: (F,) int64 ids of points at infinity, which are left out here.
+        contradicted_names: names of images whose poses the points contradict, left out here.
+        copies: pairs of a name of an image that is left out here, as a copy of a view, and the
+            name of that view.
     """
 
     views: tuple[View, ...]
@@ -64,6 +77,8 @@ class Model:
     unposed_names: tuple[str, ...]
     reconstruction: Any
     far_point3D_ids: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    contradicted_names: tuple[str, ...] = ()
+    copies: tuple[tuple[str, str], ...] = ()
 
     @property
     def scale(self) -> float:
@@ -92,6 +107,16 @@ class Model:
             track_points2D=self.track_points2D[observations],
         )
 
+    def without_views(self, left_out: IntArray) -> Model:
+        """The model without (m,) views, by index, and their observations; points all stay."""
+        kept = np.setdiff1d(np.arange(len(self.views)), left_out)
+        numbers = np.full(len(self.views), -1, np.int32)
+        numbers[kept] = np.arange(len(kept))
+        observations = numbers[self.track_views] >= 0
+        model = self.selected(np.ones(len(self.point3D_ids), bool), observations)
+        views = tuple(self.views[index] for index in kept)
+        return replace(model, views=views, track_views=numbers[model.track_views])
+
     @cached_property
     def track_points(self) -> IntArray:
         """(T,) point index of each observation."""
@@ -110,12 +135,26 @@ def load_model(path: Path | str) -> Model:
         ColmapEdgesError: if the folder holds no readable model.
     """
     path = Path(path)
+    with as_binary(path) as folder:
+        reconstruction, points = read_files(path, folder)
+        model, observed = model_and_observed(reconstruction, points)
+        if model.views and (folder / "frames.bin").is_file():
+            frames = path / ("frames.bin" if folder == path else "frames.txt")
+            check_frames_fit(folder / "images.bin", frames, model.views, observed)
+    return without_contradicted(model, observed)
+
+
+def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
+    """Read the model at `path`, whose binary files are in `folder`, and its points.
+
+    Raises:
+        ColmapEdgesError: if the folder holds no readable model.
+    """
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
-        check_are_files(path)
-        points = read_checked(path, camera_parameter_counts())
-        reconstruction = pycolmap.Reconstruction(str(path))
+        points = read_checked(folder, camera_parameter_counts())
+        return pycolmap.Reconstruction(str(folder)), points
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
@@ -124,14 +163,35 @@ def load_model(path: Path | str) -> Model:
         ) from error
     finally:
         pycolmap.logging.minloglevel = level
-    return model_from_reconstruction(reconstruction, points)
+
+
+@contextmanager
+def as_binary(path: Path) -> Iterator[Path]:
+    """Yield the folder of a model's binary files: `path`, or temporary copies of text files.
+
+    Raises:
+        ColmapEdgesError: if a file is a pipe or device, a text file is damaged, or the copies
+            cannot be written.
+    """
+    check_are_files(path)
+    if is_binary(path) or not is_text(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        write_as_binary(path, Path(folder), camera_models())
+        yield Path(folder)
+
+
+def camera_models() -> dict[str, tuple[int, int]]:
+    """Id and number of parameters of each of COLMAP's camera models, by its name."""
+    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
+    cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
+    return {m.name: (int(m), len(c.params)) for m, c in zip(models, cameras, strict=True)}
 
 
 def camera_parameter_counts() -> dict[int, int]:
     """Number of parameters of each camera model, by COLMAP's model id."""
-    models = [m for m in pycolmap.CameraModelId.__members__.values() if int(m) >= 0]
-    cameras = (pycolmap.Camera.create_from_model_id(0, m, 1.0, 2, 2) for m in models)
-    return {int(m): len(c.params) for m, c in zip(models, cameras, strict=True)}
+    return dict(camera_models().values())
 
 
 def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
@@ -142,7 +202,21 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         points: its points, if already read.
 
     Returns:
-        The model without points at infinity.
+        The model without points at infinity, and without views that the points contradict.
+
+    Raises:
+        ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent, such as
+            poses and points.
+    """
+    model, observed = model_and_observed(reconstruction, points)
+    return without_contradicted(model, observed)
+
+
+def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple[Model, Observed]:
+    """Convert a pycolmap.Reconstruction to arrays, without points at infinity.
+
+    Returns:
+        The model, and what its views observe, for checks of the poses.
 
     Raises:
         ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent.
@@ -159,6 +233,8 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         check_camera(image.camera, image.name)
         check_pose(image.cam_from_world(), image.name)
     views = tuple(view_from_image(image) for image in posed)
+    for view in {view.camera.camera_id: view for view in reversed(views)}.values():
+        check_lens(view)
     points = points or points_of(reconstruction)
     check_ids(points.points3D["id"])
     ids = points.points3D["id"].astype(np.int64)
@@ -176,7 +252,14 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         reconstruction=reconstruction,
     )
     check_values(model)
-    return without_far_points(model)
+    model = without_far_points(model)
+    return model, Observed(
+        xyz=model.points3D_xyz,
+        stated_px=points.points3D["error"][places_among(ids, model.point3D_ids)],
+        points=model.track_points,
+        views=model.track_views,
+        points2D=model.track_points2D,
+    )
 
 
 def points_of(reconstruction: Any) -> ModelPoints:
@@ -217,6 +300,19 @@ def without_far_points(model: Model) -> Model:
     if near.all():
         return model
     return replace(model.selected(near), far_point3D_ids=model.point3D_ids[~near])
+
+
+def without_contradicted(model: Model, observed: Observed) -> Model:
+    """The model without views whose poses the points contradict; their names are recorded.
+
+    Raises:
+        ColmapEdgesError: if they are too many.
+    """
+    wrong = contradicted_views(model.views, observed)
+    if not len(wrong):
+        return model
+    names = tuple(model.views[index].name for index in wrong)
+    return replace(model.without_views(wrong), contradicted_names=names)
 
 
 def view_from_image(image: Any, scale: float = 1.0) -> View:

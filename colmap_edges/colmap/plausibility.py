@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 
 MAX_COORDINATE = 1e30  # world units; products of five coordinates stay finite
@@ -20,6 +21,10 @@ MAX_PARAMETER = 1e12
 # Distance beyond which a point is at infinity, relative to the distances between cameras and from
 # cameras to points: its viewing rays are parallel up to a hundredth of a pixel.
 MAX_REACH = 1e6
+# Magnification of a lens at its axis, relative to its focal length: lenses have 1, COLMAP's FOV
+# model a little more. It is negative or huge for parameters beyond their range.
+MIN_MAGNIFICATION, MAX_MAGNIFICATION = 0.2, 5.0
+GRID = 9  # pixels a side at which undistortion is tried
 MAX_POINT3D_ID = 2**62  # larger ids leave none for edge points
 
 
@@ -55,6 +60,25 @@ def check_camera(camera: Any, name: str) -> None:
         raise ColmapEdgesError(
             f"the camera of image {name}, {camera.width}x{camera.height}, has implausible "
             f"parameters: {camera.params_to_string()}; calibrate it again or deregister the image"
+        )
+
+
+def check_lens(view: View) -> None:
+    """Check that the distortion of a view's camera can be undone, on its axis and in the image.
+
+    Raises:
+        ColmapEdgesError: if it cannot.
+    """
+    steps = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # undistorted pixels
+    moved = view.image_from_undistorted(steps) - view.image_from_undistorted(np.zeros((1, 2)))
+    magnification = (moved * steps).sum(axis=1)
+    is_plain = (magnification >= MIN_MAGNIFICATION) & (magnification <= MAX_MAGNIFICATION)
+    sides = (np.linspace(0, side, GRID) for side in (view.width, view.height))
+    pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    if not is_plain.all() or not np.isfinite(view.rays(pixels)).all(axis=1).any():
+        raise ColmapEdgesError(
+            f"the distortion of the camera of image {view.name}, {view.camera.model.name} "
+            f"{view.camera.params_to_string()}, cannot be undone; calibrate it again"
         )
 
 
