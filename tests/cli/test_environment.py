@@ -62,7 +62,8 @@ def test_odd_variables_change_nothing(small, tmp_path, soak, show):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_variables_that_opencv_cannot_read_are_named(monkeypatch, name):
+def test_variables_that_opencv_cannot_read_are_named(monkeypatch, tmp_path, name):
+    monkeypatch.chdir(tmp_path)  # in which OpenCV traces
     monkeypatch.setenv(name, "x")
     with pytest.raises(ColmapEdgesError, match=f"{name}=x; unset"):
         check_opencv_variables()
