@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.core.arrays import ByteArray, Float32Array, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import polyline_indices
 
@@ -20,6 +21,7 @@ LINE_STRIP = 3
 VERTICES, INDICES = 34962, 34963  # targets of buffer views
 
 
+@checked
 def write_glb(edges: Edges3D, path: Path) -> None:
     """Write a binary glTF with one line strip per edge, in the mean colour of its points.
 

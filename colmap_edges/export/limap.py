@@ -10,6 +10,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 
@@ -34,6 +35,7 @@ class Line3D:
     sigma: float
 
 
+@checked
 def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Path) -> int:
     """Write LIMAP 2.0's `structures`: lines with 2D segments; bent curves as chords.
 
@@ -48,6 +50,8 @@ def write_structures(edges: Edges3D, curves: Curves3D, model: Model, folder: Pat
     Returns:
         The number of lines.
     """
+    edges.check("edges", len(model.views))
+    curves.check("curves", edges)
     folder.mkdir(parents=True, exist_ok=True)
     lines = [line for line in straight_lines(edges, curves) if len(line.views) > 1]
     images = model.reconstruction.images

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from colmap_edges.core.checks import checked
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
@@ -30,6 +31,7 @@ end_header
 """
 
 
+@checked
 def write_mesh(mesh: Mesh, path: Path | str) -> None:
     """Write a mesh with colours as PLY, OBJ or GLB, atomically.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
 
@@ -15,6 +16,7 @@ PRODUCT = re.compile(r"PRODUCT\('[^']*',\s*'[^']*'")
 SMALLEST = 1e-7  # minimum length of an edge in OpenCASCADE (Precision::Confusion)
 
 
+@checked
 def write_step(curves: Curves3D, path: Path) -> None:
     """Write a STEP file with one edge per curve, using OpenCASCADE.
 
