@@ -222,3 +222,13 @@ def check_points(name: str, points: NDArray[Any]) -> None:
         raise ColmapEdgesError(
             f"{name} are all within {largest:.3g} of 0, which is too small; scale the model up"
         )
+
+
+def check_sigmas(name: str, sigmas: NDArray[Any]) -> None:
+    """Check standard deviations: at least 0, or not finite where unknown.
+
+    Raises:
+        ColmapEdgesError: naming the first that is neither.
+    """
+    unknown = np.isnan(sigmas) | np.isposinf(sigmas)
+    check_values(name, np.where(unknown, 0, sigmas), 0, MAX_COORDINATE)

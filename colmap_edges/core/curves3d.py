@@ -8,14 +8,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, offsets_of, ranks_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    owners_of,
+    ranks_of,
+)
 from colmap_edges.core.checks import (
     MAX_INTEGER,
     check_arrays,
     check_number,
     check_offsets,
     check_points,
+    check_shape,
+    check_sigmas,
     check_values,
+    checked,
 )
 from colmap_edges.errors import ColmapEdgesError, check_type
 
@@ -103,6 +113,31 @@ class Curves3D:
                 f"{name}.knots must be at least {2 * DEGREE + 2} for each spline, four more than "
                 "its control points, and none for other curves"
             )
+        self.check_geometry(name)
+
+    def check_geometry(self, name: str) -> None:
+        """Check that knots rise, that round curves span a plane, and deviations.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        steps = self.knots[DEGREE + 1 :] - self.knots[: -DEGREE - 1]
+        owners = owners_of(self.knot_offsets)
+        within = owners[DEGREE + 1 :] == owners[: -DEGREE - 1]
+        rising = np.diff(self.knots)[np.diff(owners) == 0] >= 0
+        if not (rising.all() and (steps[within] > 0).all()):
+            raise ColmapEdgesError(f"{name}.knots must rise along each spline; fit it again")
+        flat = (
+            (self.kinds != LINE) & (self.kinds != SPLINE) & ~np.isfinite(self.normals).all(axis=1)
+        )
+        if flat.any():
+            raise ColmapEdgesError(
+                f"{name}.frames[{np.flatnonzero(flat)[0]}] has parallel axes, but its curve is "
+                "round; fit it again"
+            )
+        for entry in fields(self):
+            if entry.name.endswith("_sigmas"):
+                check_sigmas(f"{name}.{entry.name}", getattr(self, entry.name))
 
     @classmethod
     def none(cls) -> Curves3D:
@@ -175,15 +210,29 @@ class Curves3D:
         control = self.control_points[self.control_rows(curve)]
         return BSpline(self.knots[first:last], control, DEGREE)
 
+    @checked
     def control_rows(self, curve: int) -> slice:
-        """The rows of `control_points` of a curve; empty unless it is a spline."""
+        """The rows of `control_points` of a curve; empty unless it is a spline.
+
+        Raises:
+            ColmapEdgesError: if there is no such curve.
+        """
+        check_values("curve", np.array(curve), 0, self.num_curves - 1)
         before = (DEGREE + 1) * np.count_nonzero(np.diff(self.knot_offsets[: curve + 1]))
         first, last = self.knot_offsets[curve : curve + 2]
         count = max(0, last - first - DEGREE - 1)
         return slice(int(first - before), int(first - before + count))
 
+    @checked
     def at(self, owners: IntArray, places: FloatArray) -> FloatArray:
-        """(N, 3) points of the (N,) curves at (N,) parameters from 0 (start) to 1 (end)."""
+        """(N, 3) points of the (N,) curves at (N,) parameters from 0 (start) to 1 (end).
+
+        Raises:
+            ColmapEdgesError: if there is no curve of an index, or arrays differ in length.
+        """
+        check_shape("places", places.shape, owners.shape, {})
+        check_shape("owners", owners.shape, ("N",), {})
+        check_values("owners", owners, 0, self.num_curves - 1)
         t = self.spans[owners, 0] + places * np.diff(self.spans[owners], axis=1)[:, 0]
         origin, a, b = np.moveaxis(self.frames[owners], 1, 0)
         straight = self.kinds[owners] == LINE
@@ -217,7 +266,12 @@ class Curves3D:
             ColmapEdgesError: if the spacing is not positive.
         """
         check_number("spacing", spacing, np.finfo(float).tiny, integer=False)
-        counts = 2 + np.ceil(self.lengths() / spacing).astype(np.int64)
+        steps = self.lengths() / spacing
+        if steps.sum() > MAX_INTEGER:
+            raise ColmapEdgesError(
+                f"spacing is {spacing:g}, which makes {steps.sum():.3g} points; give a larger one"
+            )
+        counts = 2 + np.ceil(steps).astype(np.int64)
         owners = np.repeat(np.arange(self.num_curves), counts)
         places = ranks_of(counts) / np.maximum(counts[owners] - 1, 1)
         return self.at(owners, places), owners

@@ -18,11 +18,11 @@ from colmap_edges.core.arrays import (
     owners_of,
 )
 from colmap_edges.core.checks import (
-    MAX_COORDINATE,
     MAX_INTEGER,
     check_arrays,
     check_offsets,
     check_points,
+    check_sigmas,
     check_values,
     checked,
 )
@@ -132,9 +132,13 @@ class Edges3D:
     def of_polylines(
         cls, points: FloatArray, lengths: IntArray, observations: Observations | None = None
     ) -> Edges3D:
-        """Open edges of (E,) numbers of consecutive points, without nodes and deviations."""
+        """Open edges of (E,) numbers of consecutive points, without nodes and deviations.
+
+        Raises:
+            ColmapEdgesError: if the numbers do not add up to the number of points.
+        """
         unobserved = replace(Observations.none(), offsets=np.zeros(len(points) + 1, np.int64))
-        return cls(
+        edges = cls(
             points=points,
             edge_offsets=offsets_of(lengths),
             closed=np.zeros(len(lengths), bool),
@@ -143,6 +147,9 @@ class Edges3D:
             end_nodes=np.full((len(lengths), 2), -1, np.int32),
             colors=np.zeros((len(points), 3), np.uint8),
         )
+        check_arrays("edges", edges)
+        check_offsets("offsets of the lengths", edges.edge_offsets, len(points))
+        return edges
 
     @property
     def num_edges(self) -> int:
@@ -207,6 +214,7 @@ class Edges3D:
         )
         return points, rows.astype(np.int64)
 
+    @checked
     def reordered(
         self,
         order: IntArray,
@@ -223,7 +231,11 @@ class Edges3D:
             edge_offsets: (E' + 1,) offsets of the new edges.
             closed: (E',) whether each new edge is closed.
             end_nodes: (E', 2) nodes of the new edges.
+
+        Raises:
+            ColmapEdgesError: if there is no point of an index.
         """
+        check_values("order", order, 0, self.num_points - 1)
         return Edges3D(
             points=self.points[order],
             edge_offsets=edge_offsets,
@@ -270,13 +282,3 @@ def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:
     points = owners_of(offsets)
     sums = np.column_stack([np.bincount(points, channel, len(counts)) for channel in values.T])
     return np.asarray(np.rint(sums / np.maximum(counts, 1)[:, None]).astype(np.uint8))
-
-
-def check_sigmas(name: str, sigmas: FloatArray) -> None:
-    """Check standard deviations: at least 0, or not finite where unknown.
-
-    Raises:
-        ColmapEdgesError: naming the first that is neither.
-    """
-    unknown = np.isnan(sigmas) | np.isposinf(sigmas)
-    check_values(name, np.where(unknown, 0, sigmas), 0, MAX_COORDINATE)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, joined_offsets
-from colmap_edges.core.checks import MAX_COORDINATE, checked
+from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
@@ -175,7 +174,7 @@ def as_model(source: Any) -> Model:
     if isinstance(source, model_module.Model):
         return source
     if isinstance(source, str | os.PathLike):
-        return model_module.load_model(Path(source))
+        return model_module.load_model(path_of("the path of the model", source))
     return model_module.model_from_reconstruction(source)
 
 
