@@ -89,14 +89,19 @@ class UnitFrame {
     const Vec3 size = high - low;
     center_ = 0.5 * low + 0.5 * high;
     const double largest = std::max({size.x, size.y, size.z});
-    if (largest > 0 && std::isfinite(largest)) scale_ = std::ldexp(1.0, -std::ilogb(largest));
+    if (largest > 0 && std::isfinite(largest)) exponent_ = std::ilogb(largest);
   }
-  Vec3 operator()(const Vec3& p) const { return scale_ * (p - center_); }
-  Vec3 Inverse(const Vec3& p) const { return (1 / scale_) * p + center_; }
+  Vec3 operator()(const Vec3& p) const { return Scaled(p - center_, -exponent_); }
+  Vec3 Inverse(const Vec3& p) const { return Scaled(p, exponent_) + center_; }
 
  private:
+  // The factor itself would overflow for the smallest coordinates.
+  static Vec3 Scaled(const Vec3& p, int exponent) {
+    return {std::ldexp(p.x, exponent), std::ldexp(p.y, exponent), std::ldexp(p.z, exponent)};
+  }
+
   Vec3 center_;
-  double scale_ = 1;
+  int exponent_ = 0;
 };
 
 // The input of the triangulation: distinct points in canonical order, each with the cameras of all

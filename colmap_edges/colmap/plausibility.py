@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.checks import MAX_COORDINATE
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 
-MAX_COORDINATE = 1e30  # world units; products of five coordinates stay finite
 MAX_SIDE_PX = 2**31 - 1
 MIN_FOCAL, MAX_FOCAL = 1e-3, 1e6  # in image sides; fisheye lenses have 0.2, telescopes 1e4
 MAX_PARAMETER = 1e12

@@ -4,14 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, offsets_of, ranks_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    owners_of,
+    ranks_of,
+)
+from colmap_edges.core.checks import (
+    MAX_INTEGER,
+    check_arrays,
+    check_number,
+    check_offsets,
+    check_points,
+    check_shape,
+    check_sigmas,
+    check_values,
+    checked,
+)
+from colmap_edges.errors import ColmapEdgesError, check_type
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
+    from colmap_edges.core.edges3d import Edges3D
 
 KINDS = ("line", "arc", "circle", "elliptic_arc", "ellipse", "spline")
 LINE, ARC, CIRCLE, ELLIPTIC_ARC, ELLIPSE, SPLINE = range(len(KINDS))
@@ -45,19 +66,78 @@ class Curves3D:
         control_sigmas: (M,) float64 of control points in each direction, world units.
     """
 
-    kinds: ByteArray
-    edges: IntArray
-    ranges: IntArray
-    wholes: IntArray
-    frames: FloatArray
-    spans: FloatArray
-    knot_offsets: IntArray
-    knots: FloatArray
-    control_points: FloatArray
-    position_sigmas: FloatArray
-    direction_sigmas: FloatArray
-    radius_sigmas: FloatArray
-    control_sigmas: FloatArray
+    kinds: Annotated[ByteArray, "C"]
+    edges: Annotated[IntArray, "C"]
+    ranges: Annotated[IntArray, "C", 2]
+    wholes: Annotated[IntArray, "C"]
+    frames: Annotated[FloatArray, "C", 3, 3]
+    spans: Annotated[FloatArray, "C", 2]
+    knot_offsets: Annotated[IntArray, "C+1"]
+    knots: Annotated[FloatArray, "K"]
+    control_points: Annotated[FloatArray, "M", 3]
+    position_sigmas: Annotated[FloatArray, "C", 2]
+    direction_sigmas: Annotated[FloatArray, "C"]
+    radius_sigmas: Annotated[FloatArray, "C", 2]
+    control_sigmas: Annotated[FloatArray, "M"]
+
+    def check(self, name: str = "curves", edges: Edges3D | None = None) -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Args:
+            name: name of the curves in messages.
+            edges: the edges that they belong to; any if None.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        num_edges = edges.num_edges if edges else MAX_INTEGER
+        num_points = edges.num_points if edges else MAX_INTEGER
+        check_values(f"{name}.kinds", self.kinds, 0, len(KINDS) - 1)
+        check_values(f"{name}.edges", self.edges, 0, num_edges - 1)
+        check_values(f"{name}.ranges", self.ranges[:, 0], 0, num_points - 1)
+        check_values(f"{name}.ranges", np.diff(self.ranges)[:, 0], 1, num_points + 1)
+        check_values(f"{name}.wholes", self.wholes, 0, self.num_curves - 1)
+        for entry in ("frames", "spans", "knots", "control_points"):
+            check_points(f"{name}.{entry}", getattr(self, entry))
+        check_offsets(f"{name}.knot_offsets", self.knot_offsets, len(self.knots))
+        counts, splines = np.diff(self.knot_offsets), self.kinds == SPLINE
+        least = np.where(splines, 2 * DEGREE + 2, 0)
+        num_control = int((counts - DEGREE - 1)[splines].sum())
+        if (
+            (counts < least).any()
+            or counts[~splines].any()
+            or num_control != len(self.control_points)
+        ):
+            raise ColmapEdgesError(
+                f"{name}.knots must be at least {2 * DEGREE + 2} for each spline, four more than "
+                "its control points, and none for other curves"
+            )
+        self.check_geometry(name)
+
+    def check_geometry(self, name: str) -> None:
+        """Check that knots rise, that round curves span a plane, and deviations.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        steps = self.knots[DEGREE + 1 :] - self.knots[: -DEGREE - 1]
+        owners = owners_of(self.knot_offsets)
+        within = owners[DEGREE + 1 :] == owners[: -DEGREE - 1]
+        rising = np.diff(self.knots)[np.diff(owners) == 0] >= 0
+        if not (rising.all() and (steps[within] > 0).all()):
+            raise ColmapEdgesError(f"{name}.knots must rise along each spline; fit it again")
+        flat = (
+            (self.kinds != LINE) & (self.kinds != SPLINE) & ~np.isfinite(self.normals).all(axis=1)
+        )
+        if flat.any():
+            raise ColmapEdgesError(
+                f"{name}.frames[{np.flatnonzero(flat)[0]}] has parallel axes, but its curve is "
+                "round; fit it again"
+            )
+        for entry in fields(self):
+            if entry.name.endswith("_sigmas"):
+                check_sigmas(f"{name}.{entry.name}", getattr(self, entry.name))
 
     @classmethod
     def none(cls) -> Curves3D:
@@ -81,6 +161,9 @@ class Curves3D:
     @classmethod
     def concatenated(cls, parts: Sequence[Curves3D]) -> Curves3D:
         """The curves of all parts, one part after the other."""
+        check_type("parts", parts, (Sequence,))
+        for part in parts:
+            check_type("a part", part, (cls,))
         parts = [cls.none(), *parts]
         arrays = {
             entry.name: np.concatenate([getattr(part, entry.name) for part in parts])
@@ -113,22 +196,43 @@ class Curves3D:
         return units
 
     def spline(self, curve: int) -> BSpline:
-        """A spline curve as scipy's BSpline."""
+        """A spline curve as scipy's BSpline.
+
+        Raises:
+            ColmapEdgesError: if there is no such curve, or it is no spline.
+        """
+        check_number("curve", curve, 0)
+        if curve >= self.num_curves or self.kinds[curve] != SPLINE:
+            raise ColmapEdgesError(f"curve is {curve}; there is no spline of this number")
         from scipy.interpolate import BSpline
 
         first, last = self.knot_offsets[curve : curve + 2]
         control = self.control_points[self.control_rows(curve)]
         return BSpline(self.knots[first:last], control, DEGREE)
 
+    @checked
     def control_rows(self, curve: int) -> slice:
-        """The rows of `control_points` of a curve; empty unless it is a spline."""
+        """The rows of `control_points` of a curve; empty unless it is a spline.
+
+        Raises:
+            ColmapEdgesError: if there is no such curve.
+        """
+        check_values("curve", np.array(curve), 0, self.num_curves - 1)
         before = (DEGREE + 1) * np.count_nonzero(np.diff(self.knot_offsets[: curve + 1]))
         first, last = self.knot_offsets[curve : curve + 2]
         count = max(0, last - first - DEGREE - 1)
         return slice(int(first - before), int(first - before + count))
 
+    @checked
     def at(self, owners: IntArray, places: FloatArray) -> FloatArray:
-        """(N, 3) points of the (N,) curves at (N,) parameters from 0 (start) to 1 (end)."""
+        """(N, 3) points of the (N,) curves at (N,) parameters from 0 (start) to 1 (end).
+
+        Raises:
+            ColmapEdgesError: if there is no curve of an index, or arrays differ in length.
+        """
+        check_shape("places", places.shape, owners.shape, {})
+        check_shape("owners", owners.shape, ("N",), {})
+        check_values("owners", owners, 0, self.num_curves - 1)
         t = self.spans[owners, 0] + places * np.diff(self.spans[owners], axis=1)[:, 0]
         origin, a, b = np.moveaxis(self.frames[owners], 1, 0)
         straight = self.kinds[owners] == LINE
@@ -156,8 +260,18 @@ class Curves3D:
         return np.asarray(np.linalg.norm(steps, axis=2).sum(axis=1))
 
     def sampled(self, spacing: float) -> tuple[FloatArray, IntArray]:
-        """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each."""
-        counts = 2 + np.ceil(self.lengths() / spacing).astype(np.int64)
+        """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each.
+
+        Raises:
+            ColmapEdgesError: if the spacing is not positive.
+        """
+        check_number("spacing", spacing, np.finfo(float).tiny, integer=False)
+        steps = self.lengths() / spacing
+        if steps.sum() > MAX_INTEGER:
+            raise ColmapEdgesError(
+                f"spacing is {spacing:g}, which makes {steps.sum():.3g} points; give a larger one"
+            )
+        counts = 2 + np.ceil(steps).astype(np.int64)
         owners = np.repeat(np.arange(self.num_curves), counts)
         places = ranks_of(counts) / np.maximum(counts[owners] - 1, 1)
         return self.at(owners, places), owners

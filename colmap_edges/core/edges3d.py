@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
@@ -16,7 +17,17 @@ from colmap_edges.core.arrays import (
     offsets_of,
     owners_of,
 )
+from colmap_edges.core.checks import (
+    MAX_INTEGER,
+    check_arrays,
+    check_offsets,
+    check_points,
+    check_sigmas,
+    check_values,
+    checked,
+)
 from colmap_edges.core.observations import Observations
+from colmap_edges.errors import ColmapEdgesError, check_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +43,24 @@ class Nodes:
             through it (T junction); -1 for none.
     """
 
-    points: FloatArray
-    sigmas: FloatArray
+    points: Annotated[FloatArray, "K", 3]
+    sigmas: Annotated[FloatArray, "K"]
     observations: Observations
-    colors: ByteArray
-    through_points: IntArray
+    colors: Annotated[ByteArray, "K", 3]
+    through_points: Annotated[IntArray, "K"]
+
+    def check(self, name: str, num_points: int, num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values; see `Edges3D.check`.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_points(f"{name}.points", self.points)
+        check_sigmas(f"{name}.sigmas", self.sigmas)
+        check_values(f"{name}.through_points", self.through_points, -1, num_points - 1)
+        check_type(f"{name}.observations", self.observations, (Observations,))
+        self.observations.check(f"{name}.observations", num_views, N=len(self.points))
 
     @classmethod
     def none(cls) -> Nodes:
@@ -66,14 +90,37 @@ class Edges3D:
             such ends are copies of the node's point.
     """
 
-    points: FloatArray
-    edge_offsets: IntArray
-    closed: BoolArray
+    points: Annotated[FloatArray, "N", 3]
+    edge_offsets: Annotated[IntArray, "E+1"]
+    closed: Annotated[BoolArray, "E"]
     observations: Observations
-    sigmas: FloatArray
-    end_nodes: Int32Array
-    colors: ByteArray
+    sigmas: Annotated[FloatArray, "N"]
+    end_nodes: Annotated[Int32Array, "E", 2]
+    colors: Annotated[ByteArray, "N", 3]
     nodes: Nodes = field(default_factory=Nodes.none)
+
+    def check(self, name: str = "edges", num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Args:
+            name: name of the edges in messages.
+            num_views: number of views of their model; any if None.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_points(f"{name}.points", self.points)
+        check_offsets(f"{name}.edge_offsets", self.edge_offsets, self.num_points)
+        if (np.diff(self.edge_offsets) < 1).any():
+            raise ColmapEdgesError(f"{name}.edge_offsets holds an edge of no points; drop it")
+        check_sigmas(f"{name}.sigmas", self.sigmas)
+        check_type(f"{name}.nodes", self.nodes, (Nodes,))
+        self.nodes.check(f"{name}.nodes", self.num_points, num_views)
+        last = len(self.nodes.points) - 1 if len(self.nodes.points) else MAX_INTEGER
+        check_values(f"{name}.end_nodes", self.end_nodes, -1, last)
+        check_type(f"{name}.observations", self.observations, (Observations,))
+        self.observations.check(f"{name}.observations", num_views, N=self.num_points)
 
     @classmethod
     def none(cls) -> Edges3D:
@@ -81,12 +128,17 @@ class Edges3D:
         return cls.of_polylines(np.zeros((0, 3)), np.zeros(0, np.int64))
 
     @classmethod
+    @checked
     def of_polylines(
         cls, points: FloatArray, lengths: IntArray, observations: Observations | None = None
     ) -> Edges3D:
-        """Open edges of (E,) numbers of consecutive points, without nodes and deviations."""
+        """Open edges of (E,) numbers of consecutive points, without nodes and deviations.
+
+        Raises:
+            ColmapEdgesError: if the numbers do not add up to the number of points.
+        """
         unobserved = replace(Observations.none(), offsets=np.zeros(len(points) + 1, np.int64))
-        return cls(
+        edges = cls(
             points=points,
             edge_offsets=offsets_of(lengths),
             closed=np.zeros(len(lengths), bool),
@@ -95,6 +147,9 @@ class Edges3D:
             end_nodes=np.full((len(lengths), 2), -1, np.int32),
             colors=np.zeros((len(points), 3), np.uint8),
         )
+        check_arrays("edges", edges)
+        check_offsets("offsets of the lengths", edges.edge_offsets, len(points))
+        return edges
 
     @property
     def num_edges(self) -> int:
@@ -159,6 +214,7 @@ class Edges3D:
         )
         return points, rows.astype(np.int64)
 
+    @checked
     def reordered(
         self,
         order: IntArray,
@@ -175,7 +231,11 @@ class Edges3D:
             edge_offsets: (E' + 1,) offsets of the new edges.
             closed: (E',) whether each new edge is closed.
             end_nodes: (E', 2) nodes of the new edges; by default none.
+
+        Raises:
+            ColmapEdgesError: if there is no point of an index.
         """
+        check_values("order", order, 0, self.num_points - 1)
         return Edges3D(
             points=self.points[order],
             edge_offsets=edge_offsets,

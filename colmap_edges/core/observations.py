@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,14 @@ from colmap_edges.core.arrays import (
     order_of,
     owners_of,
 )
+from colmap_edges.core.checks import (
+    MAX_INTEGER,
+    check_arrays,
+    check_offsets,
+    check_points,
+    check_values,
+)
+from colmap_edges.errors import ColmapEdgesError
 
 Kind = TypeVar("Kind", bound="ChainObservations")
 
@@ -38,9 +46,9 @@ class ChainObservations:
             view's edge graph, plus the fraction of the way to the next one; NaN if unknown.
     """
 
-    offsets: IntArray
-    views: Int32Array
-    positions: FloatArray
+    offsets: Annotated[IntArray, "N+1"]
+    views: Annotated[Int32Array, "T"]
+    positions: Annotated[FloatArray, "T"]
 
     @classmethod
     def none(cls: type[Kind]) -> Kind:
@@ -118,9 +126,25 @@ class Observations(ChainObservations):
             unknown.
     """
 
-    chains: Int32Array
-    pixels: FloatArray
-    normals: Float32Array
+    chains: Annotated[Int32Array, "T"]
+    pixels: Annotated[FloatArray, "T", 2]
+    normals: Annotated[Float32Array, "T", 2]
+
+    def check(self, name: str, num_views: int | None = None, **sizes: int) -> None:
+        """Check shapes, dtypes and values.
+
+        Args:
+            name: name of the observations in messages.
+            num_views: number of views of the model; any if None.
+            sizes: `N`, the number of points, if known.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self, **sizes)
+        check_offsets(f"{name}.offsets", self.offsets, len(self.views))
+        check_views(f"{name}.views", self.views, num_views)
+        check_points(f"{name}.pixels", self.pixels)
 
     @classmethod
     def none(cls) -> Observations:
@@ -160,3 +184,17 @@ class Observations(ChainObservations):
             pixels=pixels,
             normals=np.full((len(views), 2), np.nan, np.float32),
         )
+
+
+def check_views(name: str, views: Int32Array, num_views: int | None) -> None:
+    """Check indices of views against the number of views of the model; any number if None.
+
+    Raises:
+        ColmapEdgesError: if a view does not exist.
+    """
+    if num_views is not None and len(views) and views.max() >= num_views:
+        raise ColmapEdgesError(
+            f"{name} holds view {views.max()}, but the model has {num_views} images with poses; "
+            "give the model that they were found in"
+        )
+    check_values(name, views, 0, MAX_INTEGER)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import (
     ARC,
     CIRCLE,
@@ -34,6 +35,7 @@ NEAR_AXIS = 1 / 64  # of DXF's rule for the axes of a plane
 Tags = list[tuple[int, Any]]  # codes and values
 
 
+@checked
 def write_dxf(curves: Curves3D, path: Path, *, overwrite: bool = True) -> None:
     """Write a DXF (R2000) with one entity per curve, and one layer per kind, named in capitals.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.checks import check_shape, checked
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.curve_records import curve_records
@@ -42,6 +43,7 @@ def edge_lengths(edges: Edges3D) -> FloatArray:
     return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
+@checked
 def write_ply(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     """Write a binary PLY with `vertex` and `edge` elements.
 
@@ -56,6 +58,7 @@ def write_ply(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     write_whole(path, data, "edges", overwrite=overwrite)
 
 
+@checked
 def write_obj(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     """Write an OBJ with one `l` element per edge; closed edges repeat their first point.
 
@@ -80,6 +83,7 @@ def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
         yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)
 
 
+@checked
 def write_json(
     edges: Edges3D,
     curves: Curves3D,
@@ -99,8 +103,12 @@ def write_json(
         path: file to write.
 
     Raises:
-        ColmapEdgesError: if the file cannot be written.
+        ColmapEdgesError: if the file cannot be written, or arguments do not belong together.
     """
+    edges.check("edges", len(model.views))
+    curves.check("curves", edges)
+    check_shape("point3D_ids", point3D_ids.shape, ("N",), {"N": edges.num_points})
+    check_shape("residuals", residuals.shape, ("T",), {"T": len(edges.observations.views)})
     parts = {
         "edges": edge_records(edges, model, point3D_ids, residuals),
         "nodes": node_records(edges, model, point3D_ids),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.precision import needs_double
 from colmap_edges.runtime.output import write_whole
@@ -24,6 +25,7 @@ ASSET = {"version": "2.0", "generator": "colmap-edges"}
 PLAIN = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
 
 
+@checked
 def write_glb(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     """Write a binary glTF of one set of lines, in the mean colour of each edge.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import networkx as nx
 
+from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.edges import edge_lengths
 
 
+@checked
 def to_networkx(edges: Edges3D) -> nx.MultiGraph:
     """The graph of the 3D edges, for the algorithms of networkx.
 

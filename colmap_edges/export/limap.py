@@ -13,6 +13,7 @@ import numpy as np
 import colmap_edges
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.runtime.output import new_folder, write_whole
@@ -39,6 +40,7 @@ class Line3D:
     sigma: float
 
 
+@checked
 def write_structures(
     edges: Edges3D, curves: Curves3D, model: Model, folder: Path, *, overwrite: bool = False
 ) -> int:
@@ -60,6 +62,8 @@ def write_structures(
     Raises:
         ColmapEdgesError: if the folder cannot be made or must not be replaced.
     """
+    edges.check("edges", len(model.views))
+    curves.check("curves", edges)
     lines = [line for line in straight_lines(edges, curves) if len(line.views) > 1]
     images = model.reconstruction.images
     detections: list[list[tuple[FloatArray, int]]] = [[] for _ in model.views]

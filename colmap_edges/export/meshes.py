@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.core.arrays import Int32Array
+from colmap_edges.core.checks import checked
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.edges import formatted
 from colmap_edges.export.glb import TRIANGLES, as_glb
@@ -33,6 +34,7 @@ end_header
 """
 
 
+@checked
 def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
     """Write a mesh with colours as PLY, OBJ or GLB, complete or not at all.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.output import write_whole
@@ -20,6 +21,7 @@ SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precisio
 SHORTEST = 100 * SMALLEST  # of a curve in the file
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class StepFile:
     """What a STEP file holds.

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import KINDS, LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
@@ -30,6 +31,7 @@ path {{ fill: none; stroke-width: {stroke:.3g}; stroke-linecap: round; stroke-li
 """
 
 
+@checked
 def write_svg(
     edges: Edges3D,
     curves: Curves3D,
@@ -52,6 +54,7 @@ def write_svg(
     Raises:
         ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
+    curves.check("curves", edges)
     seen = points_seen(edges, index)
     size = max(view.width, view.height)
     styles = "\n".join(f".{kind} {{ stroke: {c} }}" for kind, c in zip(KINDS, COLORS, strict=True))

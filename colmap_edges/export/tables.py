@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from colmap_edges.core.arrays import IntArray, owners_of
+from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.edges import edge_lengths
@@ -29,6 +30,7 @@ class EdgeTables(NamedTuple):
     points: pandas.DataFrame
 
 
+@checked
 def to_pandas(edges: Edges3D) -> EdgeTables:
     """The 3D edges as pandas tables.
 

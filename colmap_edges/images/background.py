@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, Picture
+from colmap_edges.core.checks import check_arrays, check_points
+from colmap_edges.core.observations import check_views
 from colmap_edges.core.view import View
+from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import square
 
 NUM_SAMPLES = 10_000  # background rays per image, on a grid
@@ -37,8 +40,20 @@ class BackgroundRays(NamedTuple):
         directions: (K, 3) float64 world directions of any length.
     """
 
-    cameras: Int32Array
-    directions: FloatArray
+    cameras: Annotated[Int32Array, "K"]
+    directions: Annotated[FloatArray, "K", 3]
+
+    def check(self, name: str, num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_views(f"{name}.cameras", self.cameras, num_views)
+        check_points(f"{name}.directions", self.directions)
+        if not self.directions.any(axis=1).all():
+            raise ColmapEdgesError(f"{name}.directions holds a direction of length 0; leave it out")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from colmap_edges.declared_options import shown
 from colmap_edges.errors import OptionError
 from colmap_edges.options.whole import PipelineOptions
 
@@ -62,8 +63,8 @@ def preset(name: str) -> PipelineOptions:
     Raises:
         OptionError: for an unknown name.
     """
-    if name not in PRESETS:
-        raise OptionError(f"there is no preset {name!r}; choose one of: {', '.join(PRESETS)}")
+    if not isinstance(name, str) or name not in PRESETS:
+        raise OptionError(f"there is no preset {shown(name)}; choose one of: {', '.join(PRESETS)}")
     defaults = PipelineOptions()
     changed = {
         key: replace(getattr(defaults, key), **value) if isinstance(value, dict) else value

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.checks import check_points
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.images.edge_maps import check_edge_maps
 from colmap_edges.images.files import check_images_exist
@@ -28,16 +29,17 @@ def read_stage(input_path: Path, stages: Stages) -> Model:
 
 
 def check_model(model: Model, where: str) -> None:
-    """Check that the model has enough images.
+    """Check that the model has enough images, in units of a usual size.
 
     Raises:
-        ColmapEdgesError: if fewer than two images have poses.
+        ColmapEdgesError: if fewer than two images have poses, or coordinates are too small.
     """
     if len(model.views) < 2:
         raise ColmapEdgesError(
             f"{where} has {len(model.views)} images with poses; "
             "3D edges need at least 3: run `colmap mapper` on more images first"
         )
+    check_points(f"the points of {where}", model.points3D_xyz)
 
 
 def check_pictures(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,10 @@ from typing import Any
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges2d.working_scale import at_working_scale
-from colmap_edges.errors import check_type
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
@@ -58,6 +57,7 @@ class EdgeReconstruction:
     findings: list[Finding]
 
 
+@checked
 def reconstruct(
     reconstruction_or_path: Any,
     image_path: Path | str,
@@ -89,11 +89,10 @@ def reconstruct(
             or have the wrong size; or fewer than two images are readable.
     """
     options = options or PipelineOptions()
-    check_type("options", options, (PipelineOptions,))
-    images = path_of("image_path", image_path)
-    cache = path_of("cache_path", cache_path) if cache_path else None
-    masks = path_of("mask_path", mask_path) if mask_path else None
-    maps = path_of("edge_path", edge_path) if edge_path else None
+    images = Path(image_path)
+    cache = Path(cache_path) if cache_path else None
+    masks = Path(mask_path) if mask_path else None
+    maps = Path(edge_path) if edge_path else None
     stages = Stages()
     model = as_model(reconstruction_or_path)
     check_model(model, "the reconstruction")
@@ -136,13 +135,3 @@ def result_of(
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )
-
-
-def path_of(name: str, path: Path | str) -> Path:
-    """Convert an argument to a path.
-
-    Raises:
-        ColmapEdgesError: if it has another type.
-    """
-    check_type(name, path, (str, os.PathLike))
-    return Path(path)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.checks import check_arrays, check_points, check_values
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
@@ -26,11 +27,21 @@ class Mesh:
         stats: numbers of inputs, kept and dropped items, and seconds per step.
     """
 
-    vertices: FloatArray
-    faces: Int32Array
-    point3D_ids: IntArray
-    colors: ByteArray
+    vertices: Annotated[FloatArray, "V", 3]
+    faces: Annotated[Int32Array, "F", 3]
+    point3D_ids: Annotated[IntArray, "V"]
+    colors: Annotated[ByteArray, "V", 3]
     stats: Mapping[str, float] = field(default_factory=dict)
+
+    def check(self, name: str = "mesh") -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_points(f"{name}.vertices", self.vertices)
+        check_values(f"{name}.faces", self.faces, 0, len(self.vertices) - 1)
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:

@@ -5,27 +5,30 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, joined_offsets
+from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
-    from colmap_edges.core.edges3d import Edges3D
-    from colmap_edges.surfaces.faces.finding import Faces
 
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
 # Minimum length of split segments, in median lengths; intersecting ones would be split forever.
 FINEST = 0.01
+# Largest median distance of edges' projections from their observations, in image sides. Those of
+# edges of this model are below a hundredth of it, those of another are anywhere.
+MAX_MISS = 0.01
 
 
 class Polylines(NamedTuple):
@@ -42,6 +45,7 @@ class Polylines(NamedTuple):
     closed: BoolArray
 
 
+@checked
 def mesh(
     reconstruction_or_path: Any,
     edges: Edges3D | None = None,
@@ -65,13 +69,14 @@ def mesh(
         faces: planar faces between the edges, as found by `reconstruct`.
 
     Raises:
-        ColmapEdgesError: if the model cannot be read, its points span no volume, or the mesher is
-            not built.
+        ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
+            its points span no volume, or the mesher is not built.
     """
     model = as_model(reconstruction_or_path)
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
+    check_of_model(model, {"edges": edges, "contours": contours}, background, faces)
     curves = [of for of in (edges, contours) if of is not None]
     points = faces.points if faces else NO_POINTS
     found = mesh_with_curves(model, curves, options, num_threads, background, points)
@@ -92,6 +97,11 @@ def mesh_with_curves(
 
     `point3D_ids` of the result are indices of the points in this order.
     """
+    if len(model.far_point3D_ids) and not len(model.points3D_xyz):
+        raise ColmapEdgesError(
+            f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
+            "with the distances between cameras; check the units of points and poses"
+        )
     seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
     seen += [
         SeenPoints(each.points, each.observations.offsets, each.observations.views)
@@ -116,6 +126,47 @@ def mesh_with_curves(
     )
 
 
+def check_of_model(
+    model: Model,
+    curves: Mapping[str, Edges3D | None],
+    background: Background | None,
+    faces: Faces | None,
+) -> None:
+    """Check that all that a mesh follows was found in this model.
+
+    Raises:
+        ColmapEdgesError: naming the argument that was not.
+    """
+    num_views = len(model.views)
+    sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
+    sfm.check("model", num_views)
+    for name, given in {**curves, "background": background, "faces": faces}.items():
+        if given is not None:
+            given.check(name, num_views)
+    for name, edges in curves.items():
+        if edges is not None and len(edges.observations.views):
+            check_projections(model, name, edges)
+
+
+def check_projections(model: Model, name: str, edges: Edges3D) -> None:
+    """Check that edges project to where the images of a model observe them.
+
+    Raises:
+        ColmapEdgesError: if they do not.
+    """
+    from colmap_edges.colmap.model import observation_residuals
+
+    sides = np.array([max(view.width, view.height) for view in model.views])
+    misses = observation_residuals(model, edges)
+    misses = np.where(np.isnan(misses), np.inf, misses) / sides[edges.observations.views]
+    if np.median(misses) > MAX_MISS:
+        raise ColmapEdgesError(
+            f"{name} are not of this model: most points project more than "
+            f"{MAX_MISS * sides.max():.0f} pixels away from their observations; give the model "
+            "that they were found in"
+        )
+
+
 def as_model(source: Any) -> Model:
     """Return a `Model` unchanged, convert a pycolmap.Reconstruction, read a path."""
     from colmap_edges.colmap import model as model_module
@@ -123,7 +174,7 @@ def as_model(source: Any) -> Model:
     if isinstance(source, model_module.Model):
         return source
     if isinstance(source, str | os.PathLike):
-        return model_module.load_model(Path(source))
+        return model_module.load_model(path_of("the path of the model", source))
     return model_module.model_from_reconstruction(source)
 
 
@@ -167,6 +218,7 @@ def mesh_points(
         ValueError: if the arrays are inconsistent.
     """
     extension = load_extension()
+    check_extent(points, camera_centers)
     polyline_offsets, polyline_points = closed_rows(edges)
     vertices, faces, sources, stats = extension.mesh_points(
         np.ascontiguousarray(points, np.float64).reshape(-1, 3),
@@ -193,6 +245,26 @@ def mesh_points(
     check_volume(stats, len(points))
     ids, black = sources[:, 0].astype(np.int64), np.zeros((len(vertices), 3), np.uint8)
     return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
+
+
+def check_extent(points: FloatArray, camera_centers: FloatArray) -> None:
+    """Check that cameras are not at infinity, compared with the extent of the points.
+
+    The mesher scales the points to unit size, and products of coordinates must stay finite.
+
+    Raises:
+        ColmapEdgesError: if they are.
+    """
+    finite = points[np.isfinite(points).all(axis=1)]
+    if not len(finite) or not len(camera_centers):
+        return
+    extent = float(np.ptp(finite, axis=0).max())
+    distance = float(np.abs(camera_centers - finite[0]).max())
+    if extent and distance > extent * MAX_COORDINATE**2:
+        raise ColmapEdgesError(
+            f"all {len(finite)} points lie within {extent:.3g} world units, but cameras are up to "
+            f"{distance:.3g} away from them; check the units of points and poses"
+        )
 
 
 def check_volume(stats: Mapping[str, float], num_points: int) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,8 +25,11 @@ from colmap_edges.core.arrays import (
     offsets_of,
     order_of,
 )
+from colmap_edges.core.checks import check_arrays, check_offsets, check_points
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import check_views
 from colmap_edges.core.view import View
+from colmap_edges.errors import check_type
 from colmap_edges.images.background import (
     BackgroundMask,
     BackgroundRays,
@@ -64,9 +67,20 @@ class SeenPoints(NamedTuple):
         track_views: (T,) int32 indices into the model's views.
     """
 
-    points: FloatArray
-    track_offsets: IntArray
-    track_views: Int32Array
+    points: Annotated[FloatArray, "P", 3]
+    track_offsets: Annotated[IntArray, "P+1"]
+    track_views: Annotated[Int32Array, "T"]
+
+    def check(self, name: str, num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_points(f"{name}.points", self.points)
+        check_offsets(f"{name}.track_offsets", self.track_offsets, len(self.track_views))
+        check_views(f"{name}.track_views", self.track_views, num_views)
 
 
 NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))
@@ -83,6 +97,17 @@ class Background:
 
     rays: BackgroundRays
     silhouettes: SeenPoints
+
+    def check(self, name: str = "background", num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_type(f"{name}.rays", self.rays, (BackgroundRays,))
+        self.rays.check(f"{name}.rays", num_views)
+        check_type(f"{name}.silhouettes", self.silhouettes, (SeenPoints,))
+        self.silhouettes.check(f"{name}.silhouettes", num_views)
 
 
 class Body(NamedTuple):

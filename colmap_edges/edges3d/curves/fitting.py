@@ -15,6 +15,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
     ranges_of,
 )
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import (
     ARC,
     CIRCLE,
@@ -38,6 +39,7 @@ from colmap_edges.edges3d.curves.wholes import wholes_of
 MAX_GAP_SPACINGS = 8.0
 
 
+@checked
 def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1) -> Curves3D:
     """Fit the simplest curves to each edge that describe it within its standard deviations.
 

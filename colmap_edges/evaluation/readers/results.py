@@ -12,6 +12,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.colmap.workspace import find_model, is_model
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_of, offsets_of
+from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import Observations
@@ -46,6 +47,7 @@ class WrittenEdges:
     faces: list[Face]
 
 
+@checked
 def read_edges(path: Path | str, model_path: Path | str | None = None) -> WrittenEdges:
     """Read back the edges of an output folder, or the lines of LIMAP.
 

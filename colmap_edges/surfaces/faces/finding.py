@@ -10,6 +10,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.errors import check_type
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
     Samples,
@@ -54,6 +55,18 @@ class Faces:
     num_cells: int
     num_labelled: int
     num_believed: int
+
+    def check(self, name: str = "faces", num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_type(f"{name}.faces", self.faces, (list,))
+        for index, face in enumerate(self.faces):
+            check_type(f"{name}.faces[{index}]", face, (Face,))
+        check_type(f"{name}.points", self.points, (SeenPoints,))
+        self.points.check(f"{name}.points", num_views)
 
     @property
     def area(self) -> float:
