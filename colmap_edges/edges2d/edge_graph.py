@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -51,27 +52,13 @@ class EdgeGraph:
         closed: (P,) bool; the last point of a closed polyline connects to its first.
     """
 
-    points: Float32Array
-    undistorted: Float32Array
-    normals: Float32Array
-    sides: ByteArray
-    colors: ByteArray
-    polyline_offsets: IntArray
-    closed: BoolArray
-
-    @classmethod
-    def none(cls) -> EdgeGraph:
-        """A graph without polylines."""
-        pairs = np.zeros((0, 2), np.float32)
-        return cls(
-            points=pairs,
-            undistorted=pairs,
-            normals=pairs,
-            sides=np.zeros((0, 2), np.uint8),
-            colors=np.zeros((0, 3), np.uint8),
-            polyline_offsets=np.zeros(1, np.int64),
-            closed=np.zeros(0, bool),
-        )
+    points: Annotated[Float32Array, "N", 2]
+    undistorted: Annotated[Float32Array, "N", 2]
+    normals: Annotated[Float32Array, "N", 2]
+    sides: Annotated[ByteArray, "N", 2]
+    colors: Annotated[ByteArray, "N", 3]
+    polyline_offsets: Annotated[IntArray, "P+1"]
+    closed: Annotated[BoolArray, "P"]
 
     @property
     def num_polylines(self) -> int:

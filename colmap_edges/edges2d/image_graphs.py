@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Picture, flattened
-from colmap_edges.core.validity import (
-    check,
-    check_finite,
-    check_like,
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    IntArray,
+    Picture,
+    flattened,
+    unflattened,
+)
+from colmap_edges.core.checks import (
+    MAX_COORDINATE,
+    check_array,
+    check_arrays,
     check_offsets,
-    check_rows,
+    check_shape,
+    check_values,
 )
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.detection import Chains, detect_chains
@@ -68,11 +77,6 @@ class DetectedEdges:
     num_chains: int
     num_chain_pixels: int
     background_mask: BackgroundMask = NO_BACKGROUND_MASK
-
-
-NO_EDGES = DetectedEdges(
-    graph=EdgeGraph.none(), dropped=np.zeros((0, 2)), num_chains=0, num_chain_pixels=0
-)
 
 
 class Visitor(Protocol):
@@ -314,23 +318,18 @@ def edges_from(arrays: Arrays, view: View) -> DetectedEdges:
     """The inverse of `arrays_of`, for the image of a view.
 
     Raises:
-        ValueError: if the arrays are not those of such edges.
+        KeyError, ValueError, ColmapEdgesError: if the arrays are not those of such edges.
     """
-    like = arrays_of(NO_EDGES)
-    for name in like.keys() - flattened(NO_EDGES.graph).keys():
-        found = arrays.get(name)
-        check(found is not None and found.dtype == like[name].dtype, name)
-        check(found is not None and found.ndim == like[name].ndim, name)
-    graph, dropped = graph_from(arrays), arrays["dropped"]
+    graph, mask = graph_from(arrays), unflattened(BackgroundMask, arrays, "background_mask_")
+    check_arrays("background_mask", mask)
+    if mask.packed_body.shape[1] != -(-int(mask.body_width[0]) // 8):
+        raise ValueError("the mask has another width")
+    dropped, counts = arrays["dropped"], arrays["num_chains_and_pixels"]
+    check_shape("dropped", check_array("dropped", dropped, FloatArray).shape, ("K", 2), {})
+    check_shape("counts", check_array("counts", counts, IntArray).shape, (2,), {})
     for points in (graph.points, dropped):
-        check(points.shape[1] == 2, "dropped")
-        check(bool((np.abs(points / (view.width, view.height) - 0.5) <= 0.51).all()), "points")
-    num_chains, num_chain_pixels = arrays["num_chains_and_pixels"].tolist()
-    mask = BackgroundMask(
-        **{e.name: arrays[f"background_mask_{e.name}"] for e in fields(BackgroundMask)}
-    )
-    check(mask.body_width.shape == (1,) and mask.body_pixels.shape == (2,), "background_mask")
-    check(mask.packed_body.shape[1] == -(-int(mask.body_width[0]) // 8), "background_mask")
+        check_values("points", points / (view.width, view.height), -0.01, 1.01)
+    num_chains, num_chain_pixels = counts.tolist()
     return DetectedEdges(
         graph=graph,
         dropped=dropped,
@@ -344,15 +343,16 @@ def graph_from(arrays: Arrays) -> EdgeGraph:
     """The edge graph among the arrays of a cache entry.
 
     Raises:
-        ValueError: if they are not those of a graph, or offsets lead out of them.
+        KeyError, ValueError, ColmapEdgesError: if they are not those of a graph, or offsets lead
+            out of them.
     """
-    check_like(arrays, EdgeGraph.none())
-    graph = EdgeGraph(**{entry.name: arrays[entry.name] for entry in fields(EdgeGraph)})
-    count, num_polylines = len(graph.points), graph.num_polylines
-    check_rows(graph, "points undistorted normals sides colors", count)
-    check_finite(graph, "points undistorted normals")
-    check_rows(graph, "polyline_offsets", num_polylines + 1)
-    check_offsets(graph.polyline_offsets, count, 1, "polyline_offsets")
+    graph = unflattened(EdgeGraph, arrays)
+    check_arrays("graph", graph)
+    check_offsets("graph.polyline_offsets", graph.polyline_offsets, len(graph.points))
+    if (np.diff(graph.polyline_offsets) < 1).any():
+        raise ValueError("a polyline has no points")
+    check_values("graph.undistorted", graph.undistorted, -MAX_COORDINATE, MAX_COORDINATE)
+    check_values("graph.normals", graph.normals, -1.01, 1.01)
     return graph
 
 

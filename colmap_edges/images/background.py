@@ -67,9 +67,9 @@ class BackgroundMask:
             backdrop's colour.
     """
 
-    packed_body: ByteArray
-    body_width: IntArray
-    body_pixels: IntArray
+    packed_body: Annotated[ByteArray, "h", "w"]
+    body_width: Annotated[IntArray, 1]
+    body_pixels: Annotated[IntArray, 2]
 
     @property
     def is_seen(self) -> bool:

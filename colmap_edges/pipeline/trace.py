@@ -14,7 +14,6 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.thinning import thinned
 from colmap_edges.core.arrays import FloatArray, flattened, unflattened
 from colmap_edges.core.edges3d import Edges3D, Nodes, TracedEdges
-from colmap_edges.core.validity import check, check_edges, check_like
 from colmap_edges.core.view import View, track_residuals
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.options import PipelineOptions, of_pose_edges
@@ -126,22 +125,18 @@ def traced_from(
     """The traced edges and their counts in a cache entry.
 
     Raises:
-        ValueError: if the arrays are not those of such edges, or points do not project to where
-            they are observed.
+        KeyError, ValueError, ColmapEdgesError: if the arrays are not those of such edges, or points
+            do not project to where they are observed.
     """
-    check_like(arrays, TracedEdges(edges=Edges3D.none(), contours=Edges3D.none()))
     traced = unflattened(TracedEdges, arrays)
     limit_px = MAX_RESIDUAL_RATIO * max(
         options.refinement.max_residual_px, options.following.max_error_px
     )
     for edges in (traced.edges, traced.contours):
-        check_edges(edges, len(views))
-        for of in (edges, edges.nodes):
-            check(bool((median_residuals(views, of) <= limit_px).all()), "points")
-    check("details" in arrays, "details")
-    details = json.loads(str(arrays["details"]))
-    check(isinstance(details, dict), "details")
-    return traced, details
+        edges.check("edges", len(views))
+        if not all((median_residuals(views, of) <= limit_px).all() for of in (edges, edges.nodes)):
+            raise ValueError("points do not project to where they are observed")
+    return traced, dict(json.loads(str(arrays["details"])))
 
 
 def median_residuals(views: Sequence[View], points: Edges3D | Nodes) -> FloatArray:

@@ -39,7 +39,10 @@ HEAD_LENGTH = struct.Struct("<Q")
 ALIGNMENT = 16  # bytes at multiples of which arrays start
 DIGEST_BYTES = hashlib.sha256().digest_size
 PLAIN_TYPE = re.compile("[<|=>][biufU][0-9]+")  # types of numbers and text, as numpy writes them
-NOT_AN_ENTRY = (ValueError, TypeError, OverflowError, RecursionError, struct.error)
+NOT_AN_ENTRY = (
+    *(ColmapEdgesError, KeyError, ValueError, TypeError),
+    *(OverflowError, RecursionError, struct.error),
+)
 UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # unfinished files older than this were left by killed runs
 
@@ -71,7 +74,7 @@ class Cache:
         """What `read` makes of an entry's arrays; None if it is missing or damaged.
 
         The checksum reveals damage, but not who wrote the entry. `read` therefore checks the arrays
-        and raises a ValueError if they cannot be the result for this key.
+        and raises one of `NOT_AN_ENTRY` if they cannot be the result for this key.
         """
         path = self.path(kind, key)
         try:
