@@ -3,7 +3,8 @@ import itertools
 import pytest
 
 from colmap_edges.options import EdgeGraphOptions, MeshingOptions, PipelineOptions, TracingOptions
-from colmap_edges.report.diagnosis import diagnose, funnel
+from colmap_edges.report.diagnosis import diagnose
+from colmap_edges.report.funnel import funnel
 
 READ = {"images_with_poses": 10, "images_without_poses": 0, "points3D": 500}
 DETECT = {"images": 10, "images_without_edges": 0, "chain_pixels": 9000, "edge_pixels": 9000}
