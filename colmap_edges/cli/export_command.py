@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import click
@@ -105,8 +105,10 @@ def write_view(written: Any, path: Path, name: str | None) -> None:
     from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.export.svg import write_svg
 
-    names = [view.name for view in written.model.views]
-    if name not in names:
-        raise ColmapEdgesError(f"no posed image is named {name!r}; names look like {names[0]!r}")
-    index = names.index(name)
+    names = [PurePosixPath(view.name) for view in written.model.views]  # without "./"
+    if PurePosixPath(name or "") not in names:
+        raise ColmapEdgesError(
+            f"no posed image is named {name!r}; names look like {written.model.views[0].name!r}"
+        )
+    index = names.index(PurePosixPath(name or ""))
     write_svg(written.edges, written.curves, written.model.views[index], index, path)
