@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import click
@@ -144,8 +144,10 @@ def write_view(written: Any, path: Path, name: str | None, overwrite: bool) -> N
     from colmap_edges.export.svg import write_svg
 
     views = written.model.views
-    names = [view.name for view in views]
-    if name not in names:
-        raise ColmapEdgesError(f"no posed image is named {name!r}; names look like {names[0]!r}")
-    index = names.index(name)
+    names = [PurePosixPath(view.name) for view in views]  # without "./"
+    if PurePosixPath(name or "") not in names:
+        raise ColmapEdgesError(
+            f"no posed image is named {name!r}; names look like {views[0].name!r}"
+        )
+    index = names.index(PurePosixPath(name or ""))
     write_svg(written.edges, written.curves, views[index], index, path, overwrite=overwrite)

@@ -17,6 +17,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from colmap_edges.colmap.binary_files import (
+    MODEL_NAMES,
     NO_POINT3D,
     ModelPoints,
     check_are_files,
@@ -33,6 +34,7 @@ from colmap_edges.colmap.plausibility import (
 )
 from colmap_edges.colmap.pose_check import Observed, check_frames_fit, contradicted_views
 from colmap_edges.colmap.text_files import is_text, write_as_binary
+from colmap_edges.colmap.workspace import is_model, numbered_models
 from colmap_edges.core.arrays import (
     BoolArray,
     ByteArray,
@@ -150,6 +152,14 @@ def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
     Raises:
         ColmapEdgesError: if the folder holds no readable model.
     """
+    if not is_binary(folder):
+        suffix = "bin" if (path / "cameras.bin").is_file() else "txt"
+        names = [f"{name}.{suffix}" for name in MODEL_NAMES[:3]]
+        missing = [name for name in names if not (path / name).is_file()]
+        what = f"no {', '.join(missing)}" if len(missing) < 3 else "none of its files"
+        raise ColmapEdgesError(
+            f"no readable COLMAP model in {path} ({what}); {where_model_is(path)}"
+        )
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # our error contains the reason
     try:
@@ -158,11 +168,19 @@ def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
-            f"no readable COLMAP model in {path} ({reason}); "
-            "give the folder that holds cameras, images and points3D (.bin or .txt)"
+            f"no readable COLMAP model in {path} ({reason}); {where_model_is(path)}"
         ) from error
     finally:
         pycolmap.logging.minloglevel = level
+
+
+def where_model_is(path: Path) -> str:
+    """What to do about a folder without a readable model: models may be below or above it."""
+    below = [path / "sparse", *numbered_models(path), *numbered_models(path / "sparse")]
+    found = [str(folder) for folder in (*below, path.parent) if is_model(folder)]
+    if found and not is_model(path):
+        return f"there is one in {' and '.join(found)}"
+    return "give the folder that holds cameras, images and points3D (.bin or .txt)"
 
 
 @contextmanager

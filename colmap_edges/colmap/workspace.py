@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import logging
+import struct
 from pathlib import Path
 
+from colmap_edges.colmap.binary_files import COUNT
+from colmap_edges.colmap.text_files import is_pose, lines_of
 from colmap_edges.errors import ColmapEdgesError
-
-logger = logging.getLogger(__name__)
+from colmap_edges.runtime.input_files import open_file
 
 MODEL_FILES = ("cameras.bin", "cameras.txt")
 
@@ -30,27 +31,51 @@ def is_model(folder: Path) -> bool:
 
 
 def find_model(workspace: Path) -> Path:
-    """The sparse model of a workspace.
+    """The sparse model of a workspace with the most images.
 
-    The model in sparse/0, or in sparse (as written by undistortion), or else the first of the other
-    models in sparse.
+    Of equal ones, that in sparse/0, or in sparse (as written by undistortion), or else the first of
+    the other models in sparse.
 
     Raises:
         ColmapEdgesError: when there is none.
     """
     sparse = workspace / "sparse"
-    numbered = [path for path in sparse.glob("*") if path.name.isdecimal() and is_model(path)]
-    numbered.sort(key=lambda path: int(path.name))
-    first = sparse / "0"
-    models = ([sparse] if is_model(sparse) else []) + numbered
-    if first in models:
-        models.insert(0, models.pop(models.index(first)))
+    models = numbered_models(sparse)
+    if is_model(sparse):
+        models.insert(1 if sparse / "0" in models else 0, sparse)
+    if not models and (numbered_models(workspace) or is_model(workspace)):
+        raise ColmapEdgesError(
+            f"workspace {workspace} is a folder of models; give the folder above it, which holds "
+            "images and sparse, or --image_path and --input_path"
+        )
     if not models:
         raise ColmapEdgesError(
             f"workspace {workspace} has no model in sparse/0 or sparse; run `colmap mapper` first, "
             "or give --input_path"
         )
-    others = ", ".join(path.name for path in models[1:] if path != sparse)
-    if others:
-        logger.warning("%s is used; more models are in %s: %s", models[0], sparse, others)
-    return models[0]
+    return max(models, key=num_images)
+
+
+def numbered_models(folder: Path) -> list[Path]:
+    """The models that `colmap mapper` has written to a folder, by number."""
+    found = [path for path in folder.glob("*") if path.name.isdecimal() and is_model(path)]
+    return sorted(found, key=lambda path: int(path.name))
+
+
+def other_models(model: Path) -> dict[str, int]:
+    """Numbers of images of the other models beside that of a folder, by the folders' names."""
+    if not model.name.isdecimal():
+        return {}
+    others = [path for path in numbered_models(model.parent) if path.name != model.name]
+    return {path.name: num_images(path) for path in others}
+
+
+def num_images(model: Path) -> int:
+    """Number of images of the model in a folder; 0 if it cannot be read."""
+    try:
+        if (model / "images.bin").is_file():
+            with open_file(model / "images.bin") as file:
+                return int(COUNT.unpack(file.read(COUNT.size))[0])
+        return sum(is_pose(line.words) for line in lines_of(model / "images.txt"))
+    except (ColmapEdgesError, OSError, struct.error):
+        return 0

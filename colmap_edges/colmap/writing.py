@@ -39,7 +39,11 @@ def moved_model(model: Model, motions: FloatArray, points3D_xyz: FloatArray) -> 
         points3D_xyz: (N, 3) the new points.
     """
     moved = pycolmap.Reconstruction(model.reconstruction)
-    for frame_id, motion in zip(np.unique(frames_of_views(model)), motions, strict=True):
+    motion_of = dict(zip(np.unique(frames_of_views(model)).tolist(), motions, strict=True))
+    frame_of = {image.name: image.frame_id for image in moved.images.values()}
+    for copy, original in model.copies:  # they stay where their originals are
+        motion_of.setdefault(frame_of[copy], motion_of[frame_of[original]])
+    for frame_id, motion in motion_of.items():
         frame = moved.frames[frame_id]
         frame.rig_from_world = frame.rig_from_world * pycolmap.Rigid3d(motion)
     for point3D_id, xyz in zip(model.point3D_ids, points3D_xyz, strict=True):

@@ -41,13 +41,14 @@ from colmap_edges.images.background import (
 from colmap_edges.images.edge_maps import decode_edge_map, read_edge_map
 from colmap_edges.images.files import (
     CompanionFile,
+    alpha_of,
     colors_at,
     decode_image,
     gray_of,
     path_of_image,
     read_bytes,
 )
-from colmap_edges.images.masks import decode_mask, read_mask
+from colmap_edges.images.masks import read_mask, usable_pixels
 from colmap_edges.options import DetectionOptions, EdgeGraphOptions
 from colmap_edges.runtime.cache import Arrays, Cache, key_of
 
@@ -165,7 +166,7 @@ class ImageRecord:
     Attributes:
         counts: numbers of detected items.
         key: key of its graph in the cache; empty without a cache.
-        masked: whether it has a mask.
+        masked: whether it has a mask or transparent pixels.
         reused: whether its graph was in the cache.
         background_mask: the background in the image.
         damage: why the image could not be read, or None.
@@ -220,11 +221,13 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     edge_map = read_edge_map(work.edge_path, view.name)
     key = graph_key(data, mask, edge_map, view, work) if work.cache else ""
     kept = work.cache.load(KIND, key, lambda a: edges_from(a, view)) if work.cache else None
-    usable = None
-    if mask and (kept is None or work.masks_are_background):
-        usable = decode_mask(mask, view)
+    alpha = alpha_of(data)
     if kept is None:
         image = decode_image(data, path, view)
+    usable = None
+    if (mask or alpha is not None) and (kept is None or work.masks_are_background):
+        usable = usable_pixels(mask, alpha, view)
+    if kept is None:
         found = detect_edges(image, usable, edge_map, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
@@ -243,7 +246,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     record = ImageRecord(
         counts=counts_of(found),
         key=key,
-        masked=mask is not None,
+        masked=mask is not None or alpha is not None,
         reused=kept is not None,
         visited=visited,
         background_mask=background_mask,

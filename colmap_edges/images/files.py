@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +20,9 @@ from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.input_files import open_file
 
+SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"}
+JPEG, PNG = b"\xff\xd8", b"\x89PNG"  # first bytes of files
+SEARCHED = 65536  # bytes that hold the head of a PNG file: kind of colours, palette, transparency
 # COLMAP ignores the EXIF orientation.
 COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 # Masks and edge images are read as grayscale of any bit depth.
@@ -106,8 +112,39 @@ def check_images_exist(views: Iterable[View], image_path: Path) -> None:
         more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
         raise ColmapEdgesError(
             f"image {missing[0]}{more} of the model is not in {image_path}; "
-            "give the folder the model was made from as --image_path"
+            f"{where_image_is(image_path, missing[0])}"
         )
+
+
+def where_image_is(image_path: Path, name: str) -> str:
+    """What to do about a missing image: it may be nearby, or have nearly the same name."""
+    near = near_name(image_path, name)
+    if near:
+        return f"{near!a} is there: rename it to the model's {PurePosixPath(name).name!a}"
+    inside = (folder for folder in sorted(image_path.iterdir()) if folder.is_dir())
+    parts = PurePosixPath(name).parts
+    outside = [image_path.parent] if parts[0] == image_path.name else []
+    for folder in (*outside, *inside):
+        if is_file(path_of_image(folder, name)):
+            return f"it is in {folder}: give that as --image_path"
+    return "give the folder the model was made from as --image_path"
+
+
+def near_name(image_path: Path, name: str) -> str | None:
+    """The file in the folder of an image whose name differs in case, suffix or Unicode form."""
+    path = path_of_image(image_path, name)
+    with suppress(OSError):
+        others = sorted(other.name for other in path.parent.iterdir() if other.is_file())
+        for key in (plain_name, lambda text: PurePosixPath(plain_name(text)).stem):
+            found = next((other for other in others if key(other) == key(path.name)), None)
+            if found:
+                return found
+    return None
+
+
+def plain_name(name: str) -> str:
+    """A name without case, in one Unicode form."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def is_file(path: Path) -> bool:
@@ -116,6 +153,53 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # such as a name of more than 255 bytes
         return False
+
+
+def count_images(folder: Path) -> int:
+    """Number of image files below a folder, by their suffixes."""
+    return sum(
+        Path(name).suffix.lower() in SUFFIXES for _, _, names in os.walk(folder) for name in names
+    )
+
+
+def same_files(views: Sequence[View], image_path: Path) -> list[list[int]]:
+    """Groups of indices of views whose image files have the same bytes.
+
+    Files that cannot be read are left out. Of files of different sizes, nothing is read.
+    """
+    groups = [list(range(len(views)))]
+    for key in (file_size, middle_bytes, digest):
+        groups = [group for former in groups for group in equal_by(key, former, views, image_path)]
+    return groups
+
+
+def equal_by(
+    key: Callable[[Path], Any], rows: list[int], views: Sequence[View], image_path: Path
+) -> list[list[int]]:
+    """Groups of two or more of the rows whose image files have equal keys."""
+    found: dict[Any, list[int]] = {}
+    for row in rows:
+        with suppress(OSError, ColmapEdgesError):
+            found.setdefault(key(path_of_image(image_path, views[row].name)), []).append(row)
+    return [group for group in found.values() if len(group) > 1]
+
+
+def file_size(path: Path) -> int:
+    """The size of a file in bytes."""
+    return path.stat().st_size
+
+
+def middle_bytes(path: Path) -> bytes:
+    """Some bytes in the middle of a file, which tell most images apart."""
+    with open_file(path) as file:
+        file.seek(file_size(path) // 2)
+        return file.read(4096)
+
+
+def digest(path: Path) -> bytes:
+    """A digest of all bytes of a file."""
+    with open_file(path) as file:
+        return hashlib.sha256(file.read()).digest()
 
 
 def read_image(view: View, image_path: Path) -> Picture:
@@ -139,9 +223,16 @@ def decode_image(data: ByteArray, path: Path, view: View) -> Picture:
     image = decode(data, path)
     height, width = image.shape[:2]
     if (width, height) != (view.width, view.height):
-        raise ColmapEdgesError(
-            f"image {path} is {width}x{height}, its camera {view.width}x{view.height}; "
+        remedy = (
             "give the images the model was made from (undistorted ones for an undistorted model)"
+        )
+        if (height, width) == (view.width, view.height):
+            remedy = (
+                "the image was rotated by a quarter turn after mapping, or before it by a program "
+                "that heeds the EXIF orientation, which COLMAP does not: give the images as mapped"
+            )
+        raise ColmapEdgesError(
+            f"image {path} is {width}x{height}, its camera {view.width}x{view.height}; {remedy}"
         )
     return image
 
@@ -184,8 +275,28 @@ def decode(data: ByteArray, path: Path) -> Picture:
     except (MemoryError, cv2.error) as error:
         raise unreadable(path, error) from error
     if image is None:
+        if bytes(data[4:8]) == b"ftyp":
+            raise ImageError(
+                f"cannot read image {path}: it is HEIC or AVIF; convert it to JPEG or PNG under "
+                "the same name, for instance with heif-convert"
+            )
         raise ImageError(f"cannot read image {path}: it is damaged or of an unknown format")
     return np.asarray(image, np.uint8)
+
+
+def alpha_of(data: ByteArray) -> Picture | None:
+    """The alpha channel (H, W) in the bytes of an image file; None if all pixels are opaque."""
+    head = data[:SEARCHED].tobytes()
+    is_png = head.startswith(PNG)
+    if head.startswith(JPEG) or (is_png and head[25] not in (4, 6) and b"tRNS" not in head):
+        return None  # decoding takes longer
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except (MemoryError, cv2.error):
+        return None  # whoever decodes the colours reports it
+    if image is None or image.ndim < 3 or image.shape[2] < 4 or image[..., 3].all():
+        return None
+    return np.asarray(image[..., 3])
 
 
 def gray_of(image: Picture) -> Picture:

@@ -1,4 +1,4 @@
-"""Image masks, named as in COLMAP; edges in black areas are ignored."""
+"""Image masks, named as in COLMAP, and alpha channels: no edges in black or transparent areas."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray
+from colmap_edges.core.arrays import BoolArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import CompanionFile, first_existing, square
@@ -60,11 +60,29 @@ def read_mask(mask_path: Path | None, name: str) -> CompanionFile | None:
     return CompanionFile.read("mask", path, name) if path else None
 
 
-def decode_mask(file: CompanionFile, view: View) -> BoolArray:
-    """Decode a view's mask.
+def usable_pixels(mask: CompanionFile | None, alpha: Picture | None, view: View) -> BoolArray:
+    """Whether edges of each pixel of a view are used, given its mask or its image's alpha channel.
+
+    Args:
+        mask: its mask, undecoded, or None.
+        alpha: (H, W) opacities of its image, or None; transparent pixels are masked.
+        view: the view.
 
     Returns:
-        (H, W) whether edges of a pixel are used: it, or a pixel nearby, is not black.
+        (H, W) whether the pixel, or one nearby, is neither black in the mask nor transparent.
+
+    Raises:
+        ColmapEdgesError: if the mask cannot be decoded, or does not have its camera's size.
+    """
+    seen = np.ones((view.height, view.width), np.uint8)
+    for picture in (None if mask is None else decode_mask(mask, view), alpha):
+        if picture is not None:
+            seen &= picture > 0
+    return np.asarray(cv2.dilate(seen, square(MARGIN_PX)) > 0)
+
+
+def decode_mask(file: CompanionFile, view: View) -> Picture:
+    """Decode a view's mask, (H, W).
 
     Raises:
         ColmapEdgesError: if it cannot be decoded, or does not have its camera's size.
@@ -76,4 +94,4 @@ def decode_mask(file: CompanionFile, view: View) -> BoolArray:
             f"mask {file.path} is {width}x{height}, the camera of image {view.name} "
             f"{view.width}x{view.height}; give masks of the size of their images"
         )
-    return np.asarray(cv2.dilate((mask > 0).astype(np.uint8), square(MARGIN_PX)) > 0)
+    return mask

@@ -91,8 +91,9 @@ def detect_stage(
         names = [model.views[index].name for index in damaged]
         stage.counts = detection_counts([record.counts for record in records], names)
         stage.counts["image_scale"] = model.scale
-        if mask_path:
-            stage.counts["images_masked"] = sum(record.masked for record in records)
+        masked = sum(record.masked for record in records)
+        if mask_path or masked:
+            stage.counts["images_masked"] = masked
         if edge_path:
             stage.counts["edge_images"] = len(records) - len(damaged)
         if workers.cache:
@@ -184,20 +185,12 @@ class GraphWriter:
 
 
 def check_file_names(views: Sequence[View]) -> None:
-    """Check that the output files of all images have different, compatible paths.
+    """Check that no output file of an image has the name of the folder of others.
 
     Raises:
         ColmapEdgesError: naming two images whose files collide.
     """
-    names: dict[PurePosixPath, str] = {}
-    for view in views:
-        path = PurePosixPath(view.name + ".npz")  # without "./" and "//"
-        if path in names:
-            raise ColmapEdgesError(
-                f"the images {names[path]} and {view.name} of the model are one file, so their "
-                "outputs would collide; delete one from the model"
-            )
-        names[path] = view.name
+    names = {PurePosixPath(view.name + ".npz"): view.name for view in views}
     for path, name in names.items():
         inside = next((names[parent] for parent in path.parents if parent in names), None)
         if inside:

@@ -9,6 +9,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import write_mesh
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
@@ -85,7 +86,16 @@ def mesh_stage(
     background: Background | None = None,
     faces: Faces = NO_FACES,
 ) -> Mesh:
-    """Mesh a model's points, edges and faces; `extended` is the model with the edges' points."""
+    """Mesh a model's points, edges and faces; `extended` is the model with the edges' points.
+
+    Raises:
+        ColmapEdgesError: if no image observes a point.
+    """
+    if not len(extended.track_views):
+        raise ColmapEdgesError(
+            f"nothing to mesh: none of the {len(extended.point3D_ids):,} points has a track; run "
+            "`colmap point_triangulator` on the model first"
+        )
     with stages.stage("mesh") as stage:
         curves = [traced.edges, traced.contours] if traced else []
         threads = thread_count(options)

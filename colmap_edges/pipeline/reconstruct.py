@@ -16,14 +16,13 @@ from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
-from colmap_edges.pipeline.read import check_model, check_pictures
+from colmap_edges.pipeline.read import check_pictures, read_stage
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.diagnosis import Finding, diagnose
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridTaker
-from colmap_edges.surfaces.mesher import as_model
 from colmap_edges.surfaces.silhouettes import Background
 
 
@@ -94,8 +93,7 @@ def reconstruct(
     masks = Path(mask_path) if mask_path else None
     maps = Path(edge_path) if edge_path else None
     stages = Stages()
-    model = as_model(reconstruction_or_path)
-    check_model(model, "the reconstruction")
+    model = read_stage(reconstruction_or_path, stages, images)
     check_pictures(model, images, masks, maps, options)
     model = at_working_scale(model, images, options.detection)
     taker = GridTaker() if options.use_faces else None

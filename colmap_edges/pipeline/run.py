@@ -74,9 +74,11 @@ def run(
         open_workers(options, paths.cache_path, scheduler) as workers,
     ):
         stages = Stages(progress)
-        model, settings = read_stage(paths.input_path, stages), options
+        uses_images = command != "mesh" or options.use_edges
+        images = paths.image_path if uses_images else None
+        model, settings = read_stage(paths.input_path, stages, images), options
         viewer.show_model(model)
-        if command == "mesh" and not options.use_edges:
+        if not uses_images:
             mesh = mesh_stage(model, None, model, folder, options, stages)
             viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh)

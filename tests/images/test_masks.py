@@ -19,9 +19,9 @@ from colmap_edges.images.files import CompanionFile
 from colmap_edges.images.masks import (
     MARGIN_PX,
     check_masks,
-    decode_mask,
     path_of_mask,
     read_mask,
+    usable_pixels,
 )
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
@@ -100,7 +100,9 @@ def test_black_is_masked_whatever_the_format(scene_model, kind):
     }[kind]
     options = [cv2.IMWRITE_PNG_BILEVEL, 1] if kind == "one bit" else []
     data = cv2.imencode(".png", stored, options)[1].ravel()
-    usable = decode_mask(CompanionFile("mask", Path("m.png"), "m.jpg", data), view_of(scene_model))
+    usable = usable_pixels(
+        CompanionFile("mask", Path("m.png"), "m.jpg", data), None, view_of(scene_model)
+    )
     expected = np.zeros((40, 60), bool)
     expected[:, 30 - MARGIN_PX :] = True
     np.testing.assert_array_equal(usable, expected)
