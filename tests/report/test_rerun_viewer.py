@@ -18,7 +18,13 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.report import rerun_viewer as viewer
-from colmap_edges.report.rerun_viewer import colors_of, open_viewer, strips, up_axis
+from colmap_edges.report.rerun_viewer import (
+    check_recording_path,
+    colors_of,
+    open_viewer,
+    strips,
+    up_axis,
+)
 from colmap_edges.surfaces.faces.outlines import Face
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
@@ -216,10 +222,10 @@ def test_recording_that_cannot_be_made(target, message, tmp_path):
 
 def test_failed_run_keeps_the_earlier_recording(rerun, tmp_path):
     target = tmp_path / "run.rrd"
-    target.write_text("earlier")
+    target.write_text("RRF2 earlier")
     with pytest.raises(ColmapEdgesError), open_viewer(str(target), tmp_path / "out", True):
         raise ColmapEdgesError("failed")
-    assert target.read_text() == "earlier"
+    assert target.read_text() == "RRF2 earlier"
     with open_viewer(str(target), tmp_path / "out", True):
         pass
     assert target.read_bytes()[:3] == b"RRF"
@@ -255,3 +261,14 @@ def test_more_views_are_brighter():
 def test_up_axis_is_the_nearest(up, name, scene_model, monkeypatch):
     monkeypatch.setattr(viewer, "up_direction", lambda model: np.array(up))
     assert up_axis(scene_model) == name
+
+
+@pytest.mark.parametrize(("content", "replaced"), [(b"RRF2 earlier", True), (b"mine", False)])
+def test_only_recordings_are_replaced(tmp_path, content, replaced):
+    path = tmp_path / "run.rrd"
+    path.write_bytes(content)
+    if replaced:
+        check_recording_path(path, tmp_path / "out", True, [])
+        return
+    with pytest.raises(ColmapEdgesError, match="not a recording of rerun, so it is not replaced"):
+        check_recording_path(path, tmp_path / "out", True, [])

@@ -17,7 +17,7 @@ from colmap_edges.options import DetectionOptions, MeshingOptions, PipelineOptio
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.runtime import cache as cache_module
-from colmap_edges.runtime.cache import Cache, key_of, seal
+from colmap_edges.runtime.cache import Cache, key_of, packed, seal, unpacked
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -309,3 +309,51 @@ def test_report_counts_reused_results(small, tmp_path):
     assert "6 images reused" in done.stdout
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["paths"]["cache_path"] == str(tmp_path / "cache")
+
+
+def forged(cache, kind, change):
+    """Seal all entries of a kind again after a change of their arrays."""
+    for path in sorted((cache / kind).rglob("*.entry")):
+        arrays = dict(unpacked(bytearray(path.read_bytes()[32:])))
+        arrays |= change(arrays)
+        data = packed({name: array for name, array in arrays.items() if array is not None})
+        path.write_bytes(seal(kind, path.stem, data) + data)
+
+
+FORGED = {
+    "missing": ("edge_graphs", lambda a: {"points": None}),
+    "of another type": ("edge_graphs", lambda a: {"points": a["points"].astype(float)}),
+    "of another shape": ("edge_graphs", lambda a: {"normals": a["normals"][:, :1].copy()}),
+    "shorter": ("edge_graphs", lambda a: {"colors": a["colors"][1:]}),
+    "outside of the image": ("edge_graphs", lambda a: {"points": a["points"] + np.float32(900)}),
+    "index out of range": ("edge_graphs", lambda a: {"smoothed": a["smoothed"] + 10**6}),
+    "moved": ("edges", lambda a: {"edges.points": a["edges.points"] + 1}),
+    "view out of range": (
+        "edges",
+        lambda a: {"edges.observations.views": a["edges.observations.views"] + np.int32(99)},
+    ),
+    "counts of another kind": ("edges", lambda a: {"details": np.array("[]")}),
+}
+
+
+def test_forged_entries_are_made_again(small, reference, tmp_path, hash_output, caplog):
+    """Sealed like entries, but no result of a run."""
+    mesh(small, tmp_path / "out", tmp_path / "cache")
+    for name, (kind, change) in FORGED.items():
+        cache = tmp_path / name
+        shutil.copytree(tmp_path / "cache", cache)
+        forged(cache, kind, change)
+        if kind == "edge_graphs":
+            shutil.rmtree(cache / "edges")
+        caplog.clear()
+        output, counts = mesh(small, tmp_path / "out", cache)
+        assert hash_output(output) == hash_output(reference), name
+        assert caplog.text.count("is damaged; it is made again") == (6 if "graph" in kind else 1)
+        assert reused(counts)[0 if "graph" in kind else 1] == 0
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_cache_among_the_inputs_is_refused(small, tmp_path, place):
+    with pytest.raises(ColmapEdgesError, match=r"cache_path .* is inside or around the input"):
+        mesh(small, tmp_path / "out", small[place] / "cache")
+    assert not (small[place] / "cache").exists()
