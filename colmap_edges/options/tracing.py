@@ -253,11 +253,27 @@ class TracingOptions(Options):
         within=(1, 100),
     )
     min_residual_px: float = constant(
-        0.22,
-        "Mean residual below which a 3D edge is never a view-dependent contour, in pixels of the "
-        "given images",
-        "a little less than sqrt(2 / pi) Refinement.noise_px, the expected mean residual",
+        0.25,
+        "Mean residual below which a 3D edge is never a view-dependent contour unless it moves, in "
+        "pixels of the given images",
+        "tried on 19 scenes (docs/experiments.md, Contours are told by their radius)",
         within=(0.01, 50),
+        given_px=True,
+    )
+    max_displacement_px: float = constant(
+        0.7,
+        "Maximum displacement of a 3D edge next to overexposed pixels, in pixels of the given "
+        "images",
+        "0.3 to 0.5 pixels were measured (docs/experiments.md, Contours are told by their radius)",
+        within=(0, 50),
+        given_px=True,
+    )
+    min_radius_px: float = constant(
+        4.0,
+        "Minimum radius of a body whose contour is told by its motion, in pixels of the given "
+        "images",
+        "tried on 19 scenes (docs/experiments.md, Contours are told by their radius)",
+        within=(0, 1000),
         given_px=True,
     )
     max_false_edges: float = option(
