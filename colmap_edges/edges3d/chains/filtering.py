@@ -24,7 +24,7 @@ from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
-MIN_GAIN = 0.1  # part of the residuals of a contour that its radius explains
+MIN_GAIN = 0.3  # part of the residuals of a contour that its radius explains
 ROBUST_PX = 1.0  # residual at which the weight of an observation of a radius is 1/4
 ROBUST_STEPS = 4  # iterations of the estimate of radii
 TESTS_PER_CURVE = 30  # number of independent depths of a chain (tests of the a-contrario model)
