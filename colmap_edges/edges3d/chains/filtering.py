@@ -11,11 +11,22 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, owners_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    entries_of,
+    offsets_of,
+    owners_of,
+)
 from colmap_edges.core.observations import ChainObservations
 from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.options import TracingOptions
 
+MIN_GAIN = 0.3  # part of the residuals of a contour that its radius explains
+ROBUST_PX = 1.0  # residual at which the weight of an observation of a radius is 1/4
+ROBUST_STEPS = 4  # iterations of the estimate of radii
 TESTS_PER_CURVE = 30  # number of independent depths of a chain (tests of the a-contrario model)
 INDEPENDENT_PX = 16  # distance along a chain beyond which observations are independent
 
@@ -31,14 +42,16 @@ class Traced:
         reference: the view on whose chains they lie.
         observations: observations on the views' chains, those of the reference view first.
         uncertainties: (N,) `sigmas` in pixels of the reference view.
-        residuals: (N,) mean distance to the observing chains of other views, in pixels.
+        residuals: (T,) float32 signed distances across the observing chains, in pixels.
+        drifts: (T,) float32 their changes by the radius of a rounded edge, pixels per pixel.
         log_chances: (N,) log10 of the probability of as many accidental observations.
     """
 
     points: FloatArray
     sigmas: FloatArray
     uncertainties: FloatArray
-    residuals: FloatArray
+    residuals: Float32Array
+    drifts: Float32Array
     log_chances: FloatArray
     offsets: IntArray
     reference: int
@@ -47,7 +60,7 @@ class Traced:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Maximum uncertainty, residual and probability of accidental observations of a curve.
+    """Maximum uncertainty, residuals and probability of accidental observations of a curve.
 
     Attributes:
         uncertainty_px: a point's standard deviation along the reference view's ray, in pixels.
@@ -135,7 +148,12 @@ def without_hidden(
     )
     parts = np.split(~hidden, np.cumsum([len(t.observations.views) for t in traced])[:-1])
     kept = [
-        replace(t, observations=t.observations.keep(seen))
+        replace(
+            t,
+            observations=t.observations.keep(seen),
+            residuals=t.residuals[seen],
+            drifts=t.drifts[seen],
+        )
         for t, seen in zip(traced, parts, strict=True)
     ]
     return kept, int(hidden.sum())
@@ -174,7 +192,7 @@ def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | Non
     log_chance = chance_limit([traced], options)
     pieces, lasting = find_pieces(traced, enough, log_chance, options)
     if limits is not None:
-        lasting &= scatter_of(traced, pieces) <= limits.residual_px
+        lasting &= are_fixed(traced, pieces, limits.residual_px, options)
     return enough & lasting[pieces]
 
 
@@ -210,22 +228,87 @@ def median_of(values: FloatArray) -> float:
 
 def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
     """(N,) mean residual of all points in pixels, and (N,) its number of observations."""
-    scatter = [scatter_of(t, np.arange(len(t.points))) for t in traced]
+    scatter = [
+        scatter_of(seen, np.abs(seen.residuals))
+        for seen in (Seen.of(each, np.arange(len(each.points))) for each in traced)
+    ]
     spare = [np.maximum(t.observations.counts - 2, 0) for t in traced]
     return np.concatenate([np.zeros(0), *scatter]), np.concatenate([np.zeros(0, np.int64), *spare])
 
 
-def scatter_of(traced: Traced, groups: IntArray) -> FloatArray:
-    """(G,) mean distance of the observations to the edge, in pixels, per group of points.
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Observations of groups of points in other views than the reference view.
 
-    One observation besides the reference view's determines the depth and is not counted, as it
-    always fits. `groups` (N,) are numbered from 0.
+    Attributes:
+        residuals: (T,) signed distances across the observing chains, in pixels.
+        drifts: (T,) their changes by the radius of a rounded edge, pixels per pixel.
+        owners: (T,) group of each observation.
+        spare: (G,) number of observations less one for each point, which determines its depth.
     """
-    others = traced.observations.counts - 1
-    sums = np.bincount(groups, weights=others * traced.residuals)
-    spare = np.bincount(groups, weights=others - 1)
-    scatter: FloatArray = sums / np.maximum(spare, 1)
+
+    residuals: FloatArray
+    drifts: FloatArray
+    owners: IntArray
+    spare: IntArray
+
+    @classmethod
+    def of(cls, traced: Traced, groups: IntArray) -> Seen:
+        """The observations of groups of points, numbered from 0 in (N,) `groups`."""
+        observed = traced.observations
+        others = np.flatnonzero(observed.views != traced.reference)
+        return cls(
+            residuals=traced.residuals[others].astype(np.float64),
+            drifts=traced.drifts[others].astype(np.float64),
+            owners=groups[observed.points[others]],
+            spare=np.bincount(groups, observed.counts - 2).astype(np.int64),
+        )
+
+
+def scatter_of(seen: Seen, distances: FloatArray) -> FloatArray:
+    """(G,) mean of the (T,) distances of the observations of each group."""
+    sums = np.bincount(seen.owners, distances, len(seen.spare))
+    scatter: FloatArray = sums / np.maximum(seen.spare, 1)
     return scatter
+
+
+def are_fixed(
+    traced: Traced, groups: IntArray, limits_px: FloatArray | float, options: TracingOptions
+) -> BoolArray:
+    """(G,) whether the observations of groups of points are of a fixed edge.
+
+    The point that is seen on a smooth body moves over it with the view, as on a cylinder whose
+    radius the observations determine. An edge next to overexposed pixels is displaced towards its
+    dark side in all views, as if it had a radius of this displacement. So a displacement explains
+    residuals of edges, but a larger radius those of contours.
+
+    Args:
+        traced: the curves, N points.
+        groups: (N,) group of each point, numbered from 0.
+        limits_px: one or (G,) maximum mean residuals of an edge.
+        options: the largest displacement of an edge and the smallest radius of a contour.
+    """
+    seen = Seen.of(traced, groups)
+    radii = fit_radii(seen)
+    displaced = np.clip(radii, -options.max_displacement_px, options.max_displacement_px)
+    fixed, moving = (
+        scatter_of(seen, np.abs(seen.residuals + of[seen.owners] * seen.drifts))
+        for of in (displaced, radii)
+    )
+    moves = (np.abs(radii) > options.min_radius_px) & (moving < (1 - MIN_GAIN) * fixed)
+    return np.asarray((fixed <= limits_px) & ~moves)
+
+
+def fit_radii(seen: Seen) -> FloatArray:
+    """(G,) radii of rounded edges in pixels, robustly fitted (Geman-McClure weights)."""
+    radii = np.zeros(len(seen.spare))
+    for _ in range(ROBUST_STEPS):
+        rest = (seen.residuals + radii[seen.owners] * seen.drifts) / ROBUST_PX
+        weighted = seen.drifts / (1 + rest**2) ** 2
+        information = np.bincount(seen.owners, weighted * seen.drifts, len(radii))
+        pull = np.bincount(seen.owners, weighted * seen.residuals, len(radii))
+        radii = -pull / (information + 1e-300)
+    return radii
 
 
 def sort_pieces(
@@ -238,7 +321,7 @@ def sort_pieces(
         such as silhouettes of smooth bodies and reflections.
     """
     pieces, good = find_pieces(traced, keep, limits.log_chance, options)
-    fixed = scatter_of(traced, pieces) <= limits.residual_px
+    fixed = are_fixed(traced, pieces, limits.residual_px, options)
     return (
         chosen(traced, pieces, keep & (good & fixed)[pieces]),
         chosen(traced, pieces, keep & (good & ~fixed)[pieces]),
@@ -256,8 +339,8 @@ def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tup
     keep = traced.observations.counts >= options.min_observations
     keep &= traced.uncertainties <= limits.uncertainty_px
     pieces, long = find_pieces(traced, keep, np.inf, options)
-    sizes = np.bincount(pieces)
-    fixed = scatter_of(traced, pieces) <= limits.residual_px * (1 + 1 / np.sqrt(sizes))
+    tolerance = 1 + 1 / np.sqrt(np.bincount(pieces))
+    fixed = are_fixed(traced, pieces, limits.residual_px * tolerance, options)
     return (
         chosen(traced, pieces, keep & (long & fixed)[pieces]),
         chosen(traced, pieces, keep & (long & ~fixed)[pieces]),
@@ -287,13 +370,16 @@ def find_pieces(
 def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
     """The points where `keep` is true, as curves of their (N,) pieces."""
     lengths = np.unique(pieces[keep], return_counts=True)[1]
+    points = np.flatnonzero(keep)
+    rows = entries_of(traced.observations.offsets, points)
     return Traced(
         points=traced.points[keep],
         sigmas=traced.sigmas[keep],
         uncertainties=traced.uncertainties[keep],
-        residuals=traced.residuals[keep],
+        residuals=traced.residuals[rows],
+        drifts=traced.drifts[rows],
         log_chances=traced.log_chances[keep],
         offsets=offsets_of(lengths),
         reference=traced.reference,
-        observations=traced.observations.select(np.flatnonzero(keep)),
+        observations=traced.observations.select(points),
     )

@@ -24,7 +24,12 @@ from colmap_edges.edges3d.chains.filtering import (
     sort_remains,
 )
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
-from colmap_edges.edges3d.chains.refinement import WELL_ACROSS, joint_step
+from colmap_edges.edges3d.chains.refinement import (
+    WELL_ACROSS,
+    joint_step,
+    rounding_drifts,
+    with_reference,
+)
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.copies import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -120,7 +125,9 @@ def refined_with(
         num_threads=num_threads,
     )
     curves, table, residuals, information = refit(curves, table, observers)
-    observed = np.isfinite(table).sum(axis=1)
+    drifts = rounding_drifts(curves, table, observers)
+    positions = np.column_stack([at_reference, table])
+    seen = np.isfinite(positions)
     with np.errstate(divide="ignore"):
         sigmas = options.refinement.noise_px / np.sqrt(information)
     return replace(
@@ -130,10 +137,9 @@ def refined_with(
         uncertainties=np.minimum(
             traced.uncertainties, sigmas / curves.inverse_depths * reference.focal_px
         ),
-        residuals=np.nansum(np.abs(residuals), axis=1) / np.maximum(observed, 1),
-        observations=ChainObservations.of_table(
-            np.append(traced.reference, others), np.column_stack([at_reference, table])
-        ),
+        residuals=with_reference(residuals)[seen],
+        drifts=with_reference(drifts)[seen],
+        observations=ChainObservations.of_table(np.append(traced.reference, others), positions),
     )
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from colmap_edges.core.arrays import FloatArray, IntArray, owners_of
+from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray, owners_of
 from colmap_edges.core.view import View
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
@@ -38,12 +38,14 @@ class Refined:
         curves: the curves at their new depths.
         positions: (N, K) positions on the chains of K views; NaN where not observed.
         residuals: (N, K) signed distances across those chains in pixels.
+        drifts: (N, K) their changes by the radius of a rounded edge, pixels per pixel.
         sigmas: (N,) standard deviations of inverse depth; infinite without observations.
     """
 
     curves: Curves
     positions: FloatArray
     residuals: FloatArray
+    drifts: FloatArray
     sigmas: FloatArray
 
 
@@ -157,7 +159,32 @@ def refine_curves(
     )
     with np.errstate(divide="ignore"):
         sigmas = options.noise_px / np.sqrt(slopes2 + information)
-    return Refined(curves=curves, positions=positions, residuals=residuals, sigmas=sigmas)
+    drifts = rounding_drifts(curves, positions, observers)
+    return Refined(
+        curves=curves, positions=positions, residuals=residuals, drifts=drifts, sigmas=sigmas
+    )
+
+
+def rounding_drifts(curves: Curves, positions: FloatArray, observers: Observers) -> FloatArray:
+    """(N, K) changes of residuals by the radius of a rounded edge, in pixels per pixel.
+
+    The point observed on a rounded edge moves over it with the view. Depths and shifts follow, so
+    that an edge with another radius fits the observations as well as possible.
+    """
+    drifts: FloatArray = _kernels.rounding_drifts(
+        *placed(observers.reference, curves),
+        curves.normals,
+        positions,
+        observers.others,
+        observers.options.robust_scale_px,
+        observers.num_threads,
+    )
+    return drifts
+
+
+def with_reference(values: FloatArray) -> Float32Array:
+    """(N, 1 + K) values of observations; the reference view, in front, has the value 0."""
+    return np.column_stack([np.zeros(len(values), np.float32), values.astype(np.float32)])
 
 
 def align_side_gray(

@@ -43,7 +43,7 @@ from colmap_edges.edges3d.chains.filtering import (
     lasting_points,
     sort_out,
 )
-from colmap_edges.edges3d.chains.refinement import refine_curves
+from colmap_edges.edges3d.chains.refinement import refine_curves, with_reference
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
@@ -304,7 +304,6 @@ def trace_view(
         reference, given.index(view), curves, edge_indexes, options.refinement, num_threads
     )
     observed = np.isfinite(refined.positions).sum(axis=1)
-    distances = np.nansum(np.abs(refined.residuals), axis=1)
     shift = np.where(observed > 0, refined.sigmas, 0) * np.sqrt(observed)
     log_chances = chance_of_observations(
         reference,
@@ -317,16 +316,18 @@ def trace_view(
         num_threads,
     )
     inverse_depths = refined.curves.inverse_depths
+    positions = np.column_stack([curves.indices, refined.positions])
+    seen = np.isfinite(positions)
     return Traced(
         points=lift(reference, refined.curves.undistorted, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * reference.focal_px,
-        residuals=distances / np.maximum(observed, 1),
+        residuals=with_reference(refined.residuals)[seen],
+        drifts=with_reference(refined.drifts)[seen],
         log_chances=log_chances,
         offsets=refined.curves.offsets,
         reference=view,
         observations=ChainObservations.of_table(
-            np.concatenate([[view], observing_views]),
-            np.column_stack([curves.indices, refined.positions]),
+            np.concatenate([[view], observing_views]), positions
         ),
     )

@@ -174,14 +174,17 @@ def costs(stack: Stack, squares: FloatArray, noise: Noise) -> FloatArray:
 
 
 def num_strays(edges: Edges3D, noise: Noise, fits: Circles, of: IntArray) -> IntArray:
-    """(n,) number of points at the tips of ends that lie beside their circles, at most `REACH`."""
+    """(n,) number of points at the tips of ends that lie beside their circles, at most `REACH`.
+
+    At least two points of an edge remain if both of its ends lose as many.
+    """
     count = np.zeros(len(of), np.int64)
     sizes = np.diff(edges.edge_offsets)[of // 2]
     for step in range(REACH):
         at = points_inward(edges, of, np.full(len(of), step))
         local = np.einsum("nij,nj->ni", fits.axes, edges.points[at] - fits.centers)
         off = np.hypot(np.hypot(local[:, 0], local[:, 1]) - fits.radii, local[:, 2])
-        count += (count == step) & (off > MISFIT * noise.sigmas[at]) & (step + 3 < sizes)
+        count += (count == step) & (off > MISFIT * noise.sigmas[at]) & (2 * step + 3 < sizes)
     return count
 
 

@@ -189,6 +189,24 @@ nb::tuple ObservationResidualsArrays(Rotation rotation, Translation translation,
                         ToArray(std::move(found.second), {count}));
 }
 
+OutArray<double> RoundingDriftsArray(Rotation rotation, Translation translation, double focal,
+                                     Points2D undistorted, Doubles inverse_depths,
+                                     Points2D directions, InArray<double, nb::ndim<2>> positions,
+                                     const std::vector<const EdgeIndex*>& views,
+                                     double robust_scale_px, int num_threads) {
+  ObservedCurves curves =
+      ToObservedCurves(rotation, translation, focal, undistorted, inverse_depths, positions, views);
+  const size_t count = undistorted.shape(0);
+  Require(directions.shape(0) == count, "curves and directions differ in length");
+  curves.directions = directions.data();
+  std::vector<double> drifts;
+  {
+    nb::gil_scoped_release release;
+    drifts = RoundingDrifts(curves, robust_scale_px, num_threads);
+  }
+  return ToArray(std::move(drifts), {count, views.size()});
+}
+
 OutArray<double> SumSideGrayArray(Rotation rotation, Translation translation, double focal,
                                   Points2D undistorted, Doubles inverse_depths,
                                   InArray<double, nb::ndim<2>> positions,
@@ -311,6 +329,12 @@ void BindChains(nb::module_& m) {
   m.def("observation_residuals", &ObservationResidualsArrays, "rotation"_a, "translation"_a,
         "focal"_a, "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) distances across the observing chains, and (N,) sums of their squared slopes.");
+  m.def("rounding_drifts", &RoundingDriftsArray, "rotation"_a, "translation"_a, "focal"_a,
+        "undistorted"_a, "inverse_depths"_a, "directions"_a, "positions"_a, "views"_a,
+        "robust_scale_px"_a, "num_threads"_a,
+        "(N, K) changes of the distances across the observing chains by the radius of a rounded "
+        "edge, in pixels per pixel of the reference view, if depths and shifts along directions "
+        "follow.");
   m.def("sum_side_gray", &SumSideGrayArray, "rotation"_a, "translation"_a, "focal"_a,
         "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "reference"_a, "indices"_a,
         "offsets"_a, "reach"_a, "window"_a, "num_threads"_a,

@@ -12,6 +12,11 @@
 
 namespace colmap_edges {
 
+constexpr double kSlack = 1e-4;  // damping of depths that hardly any observation constrains
+
+// Pixels across a line at a tangent `t` from the axis, relative to the same angle on the axis.
+inline double Obliquity(double t) { return std::sqrt(1 + t * t); }
+
 // N points on the chains of a reference view, and positions on chains of K views that observe them.
 struct ObservedCurves {
   Mat3 rotation;  // of the reference view
@@ -27,9 +32,10 @@ struct ObservedCurves {
 
 // One observation of one point, in pixels: the distance across the chain, its derivatives by
 // inverse depth and by a shift of the reference view's pixel, the derivative along the chain by
-// inverse depth, and the speed of the projection.
+// inverse depth, the speed of the projection, and the derivative by the radius of a rounded edge in
+// pixels of the reference view if depth and shift stayed.
 struct Observation {
-  double residual, slope, across, along, speed2;
+  double residual, slope, across, along, speed2, rounding;
 };
 
 // Robustly weighted sums over the observations of a point: `slope` for inverse depth, `across` for
@@ -104,8 +110,17 @@ class CurveObserver {
       const Vec3 turned = {d[0] / curves_.focal, d[1] / curves_.focal, 0};
       across = Dot(moving(Multiply(rotation, turned)), normal);
     }
-    return {Dot(projected - view.At(position), normal), Dot(with_depth, normal), across,
-            Dot(with_depth, tangent), Dot(with_depth, with_depth)};
+    // The outline of a rounded edge lies towards the same side in every view: the bright one, or
+    // the dark one if the radius is negative. Off the axis, a pixel is a smaller angle.
+    const double side = Dot(normal, view.normal(int64_t(position))) < 0 ? -1 : 1;
+    const double rounding =
+        side * f / (curves_.focal * local.z) * Obliquity(Dot(normal, projected) / f);
+    return {Dot(projected - view.At(position), normal),
+            Dot(with_depth, normal),
+            across,
+            Dot(with_depth, tangent),
+            Dot(with_depth, with_depth),
+            rounding};
   }
 
   const ObservedCurves& curves_;
@@ -147,6 +162,42 @@ inline std::pair<std::vector<double>, std::vector<double>> ObservationResiduals(
     });
   });
   return {std::move(residuals), std::move(slopes2)};
+}
+
+// (N, K) changes of the residuals by the radius of a rounded edge, in pixels per pixel of the
+// reference view, where depth and shift follow (Geman-McClure weights); NaN where not observed.
+//
+// The lines of sight are tangent to a circle around the axis of the edge, so that the point which
+// is seen moves over the edge with the view. Depth and shift place the axis.
+inline std::vector<double> RoundingDrifts(const ObservedCurves& curves, double robust_scale_px,
+                                          int num_threads) {
+  const CurveObserver observer(curves);
+  const int64_t num_views = int64_t(curves.views.size());
+  std::vector<double> drifts(curves.num_points * num_views, NAN);
+  ParallelBlocks(curves.num_points, num_threads, 256, [&](int64_t i) {
+    double dd = 0, da = 0, aa = 1, dr = 0, ar = 0, brighter = 0;
+    const double* direction = curves.directions + 2 * i;
+    const double own = Obliquity(
+        (direction[0] * curves.undistorted[2 * i] + direction[1] * curves.undistorted[2 * i + 1]) /
+        curves.focal);
+    observer.Visit(i, [&](int64_t, const Observation& o) {
+      const double scaled = o.residual / robust_scale_px, fit = 1 + scaled * scaled;
+      const double weight = 1 / (fit * fit), rounding = o.rounding / own;
+      dd += weight * o.slope * o.slope, da += weight * o.slope * o.across;
+      aa += weight * o.across * o.across;
+      dr += weight * o.slope * rounding, ar += weight * o.across * rounding;
+      brighter += o.across * rounding;
+    });
+    ar += brighter < 0 ? -1 : 1;  // the reference view's own chain
+    dd *= 1 + kSlack;
+    const double determinant = dd * aa - da * da + 1e-300;
+    const double depth = (aa * dr - da * ar) / determinant;
+    const double shift = (dd * ar - da * dr) / determinant;
+    observer.Visit(i, [&](int64_t k, const Observation& o) {
+      drifts[i * num_views + k] = o.rounding / own - depth * o.slope - shift * o.across;
+    });
+  });
+  return drifts;
 }
 
 }  // namespace colmap_edges

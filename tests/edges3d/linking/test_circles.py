@@ -92,6 +92,17 @@ def test_points_beside_the_circle_at_its_ends_are_left_out():
     assert off_circle(edges).max() < 5 * NOISE
 
 
+@pytest.mark.parametrize("size", [5, 6, 7])
+@pytest.mark.parametrize("beside", [0.01, 0.05])
+def test_pieces_that_lie_beside_the_circle_at_both_ends_keep_two_points(size, beside):
+    short = arc(126, 126 + 3 * size - 1)
+    short[:4] *= 1 + beside * np.arange(4, 0, -1)[:, None]
+    short[-3:] *= 1 - beside * np.arange(1, 4)[:, None]
+    edges = joined([arc(0, 123), short, arc(126 + 3 * size, 280)])
+    kept = (edges.points[:, None] == short).all(axis=2).any(axis=1)
+    assert kept.sum() >= 2
+
+
 def test_short_pieces_are_joined_to_the_circle_that_longer_ones_determine():
     assert joined([arc(0, 120), arc(126, 140)]).num_edges == 1
 

@@ -74,6 +74,60 @@ def test_sums_over_observations_are_those_of_finite_differences():
         _kernels.observation_residuals(*curves, positions + 1e6, views, 1)
 
 
+def test_drifts_are_the_residuals_of_a_circle_that_tangents_do_not_explain():
+    rng = np.random.default_rng(9)
+    reference, poses, scale = random_pose(rng), [random_pose(rng) for _ in range(5)], 30.0
+    chains = [random_chains(rng) for _ in poses]
+    views = [edge_index(*parts, pose) for parts, pose in zip(chains, poses, strict=True)]
+    count = 100
+    undistorted, inverse = rng.uniform(-150, 150, (count, 2)), rng.uniform(0.1, 0.3, count)
+    directions = rng.normal(size=(count, 2))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions = np.column_stack([rng.uniform(0, len(parts[0]), count) for parts in chains])
+    positions[rng.random(positions.shape) < 0.2] = np.nan
+    curves = (*reference, FOCAL, undistorted, inverse)
+    found = _kernels.rounding_drifts(*curves, directions, positions, views, scale, 1)
+    rows = np.full((4, count, len(views)), np.nan)  # residual, slope, across, rounding
+    world = (np.column_stack([undistorted / FOCAL, np.ones(count)]) / inverse[:, None]) - (
+        reference[1]
+    )
+    for k, (view, pose, parts) in enumerate(zip(views, poses, chains, strict=True)):
+        at = observed_reference(
+            reference, undistorted, inverse, directions, positions[:, k], view, pose
+        )
+        rows[:3, :, k] = at[:3]
+        seen = np.flatnonzero(np.isfinite(positions[:, k]))
+        tangent = _kernels.chain_points(view, positions[seen, k])[1]
+        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        bright = parts[1][positions[seen, k].astype(int)]
+        local = world[seen] @ reference[0] @ pose[0].T + pose[1]
+        pixels = FOCAL * local[:, :2] / local[:, 2:]
+        # Pixels per world unit across the plane of sight through the line.
+        plane = np.column_stack([normal, -np.sum(normal * pixels, axis=1) / FOCAL])
+        speed = FOCAL / local[:, 2] * np.linalg.norm(plane, axis=1)
+        rows[3, seen, k] = np.sign(np.sum(normal * bright, axis=1)) * speed
+    own = np.linalg.norm(
+        np.column_stack([directions, np.sum(directions * undistorted, axis=1) / FOCAL]), axis=1
+    )
+    rows[3] /= (FOCAL * inverse * own)[:, None]  # per pixel of the reference view
+    for i in range(count):
+        seen = np.isfinite(positions[i])
+        if seen.sum() < 2:
+            continue
+        residual, slope, across, rounding = rows[:, i, seen]
+        side = np.sign(np.sum(across * rounding))
+        matrix = np.column_stack([np.append(slope, 0), np.append(across, 1)])
+        root = np.append(1 / (1 + (residual / scale) ** 2), 1)
+        solved = np.linalg.lstsq(root[:, None] * matrix, root * np.append(rounding, side), None)[0]
+        expected = rounding - np.column_stack([slope, across]) @ solved
+        np.testing.assert_allclose(found[i, seen], expected, atol=0.02 * np.abs(rounding).max())
+        assert np.isnan(found[i, ~seen]).all()
+    again = _kernels.rounding_drifts(*curves, directions, positions, views, scale, 3)
+    assert again.tobytes() == found.tobytes()
+    with pytest.raises(ValueError, match="differ in length"):
+        _kernels.rounding_drifts(*curves, directions[1:], positions, views, scale, 1)
+
+
 def smooth_gray(index, fraction, reach, sides, offsets, closed):
     """(2,) mean gray over `reach` points to both sides of a fractional position."""
     here, after = (
