@@ -168,7 +168,8 @@ def read_files(path: Path, folder: Path) -> tuple[Any, ModelPoints | None]:
     except (ValueError, IndexError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())
         raise ColmapEdgesError(
-            f"no readable COLMAP model in {path} ({reason}); {where_model_is(path)}"
+            f"no readable COLMAP model in {path} ({reason}): its files do not belong together; "
+            "write the model again"
         ) from error
     finally:
         pycolmap.logging.minloglevel = level

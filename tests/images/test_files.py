@@ -1,7 +1,8 @@
 """Image files of all formats, and unusual image names."""
 
+import struct
 from dataclasses import replace
-from io import BytesIO
+from zlib import compress, crc32
 
 import cv2
 import numpy as np
@@ -218,19 +219,27 @@ def test_heic_is_told_how_to_convert(scene_model, tmp_path):
         read_image(view_of(scene_model, "a.jpg", 60, 40), tmp_path)
 
 
+def palette_png(alpha):
+    """A PNG of two colours, of which the first is transparent."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc32(kind + data))
+
+    height, width = alpha.shape
+    rows = np.column_stack([np.zeros(height, np.uint8), alpha > 0]).astype(np.uint8)
+    head = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
+    parts = {b"IHDR": head, b"PLTE": bytes([0, 0, 0, 90, 90, 90]), b"tRNS": b"\0"}
+    parts |= {b"IDAT": compress(rows.tobytes()), b"IEND": b""}
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts.items())
+
+
 @pytest.mark.parametrize("kind", ["8 bit", "16 bit", "palette", "webp", "tiff"])
 def test_transparent_pixels_are_known(kind):
     color, alpha = np.full((4, 6, 3), 90, np.uint8), np.full((4, 6), 255, np.uint8)
     alpha[:, :2] = 0
     picture = np.dstack([color, alpha])
     if kind == "palette":
-        from PIL import Image
-
-        data = BytesIO()
-        image = Image.fromarray(alpha // 255, "P")
-        image.putpalette([0, 0, 0, 90, 90, 90])
-        image.save(data, "PNG", transparency=0)
-        raw = np.frombuffer(data.getvalue(), np.uint8)
+        raw = np.frombuffer(palette_png(alpha), np.uint8)
     else:
         stored = picture.astype(np.uint16) * 257 if kind == "16 bit" else picture
         suffix = {"webp": ".webp", "tiff": ".tiff"}.get(kind, ".png")
