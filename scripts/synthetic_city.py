@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.cli.flags import make_flags, normalize, options_from_flags
 from colmap_edges.cli.run_commands import RECONSTRUCT_FLAGS
-from colmap_edges.colmap.binary_files import NewPoints, append_points
+from colmap_edges.colmap.appending import NewPoints, append_points
 from colmap_edges.colmap.model import Model, load_model, observation_residuals
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.core.arrays import offsets_of

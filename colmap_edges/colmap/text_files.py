@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import struct
 from array import array
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import NoReturn
 
 import numpy as np
 
@@ -25,25 +25,18 @@ from colmap_edges.colmap.binary_files import (
     NO_POINT3D,
     POINT2D,
     check_listed_images,
+    damaged,
 )
-from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.runtime.input_files import read_bytes
+from colmap_edges.colmap.text_lines import POSE, Line, integer, is_number, lines_of
 
-MARK = b"\xef\xbb\xbf"  # byte order mark, which editors of Windows write
-WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")  # those of UTF-16
-SENSORS = {b"CAMERA": CAMERA_SENSOR, b"IMU": 1}  # COLMAP's sensor types
-MAX_ID = 2**32 - 2  # of cameras, images, rigs and frames; COLMAP reserves the next
 MAX_COUNT = 2**63 - 1
 IMAGE_WORDS = 10  # of a pose: image id, quaternion, translation, camera id, name
 POINT3D_WORDS = 8  # before the track: id, position, color, error
-POSE = struct.Struct("<7d")
 POINT3D_HEAD = struct.Struct("<Q3d3BdQ")
 REMEDY_OF_TRACKS = (
     "write the model again with its points2D, or delete the points3D and run `colmap "
     "point_triangulator`"
 )
-
-Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -59,73 +52,6 @@ class TextImage:
     line: int
     record: bytes
     point3D_ids: array[int]
-
-
-@dataclass(frozen=True)
-class Line:
-    """A line of a text file that is not a comment.
-
-    Attributes:
-        path: the file.
-        number: its number, from 1.
-        words: its words.
-        text: its text without spaces at the ends.
-    """
-
-    path: Path
-    number: int
-    text: bytes
-    words: list[bytes] = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Split the line into words."""
-        object.__setattr__(self, "words", self.text.split())
-
-    def fail(self, why: str) -> NoReturn:
-        """Raise the error for this line."""
-        raise ColmapEdgesError(f"{self.path}, line {self.number}: {why}")
-
-    def need(self, count: int, what: str) -> None:
-        """Check that the line has at least `count` words."""
-        if len(self.words) < count:
-            self.fail(f"it has {len(self.words)} values, but needs {what}; write the model again")
-
-    def whole(self, at: int, what: str, most: int = MAX_ID) -> int:
-        """The word `at` as an integer from 0 to `most`."""
-        value = self.number_at(at, what, integer)
-        if not 0 <= value <= most:
-            self.fail(f"the {what} is {value}; it must be an integer from 0 to {most}")
-        return value
-
-    def reals(self, first: int, count: int, what: str) -> tuple[float, ...]:
-        """`count` words from `first` on as numbers."""
-        return tuple(self.number_at(first + i, what, float) for i in range(count))
-
-    def pose(self, first: int) -> bytes:
-        """Quaternion and translation from the word `first` on, as in binary files."""
-        pose = self.reals(first, 7, "pose")
-        if not any(pose[:4]):
-            self.fail("the pose has a rotation of zeros; write the model again")
-        return POSE.pack(*pose)
-
-    def sensor(self, at: int) -> int:
-        """The word `at` as the number of a sensor type."""
-        if self.words[at] not in SENSORS:
-            self.fail(f"{shown(self.words[at])} is no type of a sensor; it must be CAMERA or IMU")
-        return SENSORS[self.words[at]]
-
-    def number_at(self, at: int, what: str, kind: Callable[[bytes], Value]) -> Value:
-        """The word `at` as a number."""
-        try:
-            return kind(self.words[at])
-        except (ValueError, OverflowError):
-            number = "a number" if kind is float else "an integer"
-            self.fail(f"the {what} is {shown(self.words[at])}, which is not {number}")
-
-
-def shown(word: bytes) -> str:
-    """A word in quotes, for messages."""
-    return repr(word.decode("utf-8", "backslashreplace"))
 
 
 def is_text(folder: Path) -> bool:
@@ -164,27 +90,6 @@ def write_as_binary(
         if name in records:
             data = COUNT.pack(len(records[name])) + b"".join(records[name])
             (target / f"{name}.bin").write_bytes(data)
-
-
-def lines_of(path: Path, with_empty: bool = False) -> Iterator[Line]:
-    """The lines of a file without comments.
-
-    Args:
-        path: the file.
-        with_empty: also yield empty lines.
-
-    Raises:
-        ColmapEdgesError: if it is not a text of bytes.
-    """
-    data = read_bytes(path).removeprefix(MARK)
-    if data.startswith(WIDE_MARKS):
-        raise ColmapEdgesError(f"{path} is in UTF-16; save it as UTF-8")
-    for number, text in enumerate(data.split(b"\n"), 1):
-        line = Line(path, number, text.strip())
-        if b"\0" in text:
-            line.fail("it has a zero byte, so the file is damaged; write the model again")
-        if not text.startswith(b"#") and (with_empty or line.words):
-            yield line
 
 
 def cameras_of(
@@ -261,30 +166,6 @@ def is_pose(words: list[bytes]) -> bool:
     if len(words) < IMAGE_WORDS or not (words[0].isdigit() and words[8].isdigit()):
         return False
     return len(words) % 3 > 0 or not all(map(is_number, [*words[9:12], words[-1]]))
-
-
-def is_number(word: bytes) -> bool:
-    """Whether a word is a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def integer(word: bytes) -> int:
-    """A word as an integer, which some programs write as 255.0.
-
-    Raises:
-        ValueError: if it is none.
-    """
-    try:
-        return int(word)
-    except ValueError:
-        value = float(word)
-        if not value.is_integer():
-            raise
-        return int(value)
 
 
 def points2D_of(line: Line) -> tuple[bytes, array[int]]:
@@ -419,3 +300,21 @@ def frame_record(line: Line) -> tuple[bytes, set[int]]:
         if kind == CAMERA_SENSOR:
             image_ids.add(data_id)
     return record, image_ids
+
+
+def check_text_files(folder: Path, num_records: dict[str, int]) -> None:
+    """Check that text files of a model hold all records, and complete ones.
+
+    Args:
+        folder: folder of the .txt files.
+        num_records: records by file name without suffix; an image is two lines, else it is one.
+
+    Raises:
+        ColmapEdgesError: if a file is truncated.
+    """
+    for name, count in num_records.items():
+        path = folder / f"{name}.txt"
+        with path.open("rb") as file:
+            lines = [line[-1:] for line in file if not line.startswith(b"#")]
+        if len(lines) != count * (2 if name == "images" else 1) or b"".join(lines).strip(b"\n"):
+            raise damaged(path, "it is truncated")

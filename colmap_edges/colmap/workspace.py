@@ -5,8 +5,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from colmap_edges.colmap.binary_files import COUNT
-from colmap_edges.colmap.text_files import is_pose, lines_of
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import open_file
 
@@ -53,7 +51,7 @@ def find_model(workspace: Path) -> Path:
             f"workspace {workspace} has no model in sparse/0 or sparse; run `colmap mapper` first, "
             "or give --input_path"
         )
-    return max(models, key=num_images)
+    return max(models, key=num_images) if len(models) > 1 else models[0]
 
 
 def numbered_models(folder: Path) -> list[Path]:
@@ -72,6 +70,10 @@ def other_models(model: Path) -> dict[str, int]:
 
 def num_images(model: Path) -> int:
     """Number of images of the model in a folder; 0 if it cannot be read."""
+    from colmap_edges.colmap.binary_files import COUNT  # heavy imports, after parsing flags
+    from colmap_edges.colmap.text_files import is_pose
+    from colmap_edges.colmap.text_lines import lines_of
+
     try:
         if (model / "images.bin").is_file():
             with open_file(model / "images.bin") as file:

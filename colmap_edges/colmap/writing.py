@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from colmap_edges.colmap.binary_files import (
-    NewPoints,
-    append_points,
-    check_complete,
-    check_text_files,
-)
+from colmap_edges.colmap.appending import NewPoints, append_points
+from colmap_edges.colmap.binary_files import check_complete
 from colmap_edges.colmap.model import (
     Model,
     camera_parameter_counts,
@@ -24,6 +20,7 @@ from colmap_edges.colmap.model import (
     observation_residuals,
     view_from_image,
 )
+from colmap_edges.colmap.text_files import check_text_files
 from colmap_edges.core.arrays import FloatArray, IntArray, entries_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import track_residuals

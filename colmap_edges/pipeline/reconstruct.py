@@ -18,7 +18,8 @@ from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
 from colmap_edges.pipeline.read import check_pictures, read_stage
 from colmap_edges.pipeline.trace import edge_stages
-from colmap_edges.report.diagnosis import Finding, diagnose
+from colmap_edges.report.diagnosis import diagnose
+from colmap_edges.report.findings import Finding
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces

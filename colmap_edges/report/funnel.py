@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from colmap_edges.options import PipelineOptions
-from colmap_edges.report.diagnosis import Counts, counts_by_stage
+from colmap_edges.report.diagnosis import counts_by_stage
+from colmap_edges.report.findings import Counts
 
 CELLS, FACE_CELLS = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
 PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"

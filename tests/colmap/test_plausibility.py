@@ -203,3 +203,18 @@ def add_point(reconstruction, point3D_id):
         point.track.add_element(image_id, len(image.points2D))
         image.points2D.append(pycolmap.Point2D(np.array([50.0, 50.0])))
     reconstruction.add_point3D_with_id(point3D_id, point)
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("FOV", [264, 264, 120, 90, 3.2]),  # mirrored at its axis
+        ("FOV", [264, 264, 120, 90, 7.0]),
+        ("SIMPLE_RADIAL", [264, 120, 90, 1e9]),  # no pixel has a ray
+    ],
+)
+def test_lenses_that_cannot_be_undone_are_refused(given, model, params):
+    given[0].cameras[1].model = getattr(pycolmap.CameraModelId, model)
+    given[0].cameras[1].params = params
+    with pytest.raises(ColmapEdgesError, match=rf"image view_001.png, {model} .*cannot be undone"):
+        model_from_reconstruction(given[0])

@@ -1,6 +1,8 @@
 """Image files of all formats, and unusual image names."""
 
+import struct
 from dataclasses import replace
+from zlib import compress, crc32
 
 import cv2
 import numpy as np
@@ -8,8 +10,14 @@ import pycolmap
 import pytest
 import scenes
 
-from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.images.files import check_images_exist, colors_at, path_of_image, read_image
+from colmap_edges.errors import ColmapEdgesError, ImageError
+from colmap_edges.images.files import (
+    alpha_of,
+    check_images_exist,
+    colors_at,
+    path_of_image,
+    read_image,
+)
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.paths import Paths
@@ -176,3 +184,75 @@ def test_colours_are_those_of_the_image_at_the_points():
     found = colors_at(image, points)
     assert found.dtype == np.uint8
     assert np.abs(found - expected).max() <= 0.5 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("there", "name", "message"),
+    [
+        ("a.JPG", "a.jpg", r"'a.JPG' is there: rename it to the model's 'a.jpg'"),
+        ("a.png", "a.jpg", r"'a.png' is there: rename it"),
+        ("cafe\u0301.jpg", "caf\u00e9.jpg", r"'cafe\\u0301.jpg' is there: .*'caf\\xe9.jpg'"),
+        ("images/a.jpg", "a.jpg", r"it is in .*/given/images: give that as --image_path"),
+        ("a.jpg", "given/a.jpg", r"it is in .*: give that as --image_path"),
+        ("b.jpg", "a.jpg", "give the folder the model was made from"),
+    ],
+)
+def test_missing_images_are_looked_for_nearby(scene_model, tmp_path, there, name, message):
+    path = tmp_path / "given" / there
+    path.parent.mkdir(parents=True)
+    path.touch()
+    with pytest.raises(ColmapEdgesError, match=message):
+        check_images_exist([view_of(scene_model, name, 60, 40)], tmp_path / "given")
+
+
+def test_images_rotated_against_their_camera_are_named(scene_model, tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), gray_step(40, 60))
+    with pytest.raises(ColmapEdgesError, match=r"40x60, its camera 60x40; .*EXIF orientation"):
+        read_image(view_of(scene_model, "a.png", 60, 40), tmp_path)
+    with pytest.raises(ColmapEdgesError, match="undistorted ones for"):
+        read_image(view_of(scene_model, "a.png", 61, 40), tmp_path)
+
+
+def test_heic_is_told_how_to_convert(scene_model, tmp_path):
+    (tmp_path / "a.jpg").write_bytes(bytes(3) + b"\x18ftypheic" + bytes(100))
+    with pytest.raises(ImageError, match=r"HEIC or AVIF; convert it to JPEG or PNG under the same"):
+        read_image(view_of(scene_model, "a.jpg", 60, 40), tmp_path)
+
+
+def palette_png(alpha):
+    """A PNG of two colours, of which the first is transparent."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc32(kind + data))
+
+    height, width = alpha.shape
+    rows = np.column_stack([np.zeros(height, np.uint8), alpha > 0]).astype(np.uint8)
+    head = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
+    parts = {b"IHDR": head, b"PLTE": bytes([0, 0, 0, 90, 90, 90]), b"tRNS": b"\0"}
+    parts |= {b"IDAT": compress(rows.tobytes()), b"IEND": b""}
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts.items())
+
+
+@pytest.mark.parametrize("kind", ["8 bit", "16 bit", "palette", "webp", "tiff"])
+def test_transparent_pixels_are_known(kind):
+    color, alpha = np.full((4, 6, 3), 90, np.uint8), np.full((4, 6), 255, np.uint8)
+    alpha[:, :2] = 0
+    picture = np.dstack([color, alpha])
+    if kind == "palette":
+        raw = np.frombuffer(palette_png(alpha), np.uint8)
+    else:
+        stored = picture.astype(np.uint16) * 257 if kind == "16 bit" else picture
+        suffix = {"webp": ".webp", "tiff": ".tiff"}.get(kind, ".png")
+        raw = cv2.imencode(suffix, stored)[1].ravel()
+    found = alpha_of(raw)
+    assert found is not None
+    np.testing.assert_array_equal(found > 0, alpha > 0)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp"])
+def test_opaque_images_have_no_transparent_pixels(suffix):
+    color = np.full((4, 6, 3), 90, np.uint8)
+    assert alpha_of(cv2.imencode(suffix, color)[1].ravel()) is None
+    if suffix == ".png":
+        opaque = np.dstack([color, np.full((4, 6), 9, np.uint8)])
+        assert alpha_of(cv2.imencode(suffix, opaque)[1].ravel()) is None

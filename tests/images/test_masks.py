@@ -14,7 +14,7 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.masking import outside_mask
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.images.files import CompanionFile
 from colmap_edges.images.masks import (
     MARGIN_PX,
@@ -25,6 +25,7 @@ from colmap_edges.images.masks import (
 )
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.read import check_pictures
 from colmap_edges.pipeline.reconstruct import reconstruct
 from colmap_edges.pipeline.run import run
 from colmap_edges.runtime.stages import Stages
@@ -236,3 +237,32 @@ def test_masks_are_looked_for_before_work_starts(scene_model, tmp_path):
         check_masks(scene_model.views, tmp_path / "nowhere")
     (tmp_path / f"{scene_model.views[-1].name}.png").touch()
     check_masks(scene_model.views, tmp_path)
+
+
+def test_transparent_pixels_are_masked_as_by_a_mask(scene, tmp_path):
+    """Edges, counts and background are those of the opaque image with the alpha as its mask."""
+    images, given = scene.write(tmp_path / "given")
+    model, (cut, masks) = load_model(given), (tmp_path / "cut", tmp_path / "masks")
+    for folder in (cut, masks):
+        folder.mkdir()
+    for view in model.views:
+        alpha = np.zeros((view.height, view.width), np.uint8)
+        cv2.circle(alpha, (view.width // 2, view.height // 2), view.height // 3, 255, -1)
+        picture = cv2.imread(str(images / view.name))
+        cv2.imwrite(str(cut / view.name), np.dstack([picture, alpha]))
+        cv2.imwrite(str(masks / f"{view.name}.png"), alpha)
+    options = PipelineOptions(num_threads=2, masks_are_background=True)
+    check_pictures(model, cut, None, None, options)
+    with pytest.raises(OptionError, match="there are no masks"):
+        check_pictures(model, images, None, None, options)
+    by_alpha, by_mask, whole, both = Stages(), Stages(), Stages(), Stages()
+    found = detect_stage(model, cut, options, by_alpha)
+    expected = detect_stage(model, images, options, by_mask, mask_path=masks)
+    detect_stage(model, images, options, whole)
+    detect_stage(model, cut, options, both, mask_path=masks)
+    assert by_alpha.records()[0]["counts"] == by_mask.records()[0]["counts"]
+    assert both.records()[0]["counts"] == by_mask.records()[0]["counts"]
+    counts = [stages.records()[0]["counts"]["edge_pixels"] for stages in (by_alpha, whole)]
+    assert 0 < counts[0] < counts[1]
+    for mine, theirs in zip(found.background_masks, expected.background_masks, strict=True):
+        np.testing.assert_array_equal(mine.packed_body, theirs.packed_body)

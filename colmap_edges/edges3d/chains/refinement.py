@@ -28,6 +28,8 @@ GRAY_REACHES = (4, 2, 1, 0)
 WELL_ACROSS = 0.25
 # half width, in curve points, of the window in which intensity differences are compared
 GRAY_WINDOW = 8
+# least speed of a point's projections, in terms of the mean of all points
+MIN_SPEED_RATIO = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +106,14 @@ def solve_smooth(
 
 
 def typical_speed(sums: Sums) -> FloatArray:
-    """(N,) root mean square of each point's speeds; the mean of all points if it has none."""
+    """(N,) root mean square of each point's speeds; the mean of all points if it has none.
+
+    Views from the same place give no speed; a small one keeps the equations regular.
+    """
     count = sums.count
     overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
-    return np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
+    speeds = np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
+    return np.maximum(speeds, MIN_SPEED_RATIO * overall)
 
 
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:

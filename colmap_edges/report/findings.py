@@ -1,0 +1,105 @@
+"""Findings about a run, and those about its input model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from colmap_edges.options import PipelineOptions
+
+Counts = Mapping[str, Any]
+MIN_POSED_SHARE = 0.7  # share of images with poses below which the others are reported
+MAX_NAMES = 3
+MIN_VIEWS = 3  # minimum number of views of an edge: two always agree, the third confirms the depth
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One finding about a run.
+
+    Attributes:
+        text: the problem, with its numbers.
+        remedy: how to solve it, with the flag if there is one.
+    """
+
+    text: str
+    remedy: str
+
+
+def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]:
+    """Findings about the input model."""
+    posed, unposed = read.get("images_with_poses", 0), read.get("images_without_poses", 0)
+    flag, needed = needed_views(options)
+    if 0 < posed < max(needed, MIN_VIEWS):
+        lower = f", or set {flag} {posed}" if posed >= MIN_VIEWS else ""
+        files = max(read.get("image_files", 0), posed + unposed)
+        more = "take more images"
+        if files > 2 * posed:
+            more = f"map more of the {files} images (see COLMAP's log why it left them out)"
+        yield Finding(
+            text=f"only {posed} images have poses, but a 3D edge must be seen in "
+            f"{max(needed, MIN_VIEWS)}",
+            remedy=f"{more}{lower}",
+        )
+    if posed < MIN_POSED_SHARE * (posed + unposed):
+        yield Finding(
+            text=f"{unposed} of {posed + unposed} images have no pose and are not used",
+            remedy="register more of them with `colmap mapper` (more overlap, more features)",
+        )
+    yield from model_findings(read)
+    if far := read.get("points3D_too_far"):
+        yield Finding(
+            text=f"{far} of {far + read.get('points3D', 0)} SfM points are at infinity and are not "
+            "used; the written model still has them",
+            remedy="delete them with `colmap point_filtering` and its --min_tri_angle",
+        )
+    if posed and read.get("points3D") == 0:
+        yield Finding(
+            text="the model has no SfM points, so depths and neighbours come from poses alone",
+            remedy="run `colmap point_triangulator` on the model first",
+        )
+
+
+def model_findings(read: Counts) -> Iterator[Finding]:
+    """Findings about images that are left out, points without tracks, and other models."""
+    if names := read.get("images_contradicted"):
+        yield Finding(
+            text="images whose poses do not fit the points3D that they observe are not used: "
+            f"{len(names)} ({named(names)})",
+            remedy="adjust the model with `colmap bundle_adjuster`, or delete these images from it",
+        )
+    if copies := read.get("images_copied"):
+        copy, original = copies[0]
+        yield Finding(
+            text=f"copies of other images at the same pose are not used: {len(copies)} ({copy} is "
+            f"one of {original})",
+            remedy="delete the copies from the model",
+        )
+    if read.get("points3D") and read.get("observations") == 0:
+        yield Finding(
+            text=f"the {read['points3D']:,} points3D of the model have no tracks, so they are not "
+            "used; depths and neighbours come from poses alone",
+            remedy="run `colmap point_triangulator` on the model first",
+        )
+    others, posed = read.get("other_models", {}), read.get("images_with_poses", 0)
+    larger = max(others, key=others.__getitem__, default="")
+    number = read.get("model", "")
+    if others and (others[larger] > posed or int(min(others, key=int)) < int(number)):
+        sizes = ", ".join(f"{name} has {count}" for name, count in others.items())
+        yield Finding(
+            text=f"the model is {number} with {posed} images; beside it, {sizes}",
+            remedy="give the folder of another as --input_path, or map the images into one model",
+        )
+
+
+def named(names: Sequence[str]) -> str:
+    """The first of some names, as a list in a sentence."""
+    return f"{', '.join(names[:MAX_NAMES])}{', ...' if len(names) > MAX_NAMES else ''}"
+
+
+def needed_views(options: PipelineOptions) -> tuple[str, int]:
+    """The flag for the minimum number of views of an edge, and its value."""
+    if options.tracing.method == "paper":
+        return "--Visibility.min_views", options.visibility.min_views
+    return "--Tracing.min_observations", options.tracing.min_observations
