@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.checks import check_points
+from colmap_edges.core.view import track_residuals
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.images.edge_maps import check_edge_maps
 from colmap_edges.images.files import check_images_exist
@@ -71,4 +74,13 @@ def model_counts(model: Model) -> dict[str, Any]:
         "points3D": len(model.point3D_ids),
         **({"points3D_too_far": len(model.far_point3D_ids)} if len(model.far_point3D_ids) else {}),
         "observations": len(model.track_views),
+        "median_residual_px": median_residual(model),
     }
+
+
+def median_residual(model: Model) -> float | None:
+    """Median reprojection error of the SfM points in pixels; None without observations."""
+    points = model.points3D_xyz[model.track_points]
+    residuals = track_residuals(model.views, points, model.track_views, model.track_points2D)
+    residuals = residuals[np.isfinite(residuals)]
+    return round(float(np.median(residuals)), 4) if len(residuals) else None
