@@ -26,6 +26,8 @@ from colmap_edges.options import RefinementOptions
 GRAY_REACHES = (4, 2, 1, 0)
 # mean squared sine of the angles to epipolar lines that constrains depth without intensities
 WELL_ACROSS = 0.25
+# minimum displacement of a point's projections per inverse depth, relative to that of all points
+MIN_SPEED = 1e-3
 # half width, in curve points, of the window in which intensity differences are compared
 GRAY_WINDOW = 8
 
@@ -102,10 +104,15 @@ def solve_smooth(
 
 
 def typical_speed(sums: Sums) -> FloatArray:
-    """(N,) root mean square of each point's speeds; the mean of all points if it has none."""
+    """(N,) root mean square of each point's speeds; the mean of all points if it has none.
+
+    Points seen only from the reference view's own place do not move; they get a small share of the
+    mean, without which the system of equations would be singular.
+    """
     count = sums.count
     overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
-    return np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
+    own = np.sqrt(sums.speed2 / np.maximum(count, 1))
+    return np.where(count > 0, np.maximum(own, MIN_SPEED * overall), overall)
 
 
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:
