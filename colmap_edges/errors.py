@@ -50,6 +50,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """A number with its noun: "1 image", "2,345 images"; the plural has an s unless given."""
+    return f"{count:,} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 @contextmanager
 def exit_on_error(*others: type[Exception]) -> Iterator[None]:
     """Exit a script with one line and status 1 on a ColmapEdgesError or one of `others`."""

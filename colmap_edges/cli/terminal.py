@@ -55,10 +55,17 @@ def open_streams() -> None:
 
 
 class LogFormatter(logging.Formatter):
-    """Formats log records with control characters escaped."""
+    """Formats log records with control characters escaped, and ours as sentences."""
+
+    def __init__(self, verbose: bool) -> None:
+        """With `verbose`, also show which module warns."""
+        super().__init__("%(levelname)s %(name)s: %(message)s")
+        self.verbose = verbose
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         """The record's line."""
+        if record.name.startswith("colmap_edges.") and not self.verbose:
+            return printable(f"{record.levelname.capitalize()}: {record.message}")
         return printable(super().formatMessage(record))
 
     def formatException(self, ei: Any) -> str:
@@ -72,7 +79,7 @@ def start_logging(verbose: bool) -> None:
     Debug messages of libraries are not shown.
     """
     handler = logging.StreamHandler()
-    handler.setFormatter(LogFormatter("%(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(LogFormatter(verbose))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger("colmap_edges").setLevel(logging.DEBUG if verbose else logging.WARNING)
 

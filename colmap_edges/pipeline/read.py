@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.workspace import other_models
 from colmap_edges.core.checks import check_points
-from colmap_edges.core.view import View
+from colmap_edges.core.view import View, track_residuals
 from colmap_edges.errors import ColmapEdgesError, ImageError, OptionError
 from colmap_edges.images.edge_maps import check_edge_maps
 from colmap_edges.images.files import (
@@ -190,4 +190,13 @@ def model_counts(model: Model) -> dict[str, Any]:
         "points3D": len(model.point3D_ids),
         **({"points3D_too_far": len(model.far_point3D_ids)} if len(model.far_point3D_ids) else {}),
         "observations": len(model.track_views),
+        "median_residual_px": median_residual(model),
     }
+
+
+def median_residual(model: Model) -> float | None:
+    """Median reprojection error of the SfM points in pixels; None without observations."""
+    points = model.points3D_xyz[model.track_points]
+    residuals = track_residuals(model.views, points, model.track_views, model.track_points2D)
+    residuals = residuals[np.isfinite(residuals)]
+    return round(float(np.median(residuals)), 4) if len(residuals) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from colmap_edges.errors import counted
 from colmap_edges.options import PipelineOptions
 from colmap_edges.report.findings import (
     MIN_VIEWS,
@@ -22,6 +23,10 @@ MIN_TRACED_SHARE = 0.3
 MIN_KEPT_SHARE = 0.4
 MIN_FOLLOWED_SHARE = 0.02
 LARGE_RESIDUAL_PX = 1.0
+CHECK_POSES = "check the poses (`colmap bundle_adjuster`); "
+NO_EDGES_OF_FOLIAGE = (
+    ", although the poses fit the SfM points: foliage and fine texture have no edges in space"
+)
 MASKS_REMEDY = (
     "check the masks: edges are detected only where masks are not black; invert them if they are "
     "the other way round, or leave out --mask_path"
@@ -53,14 +58,14 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     findings += detection_findings(counts.get("detect", {}), options)
     enough = counts.get("read", {}).get("images_with_poses", MIN_VIEWS) >= MIN_VIEWS
     if trace := counts.get("trace"):
+        fits = poses_fit(counts.get("read", {}))
         if enough and counts.get("detect", {}).get("edge_pixels", 1):
             paper = options.tracing.method == "paper"
-            findings += (paper_findings if paper else chain_findings)(trace, options)
+            findings += (paper_findings if paper else chain_findings)(trace, options, fits)
         if trace["edges"] == 0:
             findings += masks_findings(counts.get("detect", {}))
-        if trace["edges"] == 0 and not findings:
-            findings.append(no_edges(trace, options))
-    findings += residual_findings(counts.get("write", {}))
+            findings.insert(0, no_edges(options, "mesh" in counts, bool(findings)))
+    findings += residual_findings(counts.get("write", {}), counts.get("read", {}))
     if counts.get("mesh", {}).get("faces") == 0:
         findings.append(empty_mesh(counts["mesh"], options))
     if counts.get("mesh", {}).get("far_from_origin"):
@@ -68,36 +73,42 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     return findings
 
 
+def poses_fit(read: Counts) -> bool:
+    """Whether SfM points reproject so closely that poses and cameras are not at fault."""
+    residual = read.get("median_residual_px")
+    return residual is not None and residual <= LARGE_RESIDUAL_PX
+
+
 def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Finding]:
     """Findings about detection: images without edges, filtered chains."""
     images, empty = detect.get("images", 0), detect.get("images_without_edges", 0)
     if damaged := detect.get("damaged"):
         yield Finding(
-            text=f"{len(damaged)} of {images} images could not be read and were left out: "
+            text=f"images that could not be read, {len(damaged)} of {images}, were left out: "
             f"{named(damaged)}",
             remedy="replace the damaged files and run again",
         )
         images -= len(damaged)
     if images and empty == images and detect.get("edge_images"):
         yield Finding(
-            text=f"no edge was found in the edge images of {images} images",
+            text=f"no edge was found in the edge images of {counted(images, 'image')}",
             remedy="check the edge images: white on black, lines of at least "
             "--Detection.min_chain_points; or leave out --edge_path",
         )
     elif images and empty == images and not detect.get("images_masked"):
         yield Finding(
-            text=f"no edge was detected in any of {images} images",
+            text=f"no edge was detected in any of {counted(images, 'image')}",
             remedy="check the images (blank, blurred, dark?); detect shorter chains with "
             "--Detection.min_chain_points",
         )
     elif images and empty == images:
         yield Finding(
-            text=f"no edge was detected in the unmasked parts of any of {images} images",
+            text=f"no edge was detected in the unmasked parts of any of {counted(images, 'image')}",
             remedy=MASKS_REMEDY,
         )
     elif empty:
         yield Finding(
-            text=f"{empty} of {images} images have no edge at all",
+            text=f"images without any edge: {empty} of {images}",
             remedy="check these images (blank, blurred, dark?)",
         )
     found, left = detect.get("chain_pixels", 0), detect.get("edge_pixels", 0)
@@ -109,8 +120,8 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
         )
 
 
-def chain_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """Findings about tracing by depths along chains."""
+def chain_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Iterator[Finding]:
+    """Findings about tracing by depths along chains; `fits` is the result of `poses_fit`."""
     views, lonely = trace.get("views", 0), trace.get("views_without_neighbors", 0)
     if views and lonely == views:
         yield Finding(
@@ -121,36 +132,38 @@ def chain_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
         return
     if lonely:
         yield Finding(
-            text=f"{lonely} of {views} images overlap with no other and gave no edges",
+            text=f"images that overlap with no other, and gave no edges: {lonely} of {views}",
             remedy="take images between them and the others, or raise "
             "--ViewSelection.max_angle_deg",
         )
-    for before, after, least, what, remedy in chain_steps(options):
+    for before, after, least, what, remedy in chain_steps(options, fits):
         start, left = trace.get(before, 0), trace.get(after, 0)
         if start and left < least * start:
             text = f"{share(start - left, start)} of {start:,} {what}"
             yield Finding(text=text, remedy=remedy)
 
 
-def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, str]]:
+def chain_steps(options: PipelineOptions, fits: bool) -> list[tuple[str, str, float, str, str]]:
     """Names of the counts before and after each step, minimum share kept, loss and remedy."""
     tracing = options.tracing
+    poses, why = ("", NO_EDGES_OF_FOLIAGE) if fits else (CHECK_POSES, "")
     return [
         (
             "samples",
             "samples_with_depth",
             MIN_DEPTH_SHARE,
-            "samples on 2D edges found no depth that views agree on",
-            "check the poses (`colmap bundle_adjuster`); compare more views with "
-            "--ViewSelection.num_neighbors, or allow larger pose errors with "
-            f"--ChainDepth.max_disagreement_px (now {options.chain_depth.max_disagreement_px:g})",
+            f"samples on 2D edges found no depth that views agree on{why}",
+            f"{poses}compare more views with "
+            f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors}), or allow "
+            "larger errors with --ChainDepth.max_disagreement_px "
+            f"(now {options.chain_depth.max_disagreement_px:g})",
         ),
         (
             "samples_with_depth",
             "samples_confirmed",
             MIN_CONFIRMED_SHARE,
-            "depths were not confirmed by another view",
-            "check the poses (`colmap bundle_adjuster`); compare more views with "
+            f"depths were not confirmed by another view{why}",
+            f"{poses}compare more views with "
             f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors})",
         ),
         (
@@ -180,8 +193,8 @@ def chain_steps(options: PipelineOptions) -> list[tuple[str, str, float, str, st
     ]
 
 
-def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]:
-    """Findings about the paper's correspondences."""
+def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Iterator[Finding]:
+    """Findings about the paper's correspondences; `fits` is the result of `poses_fit`."""
     pepcs, starts = trace.get("pepcs", {}), trace.get("starts", {})
     total = pepcs.get("pepcs_from_sfm_points", 0) + pepcs.get("pepcs_from_pecs", 0)
     if total == 0:
@@ -197,9 +210,10 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
         reasons = {k: v for k, v in starts.items() if k not in PAPER_NOT_LOST}
         worst = max(reasons, key=lambda name: reasons[name])
         yield Finding(
-            text=f"{share(tried - accepted, tried)} of {tried:,} starts could not be followed, "
-            f"mostly because of: {worst.replace('_', ' ')}",
-            remedy=PAPER_REMEDIES.get(worst, "use --method chains"),
+            text=f"{share(tried - accepted, tried)} of {counted(tried, 'start')} could not be "
+            f"followed, mostly because of: {worst.replace('_', ' ')}",
+            remedy=("" if fits or worst != "no_valid_selection" else CHECK_POSES)
+            + PAPER_REMEDIES.get(worst, "use --method chains"),
         )
     outliers = trace.get("outliers", {})
     before, after = outliers.get("points_before", 0), outliers.get("points_after", 0)
@@ -215,16 +229,20 @@ def paper_findings(trace: Counts, options: PipelineOptions) -> Iterator[Finding]
 PAPER_NOT_LOST = {"accepted", "on_covered_stretch", "on_known_edge"}
 PAPER_REMEDIES = {
     "too_few_views": "take more overlapping images, or use --method chains",
-    "no_valid_selection": "check the poses; raise --Following.max_error_px",
+    "no_valid_selection": "raise --Following.max_error_px",
     "ambiguous_selection": "lower --Following.max_error_px or --Correspondence.outer_radius_px",
 }
 
 
-def no_edges(trace: Counts, options: PipelineOptions) -> Finding:
-    """The finding for a run without 3D edges in which no single step lost most of them."""
+def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Finding:
+    """The first finding for a run without 3D edges; the others may give the reason."""
+    text = "no 3D edge was found"
+    text += ", so that the mesh consists of SfM points alone" if is_meshed else ""
+    if has_reason:
+        return Finding(text=text, remedy="see the next note")
     return Finding(
-        text="no 3D edge was found: no candidate has "
-        f"{options.tracing.min_curve_points} points seen in {needed_views(options)[1]} views",
+        text=f"{text}: no candidate has {counted(options.tracing.min_curve_points, 'point')} seen "
+        f"in {needed_views(options)[1]} views",
         remedy=f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
     )
 
@@ -250,21 +268,21 @@ def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
     found, long = mesh.get("boundary_facets", 0), mesh.get("long_facets_dropped", 0)
     if long and long >= found / 2:
         return Finding(
-            text=f"the mesh is empty: {long:,} of {found:,} triangles have a side longer than "
-            f"{meshing.long_facet_factor:g} distances to the cameras",
+            text="the mesh is empty: triangles with a side longer than "
+            f"{meshing.long_facet_factor:g} distances to the cameras: {long:,} of {found:,}",
             remedy="raise --Meshing.long_facet_factor, or set it to 0 to keep all; "
             "check the model for points far away from all others",
         )
     if found:
         return Finding(
-            text=f"the mesh is empty: {found - long:,} of {found:,} triangles are in connected "
-            f"components of fewer than {meshing.min_component_faces:,}",
+            text="the mesh is empty: triangles in connected components of fewer than "
+            f"{meshing.min_component_faces:,}: {found - long:,} of {found:,}",
             remedy="lower --Meshing.min_component_faces",
         )
     flag = "quality_weight" if meshing.method == "graphcut" else "vote_threshold"
     return Finding(
         text="the mesh is empty: all cells were labelled alike; the viewing rays to "
-        f"{mesh.get('points', 0):,} points have too little weight",
+        f"{counted(int(mesh.get('points', 0)), 'point')} have too little weight",
         remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); with a backdrop or "
         "background masks also try --Meshing.background_weight 0; give a model with more "
         "points, none of them far away from all others",
@@ -276,18 +294,22 @@ def masks_findings(detect: Counts) -> Iterator[Finding]:
     images, masked = detect.get("images", 0), detect.get("images_masked", 0)
     if masked and detect.get("edge_pixels"):
         yield Finding(
-            text=f"no 3D edge was found in the unmasked parts of {masked} of {images} images",
+            text="masks hide parts of the images in which no 3D edge was found: "
+            f"{masked} of {images}",
             remedy=MASKS_REMEDY,
         )
 
 
-def residual_findings(write: Counts) -> Iterator[Finding]:
-    """Findings about the residuals of the edges."""
-    residual = write.get("median_residual_px")
+def residual_findings(write: Counts, read: Counts) -> Iterator[Finding]:
+    """Findings about the residuals of the edges, compared with those of the SfM points."""
+    residual, fits = write.get("median_residual_px"), poses_fit(read)
     if residual is not None and residual > LARGE_RESIDUAL_PX:
         yield Finding(
-            text=f"the median reprojection error of edges is {residual:.2f} px, which is large",
-            remedy="improve poses and cameras with `colmap bundle_adjuster` first",
+            text=f"the median reprojection error of edges is {residual:.2f} px, which is large"
+            + (f"; that of SfM points is {read['median_residual_px']:.2g} px" if fits else ""),
+            remedy="check the images for motion blur, rolling shutter and things that moved"
+            if fits
+            else "improve poses and cameras with `colmap bundle_adjuster` first",
         )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from colmap_edges.errors import counted
 from colmap_edges.options import PipelineOptions
 
 Counts = Mapping[str, Any]
@@ -38,20 +39,20 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
         if files > 2 * posed:
             more = f"map more of the {files} images (see COLMAP's log why it left them out)"
         yield Finding(
-            text=f"only {posed} images have poses, but a 3D edge must be seen in "
-            f"{max(needed, MIN_VIEWS)}",
+            text=f"the model has poses of only {counted(posed, 'image')}, but a 3D edge must be "
+            f"seen in {max(needed, MIN_VIEWS)}",
             remedy=f"{more}{lower}",
         )
     if posed < MIN_POSED_SHARE * (posed + unposed):
         yield Finding(
-            text=f"{unposed} of {posed + unposed} images have no pose and are not used",
+            text=f"images without a pose, which are not used: {unposed} of {posed + unposed}",
             remedy="register more of them with `colmap mapper` (more overlap, more features)",
         )
     yield from model_findings(read)
     if far := read.get("points3D_too_far"):
         yield Finding(
-            text=f"{far} of {far + read.get('points3D', 0)} SfM points are at infinity and are not "
-            "used; the written model still has them",
+            text="SfM points at infinity, which are not used, but are in the written model: "
+            f"{far:,} of {far + read.get('points3D', 0):,}",
             remedy="delete them with `colmap point_filtering` and its --min_tri_angle",
         )
     if posed and read.get("points3D") == 0:

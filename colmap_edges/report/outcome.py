@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from colmap_edges.errors import counted
 from colmap_edges.report.diagnosis import counts_by_stage
 
 # Descriptions of output files, with programs that open them.
@@ -49,14 +50,19 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     if write is not None:
         texts["Edges"] = edges_text(write)
     elif detect:
-        texts["Edges"] = f"{detect['polylines']:,} 2D polylines of {detect['edge_pixels']:,} pixels"
-    texts["Points"] = f"{read['points3D']:,} SfM points"
+        texts["Edges"] = (
+            f"{counted(detect['polylines'], '2D polyline')} of "
+            f"{counted(detect['edge_pixels'], 'pixel')}"
+        )
+    texts["Points"] = counted(read["points3D"], "SfM point")
     if write is not None:
-        texts["Points"] += f" and {write['edge_points']:,} edge points in the written model"
+        points = counted(write["edge_points"], "edge point")
+        texts["Points"] += f" and {points} in the written model"
     if (faces := counts.get("faces")) is not None:
-        texts["Faces"] = faces_text(faces)
+        texts["Faces"] = faces_text(faces, "background_rays" in counts.get("background", {}))
     if mesh is not None:
-        texts["Mesh"] = f"{mesh['faces']:,} triangles, {mesh['vertices']:,} vertices"
+        vertices = counted(mesh["vertices"], "vertex", "vertices")
+        texts["Mesh"] = f"{counted(mesh['faces'], 'triangle')}, {vertices}"
         if not mesh["faces"]:
             texts["Mesh"] = "empty"
     return texts
@@ -82,11 +88,18 @@ def edges_text(write: Mapping[str, Any]) -> str:
     return text
 
 
-def faces_text(faces: Mapping[str, Any]) -> str:
-    """Number and total area of the planar faces."""
+def faces_text(faces: Mapping[str, Any], has_background: bool) -> str:
+    """Number and total area of the planar faces, and whether the mesh uses them."""
     if not faces["planar_faces"]:
         return "no planar face was found"
-    return f"{faces['planar_faces']:,} planar, total area {faces['area']:,.4g} square scene units"
+    if has_background:
+        used = "only in faces.json, as silhouettes before the background bound the mesh"
+    elif not faces.get("face_points"):
+        used = "only in faces.json, as SfM points on them suffice for the mesh"
+    else:
+        used = f"{counted(faces['face_points'], 'point')} on them added to the mesh"
+    area = f"{faces['area']:,.4g}"
+    return f"{faces['planar_faces']:,} planar, total area {area} square scene units; {used}"
 
 
 def headline(record: Mapping[str, Any]) -> str:
@@ -95,16 +108,16 @@ def headline(record: Mapping[str, Any]) -> str:
     parts = []
     if write := counts.get("write"):
         parts.append(
-            f"{write['edges']:,} 3D edges, total length {write['length']:,.4g} scene units"
+            f"{counted(write['edges'], '3D edge')}, total length {write['length']:,.4g} scene units"
             if write["edges"]
             else "no 3D edge"
         )
     if (faces := counts.get("faces")) and faces["planar_faces"]:
-        parts.append(f"{faces['planar_faces']:,} planar faces")
+        parts.append(counted(faces["planar_faces"], "planar face"))
     if mesh := counts.get("mesh"):
-        parts.append(f"a mesh of {mesh['faces']:,} triangles")
+        parts.append(f"a mesh of {counted(mesh['faces'], 'triangle')}")
     text = " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]])) or "A COLMAP model"
-    text += f", from {counts['read']['images_with_poses']:,} images."
+    text += f", from {counted(counts['read']['images_with_poses'], 'image')}."
     return text[:1].upper() + text[1:]
 
 

@@ -13,6 +13,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray, row_numbers
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
+from colmap_edges.errors import counted
 from colmap_edges.report.contents import Contents, Trace, evenly_spread, xyz
 from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.viewpoint import bounds, viewpoint
@@ -88,7 +89,7 @@ def cameras_trace(model: Model, size: float) -> Trace:
     return {
         "type": "scatter3d",
         "mode": "lines",
-        "name": f"{len(model.views):,} cameras",
+        "name": counted(len(model.views), "camera"),
         "meta": "cameras",
         "line": {"color": "#d9534f", "width": 1.5},
         "text": [name for name in names for _ in range(len(lines) // len(names))],
@@ -126,7 +127,7 @@ def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
     vertices, faces, colors = coarser(mesh, MAX_FACES)
     return {
         "type": "mesh3d",
-        "name": f"mesh of {len(mesh.faces):,} triangles",
+        "name": f"mesh of {counted(len(mesh.faces), 'triangle')}",
         "meta": "mesh",
         "vertexcolor": {"rgb": rgb(colors)},
         "flatshading": True,
@@ -145,7 +146,7 @@ def face_traces(faces: Sequence[Face], low: FloatArray, high: FloatArray) -> lis
     number = f"{len(shown):,} largest of " if len(shown) < len(faces) else ""
     polygons: Trace = {
         "type": "mesh3d",
-        "name": f"{number}{len(faces):,} planar faces",
+        "name": f"{number}{counted(len(faces), 'planar face')}",
         "meta": "faces",
         "visible": False,  # the mesh shows them, too
         "opacity": 0.5,

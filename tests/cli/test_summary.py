@@ -64,6 +64,17 @@ def test_file_to_open_exists(output, gone):
     assert str(output / shown) in summary(report_of(), output, 1.0, verbose=False)[-1]
 
 
+def test_warnings_are_sentences_without_modules():
+    script = (
+        "import logging; from colmap_edges.cli.terminal import start_logging\n"
+        "start_logging(False)\n"
+        "logging.getLogger('colmap_edges.any').warning('%s is kept', 'x')\n"
+        "logging.getLogger('colmap_edges.any').info('quiet')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stderr == "Warning: x is kept\n"
+
+
 def test_verbose_logs_only_this_package():
     script = (
         "import logging; from colmap_edges.cli.terminal import start_logging\n"

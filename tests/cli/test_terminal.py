@@ -123,7 +123,7 @@ def test_printable(text, shown):
 def test_logs_are_printable():
     stream = io.StringIO()
     handler = logging.StreamHandler(stream)
-    handler.setFormatter(LogFormatter("%(message)s"))
+    handler.setFormatter(LogFormatter(verbose=False))
     logger = logging.Logger("test")
     logger.addHandler(handler)
     try:
@@ -131,7 +131,7 @@ def test_logs_are_printable():
     except ValueError:
         logger.exception("image %s", f"a\n{RED}")
     lines = stream.getvalue().split("\n")
-    assert lines[0] == r"image a\n\x1b[31m"
+    assert lines[0] == r"ERROR test: image a\n\x1b[31m"
     assert lines[1].startswith("Traceback")
     assert "\x1b" not in stream.getvalue()
 

@@ -51,7 +51,11 @@ def test_good_run_has_no_findings(options, details):
     ("lost", "text", "remedy"),
     [
         ({"read": {"images_with_poses": 2}}, "must be seen in 3", "take more images"),
-        ({"read": {"points3D_too_far": 7}}, "7 of 507 SfM points are at infinity", "tri_angle"),
+        (
+            {"read": {"points3D_too_far": 7}},
+            "SfM points at infinity, which are not used",
+            "tri_angle",
+        ),
         (
             {"detect": {"images_without_edges": 10, "edge_pixels": 0, "images_masked": 9}},
             "no edge was detected in the unmasked parts of any of 10 images",
@@ -64,12 +68,16 @@ def test_good_run_has_no_findings(options, details):
         ),
         (
             {"detect": {"images_masked": 9}, "edges": 0},
-            "no 3D edge was found in the unmasked parts of 9 of 10 images",
+            "masks hide parts of the images in which no 3D edge was found: 9 of 10",
             "invert them",
         ),
         ({"mesh": {"faces": 0}}, "the mesh is empty", "--Meshing.background_weight 0"),
         ({"mesh": {"far_from_origin": 1}}, "mesh.ply holds 64-bit ones", "--alignment_type enu"),
-        ({"read": {"images_without_poses": 20}}, "20 of 30 images have no pose", "mapper"),
+        (
+            {"read": {"images_without_poses": 20}},
+            "images without a pose, which are not used: 20 of 30",
+            "mapper",
+        ),
         ({"read": {"points3D": 0}}, "no SfM points", "point_triangulator"),
         (
             {"detect": {"images_without_edges": 10, "edge_pixels": 0}},
@@ -78,10 +86,10 @@ def test_good_run_has_no_findings(options, details):
         ),
         (
             {"detect": {"damaged": ["a.jpg", "b.jpg", "c.jpg", "d.jpg"]}},
-            "4 of 10 images could not be read and were left out: a.jpg, b.jpg, c.jpg, ...",
+            "images that could not be read, 4 of 10, were left out: a.jpg, b.jpg, c.jpg, ...",
             "replace the damaged files",
         ),
-        ({"detect": {"images_without_edges": 2}}, "2 of 10 images have no edge", "blurred"),
+        ({"detect": {"images_without_edges": 2}}, "images without any edge: 2 of 10", "blurred"),
         (
             {"trace": {"views_without_neighbors": 10}},
             "no two images see the same part",
@@ -89,7 +97,7 @@ def test_good_run_has_no_findings(options, details):
         ),
         (
             {"trace": {"views_without_neighbors": 3}},
-            "3 of 10 images overlap with no other",
+            "images that overlap with no other, and gave no edges: 3 of 10",
             "--ViewSelection.max_angle_deg",
         ),
         (
@@ -122,9 +130,35 @@ def test_good_run_has_no_findings(options, details):
     ],
 )
 def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
-    (finding,) = diagnose(stages(**lost), PipelineOptions())
+    *_, finding = diagnose(stages(**lost), PipelineOptions())
     assert text in finding.text
     assert remedy in finding.remedy
+
+
+def test_no_edges_are_the_first_finding():
+    found = diagnose(stages(edges=0, read={"images_without_poses": 20}), PipelineOptions())
+    assert [finding.text for finding in found] == [
+        "no 3D edge was found, so that the mesh consists of SfM points alone",
+        "images without a pose, which are not used: 20 of 30",
+    ]
+    assert found[0].remedy == "see the next note"
+
+
+@pytest.mark.parametrize(
+    ("lost", "text", "remedy"),
+    [
+        ({"trace": {"samples_confirmed": 70, "samples_in_runs": 60}}, "foliage", "compare more"),
+        ({"write": {"median_residual_px": 1.4}}, "that of SfM points is 0.6 px", "motion blur"),
+    ],
+)
+def test_poses_that_fit_the_sfm_points_are_not_blamed(lost, text, remedy):
+    for residual, fits in ((0.6, True), (1.8, False)):
+        (finding,) = diagnose(
+            stages(read={"median_residual_px": residual}, **lost), PipelineOptions()
+        )
+        assert (text in finding.text) == fits
+        assert (remedy in finding.remedy and "poses" not in finding.remedy) == fits
+        assert ("bundle_adjuster" in finding.remedy) != fits
 
 
 @pytest.mark.parametrize(
@@ -133,13 +167,13 @@ def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
         (
             {"long_facet_factor": 1e-9},
             {"boundary_facets": 900, "long_facets_dropped": 900},
-            "900 of 900 triangles have a side longer than 1e-09 distances",
+            "a side longer than 1e-09 distances to the cameras: 900 of 900",
             "--Meshing.long_facet_factor, or set it to 0",
         ),
         (
             {"min_component_faces": 1000},
             {"boundary_facets": 900, "component_faces_dropped": 890, "long_facets_dropped": 10},
-            "890 of 900 triangles are in connected components of fewer than 1,000",
+            "connected components of fewer than 1,000: 890 of 900",
             "lower --Meshing.min_component_faces",
         ),
         (
@@ -171,7 +205,8 @@ def test_two_images_get_no_useless_advice():
         assert "must be seen in 5" in finding.text
         assert finding.remedy.endswith(remedy)
     two = stages(read={"images_with_poses": 2}, trace={"samples_with_depth": 0}, edges=0)
-    (finding,) = diagnose(two, PipelineOptions())
+    first, finding = diagnose(two, PipelineOptions())
+    assert first.text.startswith("no 3D edge was found")
     assert "must be seen in 3" in finding.text
 
 

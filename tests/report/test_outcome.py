@@ -30,7 +30,12 @@ def test_outcome_of_each_command():
 
 def test_outcome_has_faces_if_they_were_detected():
     stages = {"read": READ, "write": WRITE, "faces": FACES, "mesh": MESH}
-    assert outcome(record(**stages))["Faces"] == "46 planar, total area 82.97 square scene units"
+    faces = outcome(record(**stages))["Faces"]
+    assert faces.startswith("46 planar, total area 82.97 square scene units; only in faces.json")
+    used = {**stages, "faces": {**FACES, "face_points": 1}}
+    assert outcome(record(**used))["Faces"].endswith("; 1 point on them added to the mesh")
+    used["background"] = {"background_rays": 9}
+    assert "silhouettes" in outcome(record(**used))["Faces"]
     assert headline(record(**stages)) == (
         "270 3D edges, total length 285.1 scene units, 46 planar faces and a mesh of 54,309 "
         "triangles, from 24 images."
@@ -50,6 +55,16 @@ def test_outcome_names_missing_results():
     assert said["Images"] == "24 with poses, 3 without (not used), 2 in which no edge was detected"
     assert said["Edges"] == "no 3D edge was found"
     assert said["Mesh"] == "empty"
+
+
+def test_single_things_are_in_the_singular():
+    write = {**WRITE, "edges": 1, "edge_points": 1}
+    stages = {"read": READ, "write": write, "faces": {"planar_faces": 1, "area": 1.0}}
+    assert headline(record(**stages, mesh={"faces": 1, "vertices": 1})) == (
+        "1 3D edge, total length 285.1 scene units, 1 planar face and a mesh of 1 triangle, "
+        "from 24 images."
+    )
+    assert outcome(record(**stages))["Points"].endswith("and 1 edge point in the written model")
 
 
 def test_headline():

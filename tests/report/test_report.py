@@ -334,7 +334,7 @@ def test_faces_are_shown_instead_of_the_mesh(scene_model, tmp_path, page):
     assert page.evaluate("document.getElementById('layer-mesh').checked") is False
     page.evaluate("document.getElementById('layer-mesh').click()")
     assert page.evaluate(visible) == [True, False, False]
-    assert "1 planar faces" in page.evaluate("document.getElementById('layers').innerText")
+    assert "1 planar face" in page.evaluate("document.getElementById('layers').innerText")
     assert page.complaints() == []
 
 

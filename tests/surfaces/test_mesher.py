@@ -116,6 +116,25 @@ def test_sphere_is_watertight_and_round():
     assert 0.97 < solid.volume / (4 / 3 * np.pi) < 1
 
 
+@pytest.mark.parametrize("exponent", [-1040, -1000, -500, 500, 900])
+def test_extreme_scales_do_not_matter(exponent):
+    points, *tracks, centers = sphere_scene(200, 10)
+    usual = meshing.mesh_points(points, *tracks, centers, OPTIONS)
+    scaled = (np.ldexp(points, exponent), *tracks, np.ldexp(centers, exponent))
+    mesh = meshing.mesh_points(*scaled, OPTIONS)
+    if exponent > -1022:  # smaller numbers have fewer digits
+        np.testing.assert_array_equal(mesh.faces, usual.faces)
+        np.testing.assert_array_equal(np.ldexp(mesh.vertices, -exponent), usual.vertices)
+    assert len(mesh.faces) > 100
+
+
+def test_cameras_at_infinity_are_an_error():
+    points, *tracks, centers = sphere_scene(200, 10)
+    for factor in (1e-310, 1e-300, 1e-200):
+        with pytest.raises(ColmapEdgesError, match="all 200 points lie within"):
+            meshing.mesh_points(points * factor, *tracks, centers, OPTIONS)
+
+
 def test_box_of_grids_is_exact():
     mesh = meshing.mesh_points(*box_scene(), OPTIONS)
     solid = as_trimesh(mesh)

@@ -10,7 +10,8 @@ from colmap_edges.core.view import lift
 from colmap_edges.edges2d.edge_graph import offsets_of
 from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges3d.chains.curves import Curves
-from colmap_edges.edges3d.chains.refinement import refine_curves
+from colmap_edges.edges3d.chains.observing import Sums
+from colmap_edges.edges3d.chains.refinement import depth_step, refine_curves
 from colmap_edges.options import RefinementOptions
 
 SPACING = 4  # points of a chain between two of a curve
@@ -57,6 +58,26 @@ def test_wrong_depths_are_corrected(curve):
     reference, *others = known.ring(7)
     curves = curve_on(reference, curve, depth_factor=1.003)
     assert np.median(refined_distances(reference, curves, others, curve)) < 0.03
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-16, 1e-12, 1e-9])
+def test_points_seen_from_the_same_place_only_do_no_harm(share):
+    """A photograph that is twice in the model moves no point: its speeds are rounding errors."""
+    reference = known.ring(2)[0]
+    curves = curve_on(reference, known.line((-0.6, -0.3, 0.2), (0.5, 0.4, 0.1)))
+    count = len(curves.indices)
+    speed2 = np.where(np.arange(count) % 4 == 1, 1e4, 1e4 * share**2)
+    none = np.zeros(count)
+    sums = Sums(
+        count=np.ones(count, np.int64),
+        speed2=speed2,
+        slope_slope=speed2,
+        slope_residual=none,
+        slope_across=none,
+        across_across=none,
+        across_residual=none,
+    )
+    assert np.isfinite(depth_step(curves, sums, RefinementOptions())).all()
 
 
 def test_the_driver_is_one_observation_of_many():
