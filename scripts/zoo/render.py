@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 from demo_scene.cameras import TrueCamera
 from demo_scene.geometry import Surface, face_normals, unite_shaded
 from embreex.mesh_construction import TriangleMesh
@@ -16,7 +17,7 @@ from zoo.camera import Grid
 from zoo.stage import Array, Light, Material, Random, Stage, blotches
 
 RAYS = 16  # through a pixel at borders; their rows and columns are all different
-PARTS = 50_000  # triangles, about, between which light is interpolated
+PARTS = 1 / 6  # triangles per pixel, about, between which light is interpolated
 SKY_RAYS, LAMP_RAYS = 72, 20
 CLEAR = 1e-4  # of the scene's size, that rays start above a surface
 INWARDS = 0.3  # of the way from a vertex to the middle of its triangles
@@ -108,9 +109,10 @@ def area(surface: Surface) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
+def illuminate(stage: Stage, surface: Surface, camera: pycolmap.Camera) -> Lit:
     """Light a stage whose united surface is given."""
-    fine, normals = unite_shaded(stage.bodies, 2 * np.sqrt(area(surface) / PARTS))
+    parts = PARTS * camera.width * camera.height
+    fine, normals = unite_shaded(stage.bodies, 2 * np.sqrt(area(surface) / parts))
     caster = Caster(fine)
     starts = light_points(fine, normals) + CLEAR * caster.unit * normals
     seen = lamp_share(caster, starts, normals, stage.light)
@@ -121,7 +123,7 @@ def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
         vectors=np.column_stack([normals, seen, sky]).astype(np.float32),
         stage=stage,
         light=stage.light,
-        pixel=pixel,
+        pixel=1 / camera.focal_length_x,
     )
 
 
