@@ -22,7 +22,7 @@ from zoo.camera import Grid, draw_camera
 from zoo.make import FAMILIES, draw_settings, free_views, make_scene
 from zoo.render import GAMMA, Caster, Sensor, exposed, illuminate, see, write_image
 from zoo.stage import Light, Material, Place, Stage, blotches, plain
-from zoo.truth import find_curves, seen_by
+from zoo.truth import find_curves, in_image, seen_by
 
 SMALL = {"size": (160, 120), "num_views": 14}
 SEED = 6  # of scenes with points in every family
@@ -196,3 +196,14 @@ def test_blotches_have_unit_deviation_and_fade_with_the_footprint():
     assert abs(field.mean()) < 0.05
     assert field.std() == pytest.approx(1, abs=0.1)
     assert blotches(places, 0.5, 3, np.full(len(places), 1.0)).std() < 0.05
+
+
+def test_points_before_the_camera_are_in_the_image_whatever_its_distortion():
+    shown = np.indices((71, 95)).reshape(2, -1).T[:, ::-1] + 0.5  # all but the margin
+    inside = shown[(shown > 1).all(axis=1)]
+    for seed in range(20):
+        camera = draw_camera(np.random.default_rng(seed), (96, 72), wide=True)
+        local = np.column_stack([camera.cam_from_img(inside), np.ones(len(inside))])
+        assert in_image(camera, 3 * local).all()
+        assert not in_image(camera, -3 * local).any()
+        assert not in_image(camera, np.array([[40.0, 0, 1], [0, -40, 1]])).any()  # not folded back
