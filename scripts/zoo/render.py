@@ -16,7 +16,7 @@ from embreex.rtcore_scene import EmbreeScene
 from zoo.camera import Grid
 from zoo.stage import Array, Light, Material, Random, Stage, blotches
 
-RAYS = 16  # through a pixel at borders; their rows and columns are all different
+RAYS = 12  # through a pixel at borders; their rows and columns are all different
 PARTS = 1 / 6  # triangles per pixel, about, between which light is interpolated; those of the
 MIN_PARTS = 1 / 20  # bodies count, and at least so many are of the size that follows
 SKY_RAYS, LAMP_RAYS = 72, 20
