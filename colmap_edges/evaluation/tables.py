@@ -245,7 +245,8 @@ def _main_table(results: dict[str, Any], baseline: str) -> str:
         if "error" not in record
     ]
     kinds = [("points", name) for name in _POINT_ERRORS] + [("mesh", name) for name in ERRORS]
-    variations = [[*row, *[""] * (len(shares) + 1)] for row in _variation_rows(results, baseline, kinds)]
+    empty = [""] * (len(shares) + 1)
+    variations = [[*row, *empty] for row in _variation_rows(results, baseline, kinds)]
     return markdown(header, rows + variations)
 
 
