@@ -92,7 +92,7 @@ class RayCaster:
         self._intersector = RayMeshIntersector(mesh)
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
-        """Lengths t (N,) of the rays up to their first hits, NaN where there is none; see `hits`."""
+        """Lengths t (N,) of the rays up to their first hits, NaN without one; see `hits`."""
         return self.hits(origin, directions).t
 
     def hits(self, origin: FloatArray, directions: FloatArray) -> Hits:
