@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold, Mesh64, OpType
 from numpy.typing import NDArray
 
 from demo_scene.bodies import Body
@@ -41,10 +41,30 @@ def unite(bodies: list[Body], longest: float | None = None) -> Surface:
 
     With `longest` the triangles are cut so that their sides are about that long at most.
     """
+    united, body_of = union(bodies)
+    refined = united if longest is None else united.refine_to_length(longest)
+    return as_surface(refined.to_mesh64(), body_of)
+
+
+def unite_shaded(bodies: list[Body], longest: float) -> tuple[Surface, NDArray[np.float64]]:
+    """Return the same surface, cut, with the (V, 3) normals of its smooth faces.
+
+    A vertex on a crease is there once for each smooth face that meets in it.
+    """
+    united, body_of = union(bodies)
+    mesh = united.calculate_normals(0, CREASE_DEG).refine_to_length(longest).to_mesh64()
+    return as_surface(mesh, body_of), np.asarray(mesh.vert_properties, np.float64)[:, 3:6]
+
+
+def union(bodies: list[Body]) -> tuple[Manifold, dict[int, int]]:
+    """Return the union of the bodies, and the body that each part of its surface comes from."""
     solids = [body.solid.as_original() for body in bodies]
     body_of = {solid.original_id(): index for index, solid in enumerate(solids)}
-    united = Manifold.batch_boolean(solids, OpType.Add)
-    mesh = (united if longest is None else united.refine_to_length(longest)).to_mesh64()
+    return Manifold.batch_boolean(solids, OpType.Add), body_of
+
+
+def as_surface(mesh: Mesh64, body_of: dict[int, int]) -> Surface:
+    """Return the triangles of a union."""
     faces = np.asarray(mesh.tri_verts, np.int32)
     run = np.searchsorted(np.asarray(mesh.run_index), 3 * np.arange(len(faces)), side="right") - 1
     face_body = np.array([body_of[i] for i in mesh.run_original_id], np.int32)[run]
@@ -52,11 +72,11 @@ def unite(bodies: list[Body], longest: float | None = None) -> Surface:
     return Surface(vertices=vertices, faces=faces, face_body=face_body)
 
 
-def true_curves(surface: Surface, bodies: list[Body]) -> Curves:
+def true_curves(surface: Surface, bodies: list[Body], spacing: float = SPACING) -> Curves:
     """Return every edge of the surface: creases, contacts of bodies, borders of paint."""
     edges, kind = sharp_edges(surface, bodies)
     curve_id = chain_edges(surface.vertices, edges, kind)
-    return subdivide(surface.vertices, edges, curve_id, kind)
+    return subdivide(surface.vertices, edges, curve_id, kind, spacing)
 
 
 def sharp_edges(
@@ -133,14 +153,15 @@ def subdivide(
     edges: NDArray[np.int32],
     curve_id: NDArray[np.int32],
     kind: NDArray[np.int32],
+    spacing: float = SPACING,
 ) -> Curves:
-    """Cut the edges into segments of at most `SPACING`; points are shared at the vertices."""
+    """Cut the edges into segments of at most `spacing`; points are shared at the vertices."""
     used, local = np.unique(edges, return_inverse=True)
     points = [vertices[used]]
     segments, count = [], len(used)
     ends = local.reshape(edges.shape)
     pieces = np.maximum(
-        1, np.ceil(np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1) / SPACING)
+        1, np.ceil(np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1) / spacing)
     )
     for (start, end), n in zip(ends, pieces.astype(int), strict=True):
         t = np.arange(1, n)[:, None] / n
