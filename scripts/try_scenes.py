@@ -3,8 +3,8 @@
 
 Each scene is meshed three times: SfM points only, with edges, and with edges and the faces between
 them. Everything is kept in --output_path, so that a run can be interrupted, and is done again only
-for scenes whose makers, program or measures changed. Failed scenes are repeated. The folder receives
-summary.md with the tables, and pictures of the worst scenes.
+where the maker of the scenes, the program or the measures changed. Failed scenes are repeated. The
+folder receives summary.md with the tables, and pictures of the worst scenes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pathlib import Path
 import click
 import cv2
 import numpy as np
-
 from trials import pictures, rules, running, summary
 from trials.rules import Record
 from trials.running import Store, TrialError, Version
@@ -60,7 +59,12 @@ class Seeds(click.ParamType):
     help="Folder of scenes, runs, results and pictures.",
 )
 def main(
-    seeds: range, families: tuple[str, ...], baseline: str, check: bool, jobs: int, output_path: Path
+    seeds: range,
+    families: tuple[str, ...],
+    baseline: str,
+    check: bool,
+    jobs: int,
+    output_path: Path,
 ) -> None:
     store = Store(path=output_path.resolve())
     scenes = [(family, seed) for family in families for seed in seeds]

@@ -77,7 +77,8 @@ def truth_of(
     cameras = json.loads((scene / "true_cameras.json").read_text(encoding="utf-8"))
     chosen = np.linspace(0, len(given) - 1, min(num_views, len(given))).round().astype(int)
     for view in (given[index] for index in chosen):
-        rows, columns = np.mgrid[stride // 2 : view.height : stride, stride // 2 : view.width : stride]
+        first = stride // 2
+        rows, columns = np.mgrid[first : view.height : stride, first : view.width : stride]
         pixels = np.dstack([columns, rows]).astype(np.float64) + 0.5
         true = true_view(view, cameras)
         hits = caster.hits(true.center, true.rays(pixels.reshape(-1, 2)))
@@ -107,8 +108,9 @@ def mesh_figures(caster: RayCaster, truths: list[TruthOfView]) -> dict[str, Any]
     there are none.
     """
     results = [relative(depth.depth_errors(caster, truth.reference)) for truth in truths]
-    covered = [caster.depth_at(truth.reference.view, truth.sky) for truth in truths if len(truth.sky)]
-    sky = float(np.isfinite(np.concatenate(covered)).mean()) if covered else None
+    covered = [caster.depth_at(truth.reference.view, truth.sky) for truth in truths]
+    hit = np.isfinite(np.concatenate(covered))
+    sky = float(hit.mean()) if len(hit) else None
     return depth.pool(results) | {"sky_covered": sky}
 
 

@@ -10,9 +10,19 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+
+class NoMesh(NamedTuple):
+    """A mesh of nothing."""
+
+    vertices: Any = np.empty((0, 3))
+    faces: Any = np.empty((0, 3))
+
+
+NO_MESH = NoMesh()
 
 
 def main(scene: Path, output: Path) -> None:
@@ -28,7 +38,10 @@ def main(scene: Path, output: Path) -> None:
             found[f"{name}_vertices"] = np.asarray(mesh.vertices, np.float32)
             found[f"{name}_faces"] = np.asarray(mesh.faces, np.int32)
 
-    keep("sfm", colmap_edges.mesh(sparse))
+    try:
+        keep("sfm", colmap_edges.mesh(sparse))
+    except colmap_edges.ColmapEdgesError:  # too few points, which edges can make up for
+        keep("sfm", NO_MESH)
     result = colmap_edges.reconstruct(sparse, scene / "images")
     keep("reconstruct")
     curves = {"contours": result.contours, "background": result.background}

@@ -28,9 +28,10 @@ EDGE_FIGURES = {
     "times each is found": ("times", 95),
 }
 NOTE = """\
-Each cell is the median over the scenes of a family and, in brackets, the worst one in twenty. Figures are defined in
-docs/evaluation.md; MAE is in shares of the pixel's depth; sky covered is the share of the pixels that show no surface at which
-there is a mesh. Edges count as found within 0.005 of the size of all true curves; recall counts the curves that three views see."""
+Each cell is the median over the scenes of a family and, in brackets, the worst one in twenty.
+Figures are defined in docs/evaluation.md. MAE is in shares of the pixel's depth. Sky covered is the
+share of the pixels that show no surface at which there is a mesh. Edges are right within 0.005 of
+the size of all true curves; recall counts the curves that at least three views see."""
 BASELINE_NOTE = "Differences to {baseline}: median, mean, and the worst scene with its seed."
 
 

@@ -77,19 +77,22 @@ class RayCaster:
     """A mesh with an acceleration structure for ray casting."""
 
     def __init__(self, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
-        """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3)."""
+        """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3).
+
+        No ray hits a mesh without faces.
+        """
         try:
             from trimesh.ray.ray_pyembree import RayMeshIntersector
         except ImportError as error:
             raise ColmapEdgesError(
                 "ray casting needs embreex; pip install 'colmap-edges[evaluation]'"
             ) from error
-        self._origin = np.asarray(vertices, dtype=np.float64).mean(axis=0)
+        self._origin = np.asarray(vertices, dtype=np.float64).mean(axis=0) if len(faces) else 0.0
         mesh = trimesh.Trimesh(vertices - self._origin, faces, process=False)
         corners = mesh.vertices[mesh.faces]
         self._corner = corners[:, 0]
         self._normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._intersector = RayMeshIntersector(mesh)
+        self._intersector = RayMeshIntersector(mesh) if len(faces) else None
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
         """Lengths t (N,) of the rays up to their first hits, NaN without one; see `hits`."""
@@ -106,7 +109,9 @@ class RayCaster:
         """
         start = origin - self._origin
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        hit = self._intersector.intersects_first(np.broadcast_to(start, unit.shape), unit)
+        hit = np.full(len(unit), -1)
+        if self._intersector is not None:
+            hit = self._intersector.intersects_first(np.broadcast_to(start, unit.shape), unit)
         distance, normals = np.full(len(directions), np.nan), np.full((len(directions), 3), np.nan)
         rays = np.flatnonzero(hit >= 0)
         normal = self._normal[hit[rays]]
