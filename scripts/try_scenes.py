@@ -67,7 +67,7 @@ def main(
     output_path: Path,
 ) -> None:
     store = Store(path=output_path.resolve())
-    scenes = [(family, seed) for family in families for seed in seeds]
+    scenes = [(family, seed) for seed in seeds for family in families]
     try:
         base = running.version_at(baseline, store) if baseline else None
         versions = [running.present_version(), *([base] if base else [])]
@@ -123,8 +123,10 @@ def draw_worst(
     order = sorted(measured, key=lambda pair: pair[1] - before.get(rules.name_of(pair[0]), 0.0))
     for rank, (record, now) in enumerate(order[:NUM_PICTURES], start=1):
         scene = store.scene(record["family"], record["seed"])
-        runs = [store.run(version, scene) for version in versions]
-        drawn = np.vstack([pictures.draw(scene, run) for run in runs if run.is_file()])
+        runs = [run for version in versions if (run := store.run(version, scene)).is_file()]
+        if not runs:  # removed to save space
+            continue
+        drawn = np.vstack([pictures.draw(scene, run) for run in runs])
         path = store.path / f"worst_{rank:02d}_{record['family']}_{record['seed']}.png"
         cv2.imwrite(str(path), drawn)
         click.echo(f"{path}: right at 1 %: {now:.3f}")
