@@ -70,7 +70,7 @@ def draw_views(
         poses = [place.spots[i] for i in chosen]
     else:
         half = min(camera.width / camera.focal_length_x, camera.height / camera.focal_length_y) / 2
-        distance = place.extent / np.sin(np.arctan(half)) * random.uniform(0.9, 1.25)
+        distance = place.extent / np.sin(np.arctan(half)) * random.uniform(0.8, 1.15)
         poses = on_path(random, place, distance, path, count)
     shake = 6.0 if path == "hand_held" else 1.0
     return [

@@ -12,14 +12,20 @@ from demo_scene.cameras import TrueCamera
 from demo_scene.geometry import Surface, unite, write_surface
 from scipy.spatial.transform import Rotation
 
-from zoo import cad, smooth
+from zoo import cad, facades, rooms, tabletop
 from zoo.camera import PATHS, Grid, draw_camera, draw_views, moved
 from zoo.points import disturb, find_tracks, triangulated, write_model
 from zoo.render import Caster, Lit, Sensor, exposed, illuminate, relit, see, write_image
 from zoo.stage import Array, Random, Stage
 from zoo.truth import TrueCurves, as_arrays, find_curves
 
-MAKERS = {"cad": cad.make, "smooth": smooth.make}
+MAKERS = {
+    "rooms": rooms.make,
+    "facades": facades.make,
+    "cad": cad.make,
+    "smooth": tabletop.smooth,
+    "clutter": tabletop.clutter,
+}
 FAMILIES = tuple(MAKERS)
 SIZE = (640, 480)  # pixels
 SPACING_PX = 1.5  # of the segments of curves, in the typical view
@@ -76,7 +82,7 @@ def draw_settings(random: Random, num_views: int | None) -> Settings:
         shot_noise=random.uniform(0.2, 2.0),
         blur_px=random.uniform(0.35, 0.9),
         jpeg_quality=int(often(0.8, random.integers(50, 99))),
-        exposure_percentile=random.uniform(70, 97),
+        exposure_percentile=random.uniform(85, 98),
         exposure_spread=often(0.4, random.uniform(0.03, 0.2)),
         moving_light=bool(often(0.15, 1)),
         unit=10 ** often(0.5, random.uniform(-3, 4)),

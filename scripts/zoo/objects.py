@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from zoo.stage import Array, Material, Random, colour
 
-SEGMENTS = 160  # around a full turn
+SEGMENTS = 128  # around a full turn
 SINK = 0.01  # depth by which a body enters the ground, so that no two faces coincide
 
 
@@ -26,7 +26,7 @@ def can(random: Random) -> Manifold:
 
 def turned(heights: Array, radii: Array, wall: float = 0.0) -> Manifold:
     """A body whose radius goes smoothly through given ones; hollow from above with a wall."""
-    z = np.linspace(heights[0], heights[-1], 48)
+    z = np.linspace(heights[0], heights[-1], 40)
     outside = np.column_stack([PchipInterpolator(heights, radii)(z), z])
     inside = [(0.0, heights[-1])]
     if wall:
@@ -52,21 +52,21 @@ def cup(random: Random) -> Manifold:
     """A cup with a handle."""
     radius, height = random.uniform(0.28, 0.36), random.uniform(0.55, 0.75)
     body = turned(np.array([0, 0.05, height]), radius * np.array([0.85, 0.95, 1]), wall=0.03)
-    handle = ring(0.045, 0.3 * height, 41).rotate((90, 0, 0)).translate((radius, 0, 0.52 * height))
+    handle = ring(0.045, 0.3 * height, 29).rotate((90, 0, 0)).translate((radius, 0, 0.52 * height))
     return body + (handle - Manifold.cylinder(2, 0.97 * radius, circular_segments=SEGMENTS))
 
 
 def sphere(random: Random) -> Manifold:
     """A ball."""
     radius = random.uniform(0.25, 0.5)
-    profile = arc(radius, -90, 90, 65)
+    profile = arc(radius, -90, 90, 57)
     profile[[0, -1], 0] = 0
     return lathe(profile, SEGMENTS).translate((0, 0, radius))
 
 
 def egg(random: Random) -> Manifold:
     """A body without any crease."""
-    t = np.linspace(0, np.pi, 65)
+    t = np.linspace(0, np.pi, 57)
     radius = np.sin(t) * (0.36 + random.uniform(-0.14, 0.14) * np.cos(t))
     profile = np.column_stack([radius, 0.5 * (1 - np.cos(t))])
     profile[[0, -1], 0] = 0
@@ -88,7 +88,7 @@ def tube(random: Random) -> Manifold:
     return ring(thick, wide, turn_deg=180).rotate((90, 0, 0))
 
 
-def ring(thick: float, wide: float, count: int = 65, turn_deg: float = 360) -> Manifold:
+def ring(thick: float, wide: float, count: int = 57, turn_deg: float = 360) -> Manifold:
     """A ring about the z axis of `count` points around its section, or a part of one."""
     circle = np.add(arc(thick, 0, 360, count)[:-1], (wide, 0))
     return Manifold.revolve(CrossSection([circle]), SEGMENTS, turn_deg)
@@ -190,10 +190,10 @@ CAD: tuple[Callable[[Random], Manifold], ...] = (
 
 
 def parts(
-    name: str, solid: Manifold, region: Manifold, materials: tuple[str, str]
+    name: str, solid: Manifold, region: Manifold | None, materials: tuple[str, str]
 ) -> Iterator[Body]:
-    """A body of two materials: the second is that of its part in a region."""
-    inside, outside = solid.split(region)
+    """A body of two materials: the second is that of its part in a region, if there is one."""
+    inside, outside = (Manifold(), solid) if region is None else solid.split(region)
     for material, part in zip(materials, (outside, inside), strict=True):
         if not part.is_empty():
             yield Body(name=name, material=material, solid=part)

@@ -16,8 +16,10 @@ from zoo.camera import Grid
 from zoo.stage import Array, Light, Material, Random, Stage, blotches
 
 RAYS = 16  # through a pixel at borders; their rows and columns are all different
-PARTS = 40_000  # triangles, about, between which light is interpolated
+PARTS = 50_000  # triangles, about, between which light is interpolated
 SKY_RAYS, LAMP_RAYS = 72, 20
+CLEAR = 1e-4  # of the scene's size, that rays start above a surface
+INWARDS = 0.3  # of the way from a vertex to the middle of its triangles
 MAX_LIGHT = 1.5  # of a ray, of 1 at white, so that lights do not bleed over their borders
 TURN = np.cos(np.radians(10))  # between the normals of neighbouring pixels at a crease
 BRIGHT = 0.75  # light, of 1 at white, that typical bright pixels are exposed to
@@ -61,6 +63,20 @@ class Caster:
             distance[hit] = dot(ahead, normals) / dot(rays[hit], normals)
         return found, distance
 
+    def seen(self, start: Array, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What rays (N, 3) float32 from one place show, in single precision.
+
+        Returns:
+            Indices (M,) of the rays that hit, triangles (M,), and (M, 4) weights of their corners
+            and distances in rays.
+        """
+        near = ((start - self.origin) / self.unit).astype(np.float32)
+        origins = np.ascontiguousarray(np.broadcast_to(near, rays.shape))
+        found = self.scene.run(origins, rays, output=1)
+        hit = np.flatnonzero(found["primID"] >= 0)
+        u, v, distance = found["u"][hit], found["v"][hit], found["tfar"][hit] * self.unit
+        return hit, found["primID"][hit], np.column_stack([1 - u - v, u, v, distance])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
@@ -69,8 +85,8 @@ class Lit:
     Attributes:
         surface: The triangles.
         caster: The same for ray casting.
-        vectors: (V, 4) float32 normals, and share of the lamp that each vertex sees.
-        sky: (V,) float32 ambient light.
+        vectors: (V, 5) float32 of each vertex: normal, share of the lamp that it sees, and light
+            from all around.
         stage: The scene.
         light: The lamp.
         pixel: Size of a pixel at distance 1.
@@ -80,7 +96,6 @@ class Lit:
     surface: Surface
     caster: Caster
     vectors: np.ndarray
-    sky: np.ndarray
     stage: Stage
     light: Light
     pixel: float
@@ -97,13 +112,13 @@ def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
     """Light a stage whose united surface is given."""
     fine, normals = unite_shaded(stage.bodies, 2 * np.sqrt(area(surface) / PARTS))
     caster = Caster(fine)
-    starts = fine.vertices + 1e-4 * caster.unit * normals
-    seen = lamp_share(caster, starts, normals, stage.light, stage.place.extent)
+    starts = light_points(fine, normals) + CLEAR * caster.unit * normals
+    seen = lamp_share(caster, starts, normals, stage.light)
+    sky = ambient(caster, starts, normals, stage.light)
     return Lit(
         surface=fine,
         caster=caster,
-        vectors=np.column_stack([normals, seen]).astype(np.float32),
-        sky=ambient(caster, starts, normals, stage.light).astype(np.float32),
+        vectors=np.column_stack([normals, seen, sky]).astype(np.float32),
         stage=stage,
         light=stage.light,
         pixel=pixel,
@@ -113,10 +128,24 @@ def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
 def relit(lit: Lit, light: Light) -> Lit:
     """The same with the lamp elsewhere."""
     normals = lit.vectors[:, :3].astype(np.float64)
-    starts = lit.surface.vertices + 1e-4 * lit.caster.unit * normals
-    seen = lamp_share(lit.caster, starts, normals, light, lit.stage.place.extent)
-    vectors = np.column_stack([normals, seen]).astype(np.float32)
+    starts = light_points(lit.surface, normals) + CLEAR * lit.caster.unit * normals
+    vectors = lit.vectors.copy()
+    vectors[:, 3] = lamp_share(lit.caster, starts, normals, light)
     return replace(lit, vectors=vectors, light=light)
+
+
+def light_points(surface: Surface, normals: Array) -> Array:
+    """(V, 3) points for which light is computed: vertices, moved off the borders of their faces.
+
+    On a border they would lie in the plane of the next face, which hides all or nothing.
+    """
+    centers = surface.vertices[surface.faces].mean(axis=1)
+    total, count = np.zeros_like(normals), np.zeros(len(normals))
+    for corner in surface.faces.T:
+        np.add.at(total, corner, centers)
+        np.add.at(count, corner, 1)
+    step = INWARDS * (total / np.maximum(count, 1)[:, None] - surface.vertices)
+    return surface.vertices + step - dot(step, normals)[:, None] * normals
 
 
 def sphere(count: int) -> Array:
@@ -141,7 +170,7 @@ def ambient(caster: Caster, starts: Array, normals: Array, light: Light) -> Arra
     return total
 
 
-def lamp_share(caster: Caster, starts: Array, normals: Array, light: Light, extent: float) -> Array:
+def lamp_share(caster: Caster, starts: Array, normals: Array, light: Light) -> Array:
     """(N,) share of the lamp that points with normals (N, 3) see."""
     spots = sphere(LAMP_RAYS) * light.radius + light.position
     total = np.zeros(len(starts))
@@ -153,76 +182,57 @@ def lamp_share(caster: Caster, starts: Array, normals: Array, light: Light, exte
     return total / LAMP_RAYS
 
 
-def trace(lit: Lit, camera: TrueCamera, at: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+def trace(lit: Lit, camera: TrueCamera, at: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Light through image coordinates (N, 2): (N, 3), bodies (N,), -1: none, (N, 4) geometry.
 
     Geometry is the normal and the distance.
     """
     rays = np.column_stack([at, np.ones(len(at))]) @ camera.cam_from_world[:, :3]
-    centre = camera.centre()
-    found, distance = lit.caster.hits(centre, rays)
-    hit = np.flatnonzero(found >= 0)
-    away = found < 0
-    light = np.empty(rays.shape, np.float32)
-    light[away] = lit.stage.background(unit(rays[away]))
+    rays = rays.astype(np.float32)
+    hit, faces, where = lit.caster.seen(camera.centre(), rays)
     body = np.full(len(rays), -1)
+    body[hit] = lit.surface.face_body[faces]
+    light = np.empty(rays.shape, np.float32)
+    light[body < 0] = lit.stage.background(unit(rays[body < 0]))
+    corners = lit.surface.faces[faces]
+    values = sum(where[:, i, None] * lit.vectors[corners[:, i]] for i in range(3))
+    values[:, :3] = unit(values[:, :3])
     geometry = np.zeros((len(rays), 4), np.float32)
-    if len(hit):
-        faces = found[hit]
-        body[hit] = lit.surface.face_body[faces]
-        places = centre + distance[hit, None] * rays[hit]
-        vectors, sky = interpolate(lit, faces, places)
-        geometry[hit] = np.column_stack([vectors[:, :3], distance[hit]])
-        shown = reflect(lit, body[hit], places, vectors, sky, rays[hit], distance[hit])
-        light[hit] = shown / lit.white
+    geometry[hit] = np.column_stack([values[:, :3], where[:, 3]])
+    shown = reflect(lit, body[hit], camera.centre(), rays[hit], where[:, 3], values)
+    light[hit] = shown / np.float32(lit.white)
     return light, body, geometry
 
 
-def unit(vectors: Array) -> Array:
+def unit(vectors: np.ndarray) -> np.ndarray:
     """Vectors (N, 3) of length 1."""
     return vectors / np.sqrt(dot(vectors, vectors))[:, None]
-
-
-def interpolate(lit: Lit, faces: np.ndarray, places: Array) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 4) unit normals and shares of the lamp, and (N,) ambient light, at places on faces."""
-    index = lit.surface.faces[faces]
-    corners = [lit.surface.vertices[index[:, i]] for i in range(3)]
-    a, b, p = corners[1] - corners[0], corners[2] - corners[0], places - corners[0]
-    aa, ab, bb, pa, pb = (dot(x, y) for x, y in ((a, a), (a, b), (b, b), (p, a), (p, b)))
-    scale = 1 / np.maximum(aa * bb - ab * ab, 1e-300)
-    v, w = (bb * pa - ab * pb) * scale, (aa * pb - ab * pa) * scale
-    weights = np.clip(np.column_stack([1 - v - w, v, w]), 0, 1).astype(np.float32)
-    vectors = sum(weights[:, i, None] * lit.vectors[index[:, i]] for i in range(3))
-    vectors[:, :3] = unit(vectors[:, :3])
-    return vectors, sum(weights[:, i] * lit.sky[index[:, i]] for i in range(3))
 
 
 def reflect(
     lit: Lit,
     body: np.ndarray,
-    places: Array,
-    vectors: np.ndarray,
-    sky: np.ndarray,
-    rays: Array,
-    distance: Array,
+    centre: Array,
+    rays: np.ndarray,
+    distance: np.ndarray,
+    values: np.ndarray,
 ) -> np.ndarray:
-    """(N, 3) light from places towards the camera, where rays come from."""
+    """(N, 3) light that bodies (N,) send back along rays (N, 3), given `Lit.vectors` there."""
     stage, light = lit.stage, lit.light
-    normals, seen = vectors[:, :3], vectors[:, 3]
-    to_lamp = light.position - places
-    squared = dot(to_lamp, to_lamp)
-    fall = np.sum((light.position - stage.place.middle) ** 2) / squared
-    to_lamp /= np.sqrt(squared)[:, None]
-    lamp = light.strength * fall * seen
+    normals, seen, sky = values[:, :3], values[:, 3], values[:, 4]
+    places = centre.astype(np.float32) + distance[:, None] * rays
+    to_lamp = light.position.astype(np.float32) - places
+    fall = np.sum((light.position - stage.place.middle) ** 2) / dot(to_lamp, to_lamp)
+    to_lamp, towards = unit(to_lamp), -unit(rays)
+    lamp = np.float32(light.strength) * fall.astype(np.float32) * seen
     diffuse = sky + lamp * np.maximum(dot(to_lamp, normals), 0)
-    towards = -unit(rays)
-    facing = np.maximum(dot(towards, normals), 0.05)
+    footprint = np.float32(lit.pixel) * distance / np.maximum(dot(towards, normals), 0.05)
     result = np.empty(places.shape, np.float32)
     for i in np.unique(body):
-        own = body == i
+        own = np.flatnonzero(body == i)
         material = stage.materials[stage.bodies[i].material]
-        paint = painted(material, places[own], lit.pixel * distance[own] / facing[own], int(i))
-        result[own] = paint * diffuse[own, None] + material.emission
+        paint = painted(material, places[own], footprint[own], int(i))
+        result[own] = paint * diffuse[own, None] + np.float32(material.emission)
         if material.gloss:
             ways = (normals[own], towards[own], to_lamp[own])
             result[own] += shine(material, stage, *ways, lamp[own])[:, None]
@@ -231,7 +241,7 @@ def reflect(
 
 def painted(material: Material, places: Array, footprint: Array, seed: int) -> Array:
     """(N, 3) albedo of a material at places; its mean over footprints (N,)."""
-    albedo = np.broadcast_to(np.array(material.albedo), places.shape)
+    albedo = np.broadcast_to(np.array(material.albedo, np.float32), places.shape)
     if not material.contrast:
         return albedo
     field = blotches(places, material.size, seed, footprint)

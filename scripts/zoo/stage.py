@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Random = np.random.Generator
 OCTAVES, WAVES = 4, 6  # of blotches
+BEND = np.float32(0.8)  # of waves by the longer ones, so that no pattern repeats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +104,7 @@ class Stage:
 
 def colour(random: Random, value: tuple[float, float] = (0.25, 0.7)) -> tuple[float, float, float]:
     """A random albedo, more often pale than vivid."""
-    hue, saturation = random.random(), 0.7 * random.random() ** 1.5
+    hue, saturation = random.random(), 0.6 * random.random() ** 1.5
     return colorsys.hsv_to_rgb(hue, saturation, random.uniform(*value))
 
 
@@ -137,13 +138,13 @@ def blotches(places: Array, size: float, seed: int, footprint: Array) -> Array:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         numbers = 2 * np.pi * 2 ** (octave + random.uniform(-0.4, 0.4, WAVES)) / size
         turns = points @ (directions.T * numbers).astype(np.float32)
-        turns += random.uniform(0, 2 * np.pi, WAVES).astype(np.float32)
+        turns += random.uniform(0, 2 * np.pi, WAVES).astype(np.float32) + BEND * total[:, None]
         waves = np.cos(turns, out=turns).sum(axis=1) * np.sqrt(2 / WAVES)
         strength = 0.8**octave
         seen = np.exp(-0.5 * (0.4 * 2 * np.pi * 2**octave / size * footprint) ** 2)
-        total += strength * (seen * waves).astype(np.float32)
+        total += (strength * seen * waves).astype(np.float32)
         weight += strength**2
-    return total / np.sqrt(weight)
+    return total / np.float32(np.sqrt(weight))
 
 
 def plain(level: tuple[float, float, float]) -> Callable[[Array], Array]:
