@@ -11,16 +11,19 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from trials import judging
 
-SCRIPTS = Path(__file__).resolve().parents[1]
+PRODUCT = Path(__file__).resolve().with_name("product.py")
+SCRIPTS = PRODUCT.parents[1]
 ROOT = SCRIPTS.parent
 MAKER = ("zoo", "demo_scene", "make_scene.py")  # the sources that decide how a scene looks
+JUDGE = ("colmap_edges/evaluation", "scripts/trials")  # ... how results are measured
 COMPILED = ("meshing", "colmap_edges/kernels", "CMakeLists.txt")  # ... what the C++ extensions do
-SOURCES, EXTENSIONS = (".py", ".so"), (".cc", ".cpp", ".h", ".txt")
+PYTHON, CPP = (".py", ".so"), (".cc", ".cpp", ".h", ".txt")
 TIMEOUT_SECONDS = 900
 KEPT_LINES = 30  # of the error output of a failed run
 
@@ -50,7 +53,7 @@ class Store:
 
     def scene(self, family: str, seed: int) -> Path:
         """The folder of a scene; another maker makes another one."""
-        return self.path / "scenes" / f"{family}_{seed}_{digest(SCRIPTS / name for name in MAKER)}"
+        return self.path / "scenes" / f"{family}_{seed}_{maker_digest()}"
 
     def run(self, version: Version, scene: Path) -> Path:
         """The meshes and edges of a scene."""
@@ -58,11 +61,10 @@ class Store:
 
     def result(self, version: Version, scene: Path) -> Path:
         """The figures of a scene; they are measured again if the measuring changes."""
-        sources = (ROOT / "colmap_edges" / "evaluation", SCRIPTS / "trials")
-        return self.path / "results" / version.name / digest(sources) / f"{scene.name}.json"
+        return self.path / "results" / version.name / judge_digest() / f"{scene.name}.json"
 
 
-def digest(paths: Iterable[Path], suffixes: tuple[str, ...] = SOURCES) -> str:
+def digest(paths: Iterable[Path], suffixes: tuple[str, ...] = PYTHON) -> str:
     """Digest of the files with some suffixes, among files and in folders."""
     found = hashlib.sha256()
     for path in paths:
@@ -73,11 +75,28 @@ def digest(paths: Iterable[Path], suffixes: tuple[str, ...] = SOURCES) -> str:
     return found.hexdigest()[:12]
 
 
+@cache
+def maker_digest() -> str:
+    """Digest of the sources of scenes, as they are when first asked for."""
+    return digest(SCRIPTS / name for name in MAKER)
+
+
+@cache
+def judge_digest() -> str:
+    """Digest of the sources of measures, as they are when first asked for."""
+    return digest(ROOT / name for name in JUDGE)
+
+
+def version_name(code: str) -> str:
+    """Name of a version: of its code, and of the way in which it is run."""
+    return f"{code}-{digest([PRODUCT])}"
+
+
 def present_version() -> Version:
     """The version of the tree that this script lies in."""
     package = ROOT / "colmap_edges"
     sources = [path for path in sorted(package.iterdir()) if path.name != "evaluation"]
-    return Version(name=f"present-{digest(sources)}", root=ROOT)
+    return Version(name=version_name(f"present-{digest(sources)}"), root=ROOT)
 
 
 def version_at(commit: str, store: Store) -> Version:
@@ -96,16 +115,14 @@ def version_at(commit: str, store: Store) -> Version:
         call(["git", "archive", "--output", str(archive.resolve()), full])
         call(["tar", "-xf", str(archive.resolve()), "-C", str(partial)])
         archive.unlink()
-        theirs, ours = (
-            digest((tree / name for name in COMPILED), EXTENSIONS) for tree in (partial, ROOT)
-        )
+        theirs, ours = (digest((tree / name for name in COMPILED), CPP) for tree in (partial, ROOT))
         if theirs == ours:
             for extension in (ROOT / "colmap_edges").rglob("*.so"):
                 shutil.copy2(extension, partial / extension.relative_to(ROOT))
         else:
             call(["bash", str(partial / "scripts" / "build"), sys.executable])
         partial.rename(root)
-    return Version(name=full[:12], root=root)
+    return Version(name=version_name(full[:12]), root=root)
 
 
 def call(command: list[str]) -> str:
@@ -166,8 +183,7 @@ def run_product(version: Version, scene: Path, output: Path, timeout: float) -> 
     """Run a version on a scene in a child process; returns how it failed, or nothing."""
     output.parent.mkdir(parents=True, exist_ok=True)
     partial = output.with_suffix(".partial")
-    program = str(Path(__file__).with_name("product.py"))
-    command = [sys.executable, "-X", "faulthandler", program, str(scene), str(partial)]
+    command = [sys.executable, "-X", "faulthandler", *map(str, (PRODUCT, scene, partial))]
     try:
         done = subprocess.run(
             command,
