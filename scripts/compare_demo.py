@@ -15,12 +15,12 @@ from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.protocols.scene import evaluate_mesh
 from colmap_edges.evaluation.readers.results import load_edges
-from colmap_edges.evaluation.tables import SHARES, markdown
+from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
 from colmap_edges.images.files import read_image
 from colmap_edges.report.overlay import draw_edges
 
 MESHES = ("without_edges", "with_edges")
-COLUMNS = ("mae", "rmse", "median", "p90", *SHARES)
+COLUMNS = ("mae", "rmse", "median", "p90", *SHARES, *NORMALS)
 
 
 def main() -> None:

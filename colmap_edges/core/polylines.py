@@ -89,5 +89,5 @@ def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """(N, k) vectors scaled to length 1; zero vectors are unchanged."""
-    return np.asarray(vectors / (np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-300))
+    """(..., k) vectors scaled to length 1; zero vectors are unchanged."""
+    return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-300))

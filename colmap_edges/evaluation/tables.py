@@ -14,6 +14,11 @@ SHARES = {
     "right_1_percent": "right at 1 %",
     "right_2_percent": "right at 2 %",
 }
+NORMALS = {
+    "normals_median_deg": "normals: median °",
+    "normals_10_deg": "normals within 10°",
+    "normals_30_deg": "within 30°",
+}
 SCORES = {"threshold": "threshold", "precision": "precision", "recall": "recall", "f_score": "F"}
 CORNERS = {
     **SCORES,
@@ -113,8 +118,9 @@ def table(columns: Mapping[str, str], records: Iterable[Mapping[str, Any]]) -> s
 
 
 def error_table(title: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
-    """A table of statistics of errors and shares of pixels by name."""
-    columns = {"name": title} | ERRORS | SHARES
+    """A table of statistics of errors and shares of pixels by name, normals where known."""
+    has_normals = any(name in row for row in errors.values() for name in NORMALS)
+    columns = {"name": title} | ERRORS | SHARES | (NORMALS if has_normals else {})
     return table(columns, [{"name": name} | dict(row) for name, row in errors.items()])
 
 
@@ -214,7 +220,8 @@ that observe them, smallest in 5x5 pixels. Rows with edges or lines count the po
 alone, rows without them the SfM points. Mesh: depth error from the reference's cameras.
 σ is the standard deviation of the absolute errors. Lengths in each scene's unit.
 Right at 1 %: share of all reference pixels at which the mesh lies within 1 % of the pixel's
-depth; holes are wrong.
+depth; holes are wrong. Normals within 10° likewise, of the pixels at which the reference has
+a normal; their median is that of the pixels with mesh.
 Average variation: mean change of an error against {baseline}, over all scenes that have both."""
 _ALL_POINTS_NOTE = "The SfM points are among the points of every row."
 
@@ -228,16 +235,18 @@ def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
 
 
 def _main_table(results: dict[str, Any], baseline: str) -> str:
-    header = (*_POINT_HEADER, "mesh MAE", *[*ERRORS.values()][1:], *SHARES.values(), "faces")
+    shares = SHARES | NORMALS
+    header = (*_POINT_HEADER, "mesh MAE", *[*ERRORS.values()][1:], *shares.values(), "faces")
     rows = [
         _point_cells(results, scene, method, record["points"])
-        + [record.get("mesh", {}).get(name, math.nan) for name in (*ERRORS, *SHARES)]
+        + [record.get("mesh", {}).get(name, math.nan) for name in (*ERRORS, *shares)]
         + [record["faces"]]
         for scene, method, record in _records(results)
         if "error" not in record
     ]
     kinds = [("points", name) for name in _POINT_ERRORS] + [("mesh", name) for name in ERRORS]
-    variations = [[*row, *[""] * 5] for row in _variation_rows(results, baseline, kinds)]
+    empty = [""] * (len(shares) + 1)
+    variations = [[*row, *empty] for row in _variation_rows(results, baseline, kinds)]
     return markdown(header, rows + variations)
 
 

@@ -109,11 +109,13 @@ def test_meshes_are_compared_with_the_true_surface(small, tmp_path):
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:4]]
     heads = ["depth error in all views", "mae", "rmse", "median", "p90", "coverage"]
     heads += [f"right {share} percent" for share in ("0 5", "1", "2")]
+    heads += ["normals median deg", "normals 10 deg", "normals 30 deg"]
     assert rows[0] == heads
     assert [row[0] for row in rows[2:]] == ["without edges", "with edges"]
     without, with_edges = ([float(cell) for cell in row[1:]] for row in rows[2:])
     assert with_edges[0] < without[0]  # of solids that are edges and little else
     assert 0 < with_edges[2] < 0.02
+    assert 0.9 < with_edges[-2] < with_edges[-1] < 1  # normals within 10 and 30 degrees
     pictures = sorted(output.glob("*.jpg"))
     assert len(pictures) == len(lines) - 4 >= 4
     height, width = cv2.imread(str(next(demo.glob("images/*")))).shape[:2]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics.normals import angles_deg, normal_shares, normals_of_depth
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summarize
 from colmap_edges.evaluation.readers.arrays import read_arrays
@@ -35,12 +37,32 @@ class ReferenceDepth:
         scale: Size of the map over the size of the image: the centre of its pixel (row, column)
             lies at ((column + 0.5) / scale, (row + 0.5) / scale) in the image.
         pixels: (H, W, 2) image positions of the depths; None for pixel centres.
+        surface_normals: (H, W, 3) unit normals of a reference mesh, see `normals`.
     """
 
     view: View
     depth: Float32Array
     scale: float
     pixels: FloatArray | None = None
+    surface_normals: FloatArray | None = None
+
+    @property
+    def known(self) -> BoolArray:
+        """Which pixels (H, W) have a depth."""
+        return (self.depth > 0) & np.isfinite(self.depth)
+
+    @cached_property
+    def normals(self) -> FloatArray | None:
+        """Unit normals (H, W, 3) in the world, towards the camera, NaN where unknown.
+
+        Those of a reference mesh, or differences of neighbouring depths. None for clouds and noisy
+        depth maps, which have none.
+        """
+        if self.surface_normals is not None or self.pixels is not None:
+            return self.surface_normals
+        depth = np.where(self.known, self.depth, np.nan).astype(np.float64)
+        rays = self.view.rays(measured_pixels(self)).reshape(*depth.shape, 3)
+        return normals_of_depth(self.view.center + rays * depth[..., None], self.view.center)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +74,15 @@ class DepthErrors:
         errors: (H, W) in world units, NaN where either is unknown.
         reference: (H, W) depths, 0 where unknown.
         coverage: Share of the reference's known pixels at which the mesh is hit.
+        angles_deg: (N,) angles between the normals of mesh and reference at the N pixels at which
+            the reference has a normal, NaN where the mesh is not hit; None if it has none.
     """
 
     name: str
     errors: FloatArray
     reference: Float32Array
     coverage: float
+    angles_deg: FloatArray | None = None
 
     @property
     def known(self) -> BoolArray:
@@ -125,22 +150,29 @@ def read_depth(path: Path) -> tuple[Float32Array, float, str]:
 
 def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> Float32Array:
     """Depth map (H, W) of the mesh of `caster` in `view`, 0 where it is not hit."""
+    return render_reference(caster, view, scale).depth
+
+
+def render_reference(caster: RayCaster, view: View, scale: float = 1.0) -> ReferenceDepth:
+    """Depths and normals of the mesh of `caster` in `view`."""
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
     empty = ReferenceDepth(view=view, depth=np.zeros(shape, dtype=np.float32), scale=scale)
-    depth = caster.depth_at(view, measured_pixels(empty)).reshape(shape)
-    return np.nan_to_num(depth, nan=0.0).astype(np.float32)
+    depth, normals = caster.hits(view.center, view.rays(measured_pixels(empty)))
+    return replace(
+        empty,
+        depth=np.nan_to_num(depth, nan=0.0).astype(np.float32).reshape(shape),
+        surface_normals=normals.reshape(*shape, 3),
+    )
 
 
 def render_references(
     caster: RayCaster, views: Sequence[View], max_size_px: int = 1600
 ) -> list[ReferenceDepth]:
     """Depth maps of a reference mesh in `views`, the longer side at most `max_size_px`."""
-    references = []
-    for view in views:
-        scale = min(1.0, max_size_px / max(view.width, view.height))
-        depth = render_depth(caster, view, scale)
-        references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
-    return references
+    return [
+        render_reference(caster, view, min(1.0, max_size_px / max(view.width, view.height)))
+        for view in views
+    ]
 
 
 def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
@@ -187,28 +219,37 @@ def central_view(model: Model) -> View:
 
 
 def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
-    """Depth of the mesh minus the reference, along the rays of the reference's pixels."""
-    known = (reference.depth > 0) & np.isfinite(reference.depth)
-    errors = np.full(reference.depth.shape, np.nan)
-    pixels = measured_pixels(reference)[known.ravel()]
-    if len(pixels):
-        errors[known] = caster.depth_at(reference.view, pixels) - reference.depth[known]
+    """Errors of the mesh's depths and normals, along the rays of the reference's pixels."""
+    known, truth = reference.known, reference.normals
+    errors, angles = np.full(reference.depth.shape, np.nan), None
+    rays = reference.view.rays(measured_pixels(reference)[known.ravel()])
+    depth, normals = caster.hits(reference.view.center, rays)
+    errors[known] = depth - reference.depth[known]
+    if truth is not None:
+        has_normal = np.isfinite(truth[known][:, 0])
+        angles = angles_deg(normals[has_normal], truth[known][has_normal])
     answered = int(np.isfinite(errors).sum())
-    coverage = answered / len(pixels) if len(pixels) else float("nan")
-    logger.debug("%s: %d of %d pixels hit", reference.view.name, answered, len(pixels))
+    coverage = answered / len(rays) if len(rays) else float("nan")
+    logger.debug("%s: %d of %d pixels hit", reference.view.name, answered, len(rays))
     return DepthErrors(
-        name=reference.view.name, errors=errors, reference=reference.depth, coverage=coverage
+        name=reference.view.name,
+        errors=errors,
+        reference=reference.depth,
+        coverage=coverage,
+        angles_deg=angles,
     )
 
 
 def pool(results: Sequence[DepthErrors]) -> dict[str, float]:
-    """Statistics of the errors and `pixel_shares`, over all pixels of all views together."""
-    if not results:
-        return _summary(np.empty(0), np.empty(0))
-    return _summary(
-        np.concatenate([result.errors[result.known] for result in results]),
-        np.concatenate([result.reference[result.known] for result in results]),
-    )
+    """Statistics of the errors and shares of right pixels, over all pixels of all views together.
+
+    See `pixel_shares` and, where a reference has normals, `normal_shares`.
+    """
+    errors = [result.errors[result.known] for result in results]
+    depths = [result.reference[result.known] for result in results]
+    angles = [result.angles_deg for result in results if result.angles_deg is not None]
+    record = _summary(np.concatenate([*errors, []]), np.concatenate([*depths, []]))
+    return record | (normal_shares(np.concatenate(angles)) if angles else {})
 
 
 def _summary(errors: FloatArray, depths: FloatArray) -> dict[str, float]:

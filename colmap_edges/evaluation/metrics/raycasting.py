@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -61,47 +61,70 @@ def load_geometry(path: Path) -> Any:
     return loaded
 
 
+class Hits(NamedTuple):
+    """First hits of rays.
+
+    Attributes:
+        t: (N,) length along each ray, in lengths of its direction; NaN where it hits nothing.
+        normals: (N, 3) unit normals of the triangles, towards the origin of the rays; or NaN.
+    """
+
+    t: FloatArray
+    normals: FloatArray
+
+
 class RayCaster:
     """A mesh with an acceleration structure for ray casting."""
 
     def __init__(self, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
-        """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3)."""
+        """Build the acceleration structure of `vertices` (V, 3) and `faces` (F, 3).
+
+        No ray hits a mesh without faces.
+        """
         try:
             from trimesh.ray.ray_pyembree import RayMeshIntersector
         except ImportError as error:
             raise ColmapEdgesError(
                 "ray casting needs embreex; pip install 'colmap-edges[evaluation]'"
             ) from error
-        self._origin = np.asarray(vertices, dtype=np.float64).mean(axis=0)
+        self._origin = np.asarray(vertices, dtype=np.float64).mean(axis=0) if len(faces) else 0.0
         mesh = trimesh.Trimesh(vertices - self._origin, faces, process=False)
         corners = mesh.vertices[mesh.faces]
         self._corner = corners[:, 0]
         self._normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._intersector = RayMeshIntersector(mesh)
+        self._intersector = RayMeshIntersector(mesh) if len(faces) else None
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
+        """Lengths t (N,) of the rays up to their first hits, NaN without one; see `hits`."""
+        return self.hits(origin, directions).t
+
+    def hits(self, origin: FloatArray, directions: FloatArray) -> Hits:
         """First hits of rays origin + t * direction, t > 0, from one origin.
+
+        Embree (single precision) finds the triangle, its plane gives t in double precision.
 
         Args:
             origin: (3,) start of every ray.
             directions: (N, 3), of any length.
-
-        Returns:
-            t of the first hit, (N,); NaN where a ray hits nothing. Embree (single precision)
-            finds the triangle, its plane gives t in double precision.
         """
         start = origin - self._origin
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        hit = self._intersector.intersects_first(np.broadcast_to(start, unit.shape), unit)
-        distance = np.full(len(directions), np.nan)
+        hit = np.full(len(unit), -1)
+        if self._intersector is not None:
+            hit = self._intersector.intersects_first(np.broadcast_to(start, unit.shape), unit)
+        distance, normals = np.full(len(directions), np.nan), np.full((len(directions), 3), np.nan)
         rays = np.flatnonzero(hit >= 0)
         normal = self._normal[hit[rays]]
         ahead = np.einsum("ij,ij->i", self._corner[hit[rays]] - start, normal)
         along = np.einsum("ij,ij->i", directions[rays], normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = ahead / along
-        distance[rays] = np.where(np.isfinite(t) & (t > 0), t, np.nan)
-        return distance
+        met = np.isfinite(t) & (t > 0)
+        rays, normal = rays[met], normal[met]
+        distance[rays] = t[met]
+        facing = -np.sign(along[met]) / np.linalg.norm(normal, axis=1)
+        normals[rays] = normal * facing[:, None]
+        return Hits(distance, normals)
 
     def depth_at(self, view: View, pixels: FloatArray) -> FloatArray:
         """Depths (N,) along the optical axis of `view` at `pixels` (N, 2); NaN off the mesh."""

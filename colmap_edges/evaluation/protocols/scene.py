@@ -20,6 +20,7 @@ from colmap_edges.evaluation.metrics import (
     edge_graphs,
     edges,
     kinds,
+    normals,
     visible_curves,
 )
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
@@ -108,10 +109,11 @@ def _against_depth(
     if pictures_path is not None:
         pictures.write_error_maps(pictures_path, results)
     views = {result.name: result.record() for result in results}
+    names = ("coverage", *depth.RIGHT_WITHIN, *normals.NORMALS_WITHIN)
     mean = {
-        name: float(np.mean([view[name] for view in views.values()]))
-        for name in ("coverage", *depth.RIGHT_WITHIN)
-        if views
+        name: float(np.mean([view[name] for view in views.values() if name in view]))
+        for name in names
+        if any(name in view for view in views.values())
     }
     return {"depth": {"pooled": depth.pool(results), "mean_of_views": mean, "views": views}}
 
