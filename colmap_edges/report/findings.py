@@ -89,7 +89,7 @@ def model_findings(read: Counts) -> Iterator[Finding]:
         sizes = ", ".join(f"model {name} with {count}" for name, count in others.items())
         yield Finding(
             text=f"model {number} is used, with {posed} images; beside it, there is {sizes}",
-            remedy=f"give another folder, such as that of model {larger}, as --input_path, or map the "
+            remedy=f"give the folder of another, such as {larger}, as --input_path, or map the "
             "images into one model",
         )
 
