@@ -110,7 +110,11 @@ def check_frames_fit(
     known = np.isfinite(np.fmin(first, second))
     text = f"{frames} and {images} hold different poses of {len(differ)} images"
     if not known.any() or (len(wrong) and len(wrong_in_images)):
-        fit = "neither fit the points3D" if known.any() else "there are no points3D to tell which"
+        fit = (
+            "neither poses fit the points3D"
+            if known.any()
+            else "there are no points3D to tell which"
+        )
         raise ColmapEdgesError(
             f"{text}, and {fit}; write the model again, or delete {frames.name} and {rigs} if a "
             f"program that does not know them has changed {images}"

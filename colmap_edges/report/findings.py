@@ -87,10 +87,11 @@ def model_findings(read: Counts) -> Iterator[Finding]:
     larger = max(others, key=others.__getitem__, default="")
     number = read.get("model", "")
     if others and (others[larger] > posed or int(min(others, key=int)) < int(number)):
-        sizes = ", ".join(f"{name} has {count}" for name, count in others.items())
+        sizes = ", ".join(f"model {name} with {count}" for name, count in others.items())
         yield Finding(
-            text=f"the model is {number} with {posed} images; beside it, {sizes}",
-            remedy="give the folder of another as --input_path, or map the images into one model",
+            text=f"model {number} is used, with {posed} images; beside it, there is {sizes}",
+            remedy=f"give the folder of another, such as {larger}, as --input_path, or map the "
+            "images into one model",
         )
 
 
