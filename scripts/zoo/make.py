@@ -121,7 +121,7 @@ def make_scene(
     distance = typical_distance(stage, cameras)
     spacing = SPACING_PX * distance / camera.focal_length_x
     curves = find_curves(surface, stage.bodies, cameras, camera, spacing)
-    lit = illuminate(stage, surface, 1 / camera.focal_length_x)
+    lit = illuminate(stage, surface, camera)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_images(random, lit, settings, cameras, camera, folder / "images")
     tracks = find_tracks(

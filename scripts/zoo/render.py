@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 from demo_scene.cameras import TrueCamera
 from demo_scene.geometry import Surface, face_normals, unite_shaded
 from embreex.mesh_construction import TriangleMesh
@@ -15,8 +16,9 @@ from embreex.rtcore_scene import EmbreeScene
 from zoo.camera import Grid
 from zoo.stage import Array, Light, Material, Random, Stage, blotches
 
-RAYS = 16  # through a pixel at borders; their rows and columns are all different
-PARTS = 50_000  # triangles, about, between which light is interpolated
+RAYS = 12  # through a pixel at borders; their rows and columns are all different
+PARTS = 1 / 6  # triangles per pixel, about, between which light is interpolated; those of the
+MIN_PARTS = 1 / 20  # bodies count, and at least so many are of the size that follows
 SKY_RAYS, LAMP_RAYS = 72, 20
 CLEAR = 1e-4  # of the scene's size, that rays start above a surface
 INWARDS = 0.3  # of the way from a vertex to the middle of its triangles
@@ -108,9 +110,11 @@ def area(surface: Surface) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
+def illuminate(stage: Stage, surface: Surface, camera: pycolmap.Camera) -> Lit:
     """Light a stage whose united surface is given."""
-    fine, normals = unite_shaded(stage.bodies, 2 * np.sqrt(area(surface) / PARTS))
+    pixels = camera.width * camera.height
+    parts = max(PARTS * pixels - len(surface.faces), MIN_PARTS * pixels)
+    fine, normals = unite_shaded(stage.bodies, 2 * np.sqrt(area(surface) / parts))
     caster = Caster(fine)
     starts = light_points(fine, normals) + CLEAR * caster.unit * normals
     seen = lamp_share(caster, starts, normals, stage.light)
@@ -121,7 +125,7 @@ def illuminate(stage: Stage, surface: Surface, pixel: float) -> Lit:
         vectors=np.column_stack([normals, seen, sky]).astype(np.float32),
         stage=stage,
         light=stage.light,
-        pixel=pixel,
+        pixel=1 / camera.focal_length_x,
     )
 
 
@@ -276,11 +280,21 @@ def see(lit: Lit, camera: TrueCamera, grid: Grid, size: tuple[int, int]) -> np.n
 
 
 def borders(body: np.ndarray, geometry: Array, size: tuple[int, int]) -> np.ndarray:
-    """(H * W,) whether a pixel, or one beside it, differs from its neighbour in what it shows."""
+    """(H * W,) whether a pixel differs from one of its eight neighbours in what it shows.
+
+    A straight border that crosses a pixel beside its centre leaves a neighbour on its other side.
+    """
     shape = (size[1], size[0])
     body, geometry = body.reshape(shape), geometry.reshape(*shape, 4)
-    found = np.zeros(shape, np.uint8)
-    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+    found = np.zeros(shape, bool)
+    after, before, every = np.s_[1:], np.s_[:-1], np.s_[:]
+    pairs = (
+        ((every, after), (every, before)),
+        ((after, every), (before, every)),
+        ((after, after), (before, before)),
+        ((after, before), (before, after)),
+    )
+    for one, other in pairs:
         a, b = geometry[one], geometry[other]
         differs = np.einsum("ijk,ijk->ij", a[..., :3], b[..., :3]) < TURN
         differs |= np.abs(a[..., 3] - b[..., 3]) > STEP * np.minimum(a[..., 3], b[..., 3])
@@ -288,7 +302,7 @@ def borders(body: np.ndarray, geometry: Array, size: tuple[int, int]) -> np.ndar
         differs |= body[one] != body[other]
         found[one] |= differs
         found[other] |= differs
-    return cv2.dilate(found, np.ones((3, 3), np.uint8)).ravel() > 0
+    return found.ravel()
 
 
 @dataclass(frozen=True, kw_only=True)

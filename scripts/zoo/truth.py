@@ -89,13 +89,13 @@ def seen_by(
 def in_image(camera: pycolmap.Camera, local: Array) -> np.ndarray:
     """(N,) whether points (N, 3) in the camera's frame are within its image."""
     front = local[:, 2] > 1e-9
-    corners = np.array([(0, 0), (camera.width, 0), (0, camera.height), (camera.width,) * 2])
-    limit = 1.2 * np.abs(camera.cam_from_img(corners.astype(float))).max()
+    width, height = camera.width, camera.height
+    corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], float)
+    limit = 1.2 * np.abs(camera.cam_from_img(corners)).max()
     at = local[:, :2] / np.where(front, local[:, 2], 1)[:, None]
     front &= (np.abs(at) < limit).all(axis=1)  # far outside, distortion would fold points inwards
     pixels = np.asarray(camera.img_from_cam(np.column_stack([at, np.ones(len(at))])))
-    size = (camera.width, camera.height)
-    return front & (pixels > 1).all(axis=1) & (pixels < np.array(size) - 1).all(axis=1)
+    return front & (pixels > 1).all(axis=1) & (pixels < (width - 1, height - 1)).all(axis=1)
 
 
 def as_arrays(curves: TrueCurves, surface: Surface, bodies: list[Body]) -> dict[str, np.ndarray]:
