@@ -53,7 +53,9 @@ def wrong_share(caster: RayCaster, reference: depth.ReferenceDepth) -> float:
 def on_image(image: Picture, view: View, edges: Curves, caster: RayCaster) -> Picture:
     """The darkened image with the edges that a surface does not hide there."""
     pixels, depths = view.project(edges.points)
-    inside = view.holds(pixels, depths)
+    # Distortion folds what lies far outside the image back into it.
+    offsets = view.undistorted_from_image(pixels) - view.project_undistorted(edges.points)[0]
+    inside = view.holds(pixels, depths) & (np.abs(offsets).max(axis=1, initial=0) < 1)
     front = np.full(len(pixels), np.inf)
     front[inside] = np.nan_to_num(caster.depth_at(view, pixels[inside]), nan=np.inf)
     seen = inside & (depths <= front * (1 + HIDDEN))
