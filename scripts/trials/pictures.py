@@ -12,7 +12,7 @@ from colmap_edges.core.arrays import Picture
 from colmap_edges.core.view import View
 from colmap_edges.evaluation import pictures
 from colmap_edges.evaluation.metrics import depth
-from colmap_edges.evaluation.metrics.raycasting import RayCaster
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import Curves
 from colmap_edges.images.files import read_image
@@ -20,7 +20,7 @@ from trials import judging
 
 STRIDE = 2  # pixels between rays
 LARGEST = 0.02  # of depth, at the end of error maps
-HIDDEN = 0.01  # of depth, by which what is hidden lies behind the mesh
+HIDDEN = 0.01  # of depth, by which what is hidden lies behind the surface
 CLEAR = 0.3  # of the scene's depth, before a place from which it is looked at
 EDGE, BACKGROUND = (60, 220, 60), (255, 220, 200)
 
@@ -34,7 +34,9 @@ def draw(scene: Path, run: Path) -> Picture:
     reference = worst.reference
     view = reference.view
     errors = judging.relative(depth.depth_errors(caster, reference))
-    image = on_image(read_image(view, scene / "images"), view, judging.found_curves(found), caster)
+    surface = load_mesh(scene / "surface.ply")  # a mesh with holes does not hide what is behind
+    truth = RayCaster(surface.vertices, surface.faces)
+    image = on_image(read_image(view, scene / "images"), view, judging.found_curves(found), truth)
     place = other_place([truth.reference for truth in truths], view)
     error_map = pictures.error_map(errors, LARGEST, "error / depth")
     size = (view.width // STRIDE, view.height // STRIDE)
@@ -49,9 +51,11 @@ def wrong_share(caster: RayCaster, reference: depth.ReferenceDepth) -> float:
 
 
 def on_image(image: Picture, view: View, edges: Curves, caster: RayCaster) -> Picture:
-    """The darkened image with the edges that the mesh does not hide there."""
+    """The darkened image with the edges that a surface does not hide there."""
     pixels, depths = view.project(edges.points)
-    inside = view.holds(pixels, depths)
+    # Distortion folds what lies far outside the image back into it.
+    offsets = view.undistorted_from_image(pixels) - view.project_undistorted(edges.points)[0]
+    inside = view.holds(pixels, depths) & (np.abs(offsets).max(axis=1, initial=0) < 1)
     front = np.full(len(pixels), np.inf)
     front[inside] = np.nan_to_num(caster.depth_at(view, pixels[inside]), nan=np.inf)
     seen = inside & (depths <= front * (1 + HIDDEN))
