@@ -21,7 +21,8 @@ from colmap_edges.export.glb import write_glb
 from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents
-from colmap_edges.report.diagnosis import diagnose, funnel
+from colmap_edges.report.diagnosis import diagnose
+from colmap_edges.report.funnel import funnel
 from colmap_edges.report.page import write_report
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages

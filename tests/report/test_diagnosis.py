@@ -3,7 +3,8 @@ import itertools
 import pytest
 
 from colmap_edges.options import EdgeGraphOptions, MeshingOptions, PipelineOptions, TracingOptions
-from colmap_edges.report.diagnosis import diagnose, funnel
+from colmap_edges.report.diagnosis import diagnose
+from colmap_edges.report.funnel import funnel
 
 READ = {"images_with_poses": 10, "images_without_poses": 0, "points3D": 500}
 DETECT = {"images": 10, "images_without_edges": 0, "chain_pixels": 9000, "edge_pixels": 9000}
@@ -136,7 +137,7 @@ def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
 def test_no_edges_are_the_first_finding():
     found = diagnose(stages(edges=0, read={"images_without_poses": 20}), PipelineOptions())
     assert [finding.text for finding in found] == [
-        "no 3D edge was found, so that the mesh consists of SfM points alone",
+        "no 3D edge was found, so that the mesh is made without edges",
         "images without a pose, which are not used: 20 of 30",
     ]
     assert found[0].remedy == "see the next note"
