@@ -97,7 +97,8 @@ def mesh_with_curves(
 
     `point3D_ids` of the result are indices of the points in this order.
     """
-    if len(model.far_point3D_ids) and not len(model.points3D_xyz):
+    seen_points = len(model.points3D_xyz) + sum(each.num_points for each in curves)
+    if not seen_points and len(model.far_point3D_ids):
         raise ColmapEdgesError(
             f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
             "with the distances between cameras; check the units of points and poses"
