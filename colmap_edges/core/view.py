@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, order_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, order_of, parts_of
 
 
 def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> FloatArray:
@@ -23,6 +23,10 @@ PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 MAX_LENS_ERROR_PX = 0.1  # maximum round-trip error of undistorting and distorting
 # Points that are projected at once: the overhead of a call is small, the arrays stay in the cache.
 GROUP_SIZE = 5_000
+
+
+FOLD_RADII = np.geomspace(1e-2, 1e2, 256)  # tangents of angles off axis at which a fold is found
+FOLDS: dict[tuple[str, tuple[float, ...]], float] = {}  # of cameras by model and parameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +71,9 @@ class View:
         return undistorted
 
     def image_from_undistorted(self, undistorted: FloatArray) -> FloatArray:
-        """Distort (N, 2) undistorted pixels to image pixels."""
+        """Distort (N, 2) undistorted pixels to image pixels; NaN beyond the lens's fold."""
         rays = np.column_stack([np.asarray(undistorted) / self.focal_px, np.ones(len(undistorted))])
-        return np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
+        return distorted(self.camera, rays)
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """(N, 3) viewing rays in world coordinates, of depth 1, of (N, 2) image pixels; or NaN."""
@@ -105,6 +109,35 @@ class View:
         return np.asarray(inside & (depths > 0))
 
 
+def distorted(camera: Any, rays: FloatArray) -> FloatArray:
+    """(N, 2) image pixels of (N, 3) rays of depth 1 in a pycolmap.Camera; NaN beyond its fold."""
+    pixels = np.asarray(camera.img_from_cam(rays)).reshape(-1, 2)
+    if camera.model.name not in PINHOLES:
+        limit = fold_of(camera)
+        pixels[rays[:, 0] ** 2 + rays[:, 1] ** 2 >= limit * limit] = np.nan
+    return pixels
+
+
+def fold_of(camera: Any) -> float:
+    """The tangent of the angle off axis at which the lens of a pycolmap.Camera folds back.
+
+    Beyond it, polynomials of the distortion project rays back into the image. Infinite if the
+    distance from the principal point grows everywhere, as it does without distortion.
+    """
+    key = camera.model.name, tuple(camera.params)
+    if key not in FOLDS:
+        turns = np.arange(8) * np.pi / 4
+        ways = np.column_stack([np.cos(turns), np.sin(turns)])
+        rays = np.ones((len(ways), len(FOLD_RADII), 3))
+        rays[:, :, :2] = ways[:, None] * FOLD_RADII[:, None]
+        pixels = np.asarray(camera.img_from_cam(rays.reshape(-1, 3))).reshape(*rays.shape[:2], 2)
+        with np.errstate(invalid="ignore"):
+            away = np.linalg.norm(pixels - camera.img_from_cam(np.array([[0.0, 0.0, 1.0]])), axis=2)
+            folds = ~(np.diff(away, axis=1) > 0).all(axis=0)
+        FOLDS[key] = float(FOLD_RADII[np.argmax(folds)]) if folds.any() else np.inf
+    return FOLDS[key]
+
+
 def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
     """(V, N) whether (N, 3) world points are in the images of V views.
 
@@ -124,7 +157,7 @@ def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
             depths = local[:, 2]
             with np.errstate(divide="ignore", invalid="ignore"):
                 rays = local / np.where(depths > 0, depths, np.nan)[:, None]
-            pixels = np.asarray(group[0].camera.img_from_cam(rays)).reshape(-1, 2)
+            pixels = distorted(group[0].camera, rays)
             inside[rows] = group[0].holds(pixels, depths).reshape(len(rows), -1)
     return inside
 
@@ -132,7 +165,7 @@ def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
 def rows_by_view(track_views: NDArray[np.integer[Any]], num_views: int) -> list[IntArray]:
     """The ascending rows of each view among the (T,) views of observations."""
     order = order_of(track_views, num_views)
-    return np.split(order, np.cumsum(np.bincount(track_views, minlength=num_views))[:-1])
+    return parts_of(order, offsets_of(np.bincount(track_views, minlength=num_views)))
 
 
 def views_with_rows(

@@ -61,7 +61,10 @@ def read_stage(source: Any, stages: Stages, image_path: Path | None = None) -> M
         stage.counts = model_counts(model) | {"image_files": num_files}
         if isinstance(source, str | os.PathLike):
             folder = Path(os.path.abspath(source))  # noqa: PTH100 - links keep their names
-            stage.counts |= {"model": folder.name, "other_models": other_models(folder)}
+            stage.counts |= {
+                "model": f"{folder.parent.name}/{folder.name}",
+                "other_models": other_models(folder),
+            }
     return model
 
 

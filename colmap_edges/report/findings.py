@@ -85,13 +85,14 @@ def model_findings(read: Counts) -> Iterator[Finding]:
         )
     others, posed = read.get("other_models", {}), read.get("images_with_poses", 0)
     larger = max(others, key=others.__getitem__, default="")
-    number = read.get("model", "")
+    folder, _, number = read.get("model", "").rpartition("/")
     if others and (others[larger] > posed or int(min(others, key=int)) < int(number)):
-        sizes = ", ".join(f"model {name} with {count}" for name, count in others.items())
+        sizes = ", ".join(f"{folder}/{name} with {count}" for name, count in others.items())
         yield Finding(
-            text=f"model {number} is used, with {posed} images; beside it, there is {sizes}",
-            remedy=f"give the folder of another, such as {larger}, as --input_path, or map the "
-            "images into one model",
+            text=f"the model {folder}/{number} is used, with {posed} images; beside it, there is "
+            f"{sizes}",
+            remedy=f"give another, such as {folder}/{larger}, as --input_path, or map the images "
+            "into one model",
         )
 
 

@@ -46,7 +46,7 @@ def test_other_models_are_said_with_their_sizes(tmp_path, number):
     put(tmp_path, m0=2, m1=3, m2=2)
     stages = Stages()
     read_stage(tmp_path / "sparse" / number, stages)
-    assert any(f"model {number} is used, with" in text for text in notes(stages))
+    assert any(f"the model sparse/{number} is used, with" in text for text in notes(stages))
 
 
 def test_smaller_models_behind_it_are_not_said(tmp_path):

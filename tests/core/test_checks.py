@@ -248,3 +248,8 @@ def test_files_that_cannot_be_written_are_errors(scene_edges, sphere, tmp_path):
     assert not accepted(write_ply, scene_edges, tmp_path / "missing" / "e.ply")
     assert not accepted(colmap_edges.write_mesh, sphere, tmp_path / "missing" / "m.ply")
     assert accepted(write_ply, scene_edges, str(tmp_path / "e.ply"))
+
+
+def test_edges_of_an_empty_model_are_of_another(edges):
+    with pytest.raises(ColmapEdgesError):
+        mesh(pycolmap.Reconstruction(), edges)

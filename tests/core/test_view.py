@@ -8,7 +8,7 @@ import pycolmap
 import pytest
 
 from colmap_edges.core import view as of_views
-from colmap_edges.core.view import in_images
+from colmap_edges.core.view import fold_of, in_images
 
 
 def test_points_in_the_images():
@@ -38,3 +38,26 @@ def test_views_of_several_cameras_together_and_one_by_one(group_size, monkeypatc
     expected = [view.holds(*view.project(points)) for view in views]
     assert 0.1 < np.mean(expected) < 0.9
     np.testing.assert_array_equal(in_images(views, points), expected)
+
+
+@pytest.mark.parametrize(
+    ("lens", "params", "fold"),
+    [
+        ("SIMPLE_RADIAL", (-0.116,), (1 / (3 * 0.116)) ** 0.5),
+        ("SIMPLE_RADIAL", (0.1,), np.inf),
+        ("OPENCV", (-0.1, 0.0, 0.0, 0.0), (1 / 0.3) ** 0.5),
+        ("OPENCV_FISHEYE", (0.0, 0.0, 0.0, 0.0), np.inf),
+    ],
+)
+def test_rays_beyond_the_fold_of_a_lens_are_not_in_the_image(lens, params, fold):
+    camera = pycolmap.Camera.create_from_model_name(1, lens, 500.0, 640, 480)
+    plain = len(camera.params) - len(params)
+    camera.params = [*camera.params[:plain], *params]
+    assert fold_of(camera) == pytest.approx(fold, rel=0.05)
+    view = known.make_view(np.eye(3), np.zeros(3), camera=camera)
+    tangents = np.array([0.1, 0.5, 3.5])
+    points = np.column_stack([tangents, np.zeros(3), np.ones(3)])
+    pixels, depths = view.project(points)
+    assert np.isfinite(pixels[:, 0]).tolist() == (tangents < fold).tolist()
+    inside = [True, True, False]
+    assert view.holds(pixels, depths).tolist() == in_images([view], points)[0].tolist() == inside
