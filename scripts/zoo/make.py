@@ -17,7 +17,7 @@ from zoo.camera import PATHS, Grid, draw_camera, draw_views, moved
 from zoo.points import disturb, find_tracks, triangulated, write_model
 from zoo.render import Caster, Lit, Sensor, exposed, illuminate, relit, see, write_image
 from zoo.stage import Array, Random, Stage
-from zoo.truth import TrueCurves, as_arrays, find_curves
+from zoo.truth import TrueCurves, as_arrays, contrasts_in, find_curves, shown
 
 MAKERS = {
     "rooms": rooms.make,
@@ -123,7 +123,8 @@ def make_scene(
     curves = find_curves(surface, stage.bodies, cameras, camera, spacing)
     lit = illuminate(stage, surface, camera)
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    write_images(random, lit, settings, cameras, camera, folder / "images")
+    contrasts = write_images(random, lit, settings, cameras, camera, folder / "images", curves)
+    curves = shown(curves, contrasts, float(np.hypot(settings.noise, settings.shot_noise)))
     tracks = find_tracks(
         random, lit, curves, cameras, camera, settings.num_points, settings.point_noise_px
     )
@@ -172,8 +173,10 @@ def write_images(
     cameras: list[TrueCamera],
     camera: pycolmap.Camera,
     folder: Path,
-) -> None:
-    """Render the views."""
+    curves: TrueCurves,
+) -> Array:
+    """Render the views; returns the (E, V) contrasts of the curves' segments in them."""
+    contrasts = np.zeros(curves.visible.shape)
     grid = Grid.of(camera)
     size = (camera.width, camera.height)
     light = lit.stage.light
@@ -191,7 +194,9 @@ def write_images(
             shot_noise=settings.shot_noise,
             quality=settings.jpeg_quality,
         )
-        write_image(folder / view.name, see(lit, view, grid, size), sensor, random)
+        gray = write_image(folder / view.name, see(lit, view, grid, size), sensor, random)
+        contrasts[:, i] = contrasts_in(gray, curves, view, camera)
+    return contrasts
 
 
 def draw_world(random: Random, settings: Settings) -> tuple[float, Array, Array]:

@@ -324,15 +324,16 @@ class Sensor:
     quality: int
 
 
-def write_image(path: Path, light: np.ndarray, sensor: Sensor, random: Random) -> None:
-    """Blur, expose, add noise and write."""
+def write_image(path: Path, light: np.ndarray, sensor: Sensor, random: Random) -> np.ndarray:
+    """Blur, expose, add noise and write; returns the (H, W, 3) gray levels without noise."""
     blurred = cv2.GaussianBlur(light, (0, 0), sensor.blur_px) * sensor.gain
     gray = 255 * np.clip(blurred, 0, 1) ** (1 / GAMMA)
     deviation = np.hypot(sensor.noise, sensor.shot_noise * np.sqrt(gray / 255))
-    gray += random.standard_normal(gray.shape, np.float32) * deviation
-    pixels = np.clip(np.rint(gray), 0, 255).astype(np.uint8)
+    noisy = gray + random.standard_normal(gray.shape, np.float32) * deviation
+    pixels = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     options = [cv2.IMWRITE_JPEG_QUALITY, sensor.quality] if sensor.quality else []
     cv2.imwrite(str(path), pixels[..., ::-1], options)
+    return gray
 
 
 def exposed(lit: Lit, cameras: list[TrueCamera], grid: Grid, percentile: float) -> Lit:

@@ -10,12 +10,16 @@ from cad_objects.true_curves import curves_by_kind
 from demo_scene.bodies import Body
 from demo_scene.cameras import TrueCamera
 from demo_scene.geometry import KINDS, Surface, chain_edges, sharp_edges, subdivide
+from scipy.ndimage import map_coordinates
 
 from zoo.render import Caster
 from zoo.stage import Array
 
 HIDDEN = 1e-3  # relative: what is hit nearer than that before a point hides it
 MIN_VIEWS = 2
+MIN_CONTRAST = 4.0  # gray levels by which the sides of a segment that is seen differ at least
+NOISES = 3.0  # standard deviations of the noise by which they do
+ASIDE_PX = 2.5  # from a segment to its sides, in the image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +34,8 @@ class TrueCurves:
         curves: (E,) curve of each, cut where lines and bent curves meet.
         kinds: (C,) kind of each of these: line, arc, circle, elliptic arc, ellipse, other.
         radii: (C, 2); NaN where none.
-        visible: (E, V) whether each view sees the middle of the segment.
+        visible: (E, V) whether each view sees the middle of the segment: nothing hides it, and
+            its sides differ in the image.
     """
 
     points: Array
@@ -70,6 +75,44 @@ def find_curves(
         radii=radii,
         visible=visible[kept],
     )
+
+
+def shown(curves: TrueCurves, contrasts: Array, noise: float) -> TrueCurves:
+    """The curves that at least two views show: (E, V) contrasts exceed the noise there."""
+    visible = curves.visible & (contrasts > max(MIN_CONTRAST, NOISES * noise))
+    kept = visible.sum(axis=1) >= MIN_VIEWS
+    used, local = np.unique(curves.edges[kept], return_inverse=True)
+    return TrueCurves(
+        points=curves.points[used],
+        edges=local.reshape(-1, 2).astype(np.int32),
+        curve_id=curves.curve_id[kept],
+        kind=curves.kind[kept],
+        curves=curves.curves[kept],
+        kinds=curves.kinds,
+        radii=curves.radii,
+        visible=visible[kept],
+    )
+
+
+def contrasts_in(
+    image: np.ndarray, curves: TrueCurves, view: TrueCamera, camera: pycolmap.Camera
+) -> Array:
+    """(E,) largest difference of a channel of an image (H, W, 3) between the sides of segments."""
+    ends = curves.points[curves.edges] @ view.cam_from_world[:, :3].T + view.cam_from_world[:, 3]
+    depths = np.where(ends[..., 2:] > 0, ends[..., 2:], np.inf)
+    pixels = np.asarray(camera.img_from_cam((ends / depths).reshape(-1, 3))).reshape(-1, 2, 2)
+    along = pixels[:, 1] - pixels[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True) + 1e-12
+    aside = ASIDE_PX * np.column_stack([-along[:, 1], along[:, 0]])
+    middle = pixels.mean(axis=1) - 0.5  # OpenCV's first pixel is at (0, 0)
+    one, other = (
+        [
+            map_coordinates(channel, (middle + way).T[::-1], order=1)
+            for channel in np.moveaxis(image, 2, 0)
+        ]
+        for way in (aside, -aside)
+    )
+    return np.abs(np.array(one) - other).max(axis=0).astype(np.float64)
 
 
 def seen_by(
