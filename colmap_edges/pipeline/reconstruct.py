@@ -6,24 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from colmap_edges.colmap.model import Model, observation_residuals
+from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import extend_reconstruction
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.checks import checked
-from colmap_edges.core.edges3d import Edges3D, TracedEdges
-from colmap_edges.edges2d.image_graphs import Visitors
+from colmap_edges.core.curves3d import Curves3D
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.options import PipelineOptions, resolved
-from colmap_edges.pipeline.detect import detect_stage
-from colmap_edges.pipeline.mesh import background_stage, face_stage
+from colmap_edges.pipeline.found import Found, ImagePaths, find_edges
 from colmap_edges.pipeline.read import check_pictures, read_stage
-from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.diagnosis import diagnose
 from colmap_edges.report.findings import Finding
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
-from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
-from colmap_edges.surfaces.faces.grids import GridTaker
+from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.silhouettes import Background
 
 
@@ -33,6 +30,7 @@ class EdgeReconstruction:
 
     Attributes:
         edges: the 3D edges with their tracks.
+        curves: the lines, arcs, circles, ellipses and splines that fit them.
         contours: view-dependent contours (silhouettes of smooth bodies, reflections) for `mesh`;
             they are not edges and not in `reconstruction`.
         point3D_ids: (N,) ids of the edge points in `reconstruction`; points of one node share one.
@@ -47,6 +45,7 @@ class EdgeReconstruction:
     """
 
     edges: Edges3D
+    curves: Curves3D
     contours: Edges3D
     point3D_ids: IntArray
     reconstruction: Any
@@ -89,48 +88,35 @@ def reconstruct(
             or have the wrong size; or fewer than two images are readable.
     """
     options = options or PipelineOptions()
-    images = Path(image_path)
-    cache = Path(cache_path) if cache_path else None
-    masks = Path(mask_path) if mask_path else None
-    maps = Path(edge_path) if edge_path else None
+    paths = ImagePaths(
+        images=Path(image_path),
+        masks=Path(mask_path) if mask_path else None,
+        edge_maps=Path(edge_path) if edge_path else None,
+    )
     stages = Stages()
-    model = read_stage(reconstruction_or_path, stages, images)
-    check_pictures(model, images, masks, maps, options)
-    model = at_working_scale(model, images, options.detection)
-    taker = GridTaker() if options.use_faces else None
-    visitor = Visitors.of(taker)
-    with open_workers(options, cache) as workers:
-        detection = detect_stage(model, images, options, stages, visitor, workers, masks, maps)
+    model = read_stage(reconstruction_or_path, stages, paths.images)
+    check_pictures(model, paths.images, paths.masks, paths.edge_maps, options)
+    model = at_working_scale(model, paths.images, options.detection)
+    with open_workers(options, Path(cache_path) if cache_path else None) as workers:
         settings = resolved(options, model.scale)
-        model, traced = edge_stages(model, detection, settings, stages, workers)
-        detection.graphs.release()
-    edges, faces = traced.edges, NO_FACES
-    background = background_stage(model, detection, edges, options, stages)
-    if taker:
-        faces = face_stage(model, edges, taker.grids, options, stages, detection, background)
-    return result_of(model, traced, background, faces, options, stages)
+        found = find_edges(model, paths, settings, stages, workers, for_mesh=True)
+    return result_of(found, options, stages)
 
 
-def result_of(
-    model: Model,
-    traced: TracedEdges,
-    background: Background | None,
-    faces: Faces,
-    options: PipelineOptions,
-    stages: Stages,
-) -> EdgeReconstruction:
+def result_of(found: Found, options: PipelineOptions, stages: Stages) -> EdgeReconstruction:
     """Make the result of `reconstruct`."""
-    edges = traced.edges
-    residuals = observation_residuals(model, edges)
-    extended, ids = extend_reconstruction(model, edges, residuals)
+    edges = found.traced.edges
+    residuals = observation_residuals(found.model, edges)
+    extended, ids = extend_reconstruction(found.model, edges, residuals)
     return EdgeReconstruction(
         edges=edges,
-        contours=traced.contours,
+        curves=found.curves,
+        contours=found.traced.contours,
         point3D_ids=ids,
         reconstruction=extended,
         residuals_px=residuals,
-        background=background,
-        faces=faces,
+        background=found.background,
+        faces=found.faces,
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )

@@ -8,26 +8,22 @@ from typing import Any
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.colmap.writing import check_text_names
-from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
 from colmap_edges.export.faces import write_faces
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
-from colmap_edges.pipeline.mesh import background_stage, check_mesher, face_stage, mesh_stage
+from colmap_edges.pipeline.found import ImagePaths, find_edges
+from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
 from colmap_edges.pipeline.read import check_pictures, read_stage
-from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.pipeline.write import make_report, report_stage, write_stage
 from colmap_edges.report.contents import Contents
-from colmap_edges.report.pictures import PictureTaker
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
-from colmap_edges.surfaces.faces.finding import NO_FACES
-from colmap_edges.surfaces.faces.grids import GridTaker
 
 
 def run(
@@ -120,37 +116,29 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images, with resolved settings."""
-    images, others = image_folder(paths), (paths.mask_path, paths.edge_path)
+    images = image_folder(paths)
     if command == "detect":
         check_file_names(model.views)
         writer = GraphWriter(folder, options.edge_graph)
-        detect_stage(model, images, options, stages, writer, workers, *others)
+        masks, maps = paths.mask_path, paths.edge_path
+        detect_stage(model, images, options, stages, writer, workers, masks, maps)
         return Contents(model=model)
-    wanted = options.report or viewer is not NO_VIEWER
-    taker = PictureTaker(len(model.views)) if wanted else None
-    grids = GridTaker() if command == "mesh" and options.use_faces else None
-    visitor = Visitors.of(taker, grids)
-    detection = detect_stage(model, images, options, stages, visitor, workers, *others)
-    pictures = taker.pictures() if taker else ()
-    for picture in pictures:
-        viewer.show_picture(model.views[picture.view], picture)
-    given = model
-    model, traced = edge_stages(model, detection, options, stages, workers)
-    detection.graphs.release()
-    if model is not given:
-        viewer.show_model(model)
-    edges = traced.edges
-    viewer.show_edges(edges, len(model.views))
-    extended = write_stage(model, edges, folder, options, stages)
-    mesh, background, faces = None, None, NO_FACES
+    found = find_edges(
+        model,
+        ImagePaths(images=images, masks=paths.mask_path, edge_maps=paths.edge_path),
+        options,
+        stages,
+        workers,
+        for_mesh=command == "mesh",
+        with_pictures=options.report or viewer is not NO_VIEWER,
+        viewer=viewer,
+    )
+    model, edges, faces, mesh = found.model, found.traced.edges, found.faces, None
+    extended = write_stage(model, edges, found.curves, folder, options, stages)
     if command == "mesh":
-        if options.meshing.background_weight:
-            background = background_stage(model, detection, edges, options, stages)
-        if grids:
-            small = grids.grids
-            faces = face_stage(model, edges, small, options, stages, detection, background)
+        if options.use_faces:
             write_faces(faces.faces, model, folder / "faces.json")
-            viewer.show_faces(faces.faces)
-        mesh = mesh_stage(model, traced, extended, folder, options, stages, background, faces)
+        given = (found.traced, extended, folder, options, stages, found.background, faces)
+        mesh = mesh_stage(model, *given)
         viewer.show_mesh(mesh)
-    return Contents(model=model, pictures=pictures, edges=edges, mesh=mesh, faces=faces.faces)
+    return Contents(model=model, pictures=found.pictures, edges=edges, mesh=mesh, faces=faces.faces)

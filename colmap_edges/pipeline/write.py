@@ -13,8 +13,8 @@ import numpy as np
 import colmap_edges
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
+from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.export.dxf import write_dxf
 from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
 from colmap_edges.export.glb import write_glb
@@ -24,13 +24,13 @@ from colmap_edges.report.contents import Contents
 from colmap_edges.report.diagnosis import diagnose
 from colmap_edges.report.funnel import funnel
 from colmap_edges.report.page import write_report
-from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages
 
 
 def write_stage(
     model: Model,
     edges: Edges3D,
+    curves: Curves3D,
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
@@ -47,13 +47,10 @@ def write_stage(
         write_ply(edges, folder / "edges.ply")
         write_obj(edges, folder / "edges.obj")
         write_glb(edges, folder / "edges.glb")
-        threads, regularize = thread_count(options), options.curves.regularize
-        curves = fit_curves(edges, regularize=regularize, num_threads=threads)
         write_dxf(curves, folder / "edges.dxf")
         write_json(edges, curves, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
-            "curves": curves.num_curves,
             "edge_points": edges.num_distinct,
             "length": float(f"{edge_lengths(edges).sum():.6g}"),
             "observations": len(edges.distinct()[0].observations.views),

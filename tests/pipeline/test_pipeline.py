@@ -16,6 +16,7 @@ import colmap_edges
 from colmap_edges.cli.info import describe
 from colmap_edges.colmap.model import load_model
 from colmap_edges.declared_options import derived
+from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions, TracingOptions
 from colmap_edges.pipeline.paths import Paths
@@ -266,7 +267,9 @@ def test_edges_are_drawn_where_they_are_seen(scene, scene_model):
 def test_write_stage_writes_model_and_edges(scene_model, scene_edges, tmp_path, output_type):
     stages = Stages()
     options = PipelineOptions(output_type=output_type)
-    extended = write_stage(scene_model, scene_edges, tmp_path, options, stages)
+    extended = write_stage(
+        scene_model, scene_edges, fit_curves(scene_edges), tmp_path, options, stages
+    )
     suffix = output_type.lower()
     assert (tmp_path / "sparse" / f"points3D.{suffix}").is_file()
     written = load_model(tmp_path / "sparse")
@@ -293,9 +296,9 @@ def test_mesh_writes_every_file(meshed, scene_model):
     edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
     others = {"faces.json", "mesh.ply", "report.html", "report.json", "sparse"}
     assert {path.name for path in output.iterdir()} == edges | others
-    names = ["read", "detect", "trace", "write", "background", "faces", "mesh", "report"]
-    assert [stage["name"] for stage in report["stages"]] == names
-    edge_points = report["stages"][3]["counts"]["edge_points"]
+    stages = ["read", "detect", "trace", "curves", "background", "faces", "write", "mesh", "report"]
+    assert [stage["name"] for stage in report["stages"]] == stages
+    edge_points = report["stages"][stages.index("write")]["counts"]["edge_points"]
     written = load_model(output / "sparse")
     assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
 

@@ -1,0 +1,124 @@
+"""The stages from images to edges, curves, background and faces, for folders and for Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.curves3d import Curves3D
+from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.edges2d.image_graphs import Visitors
+from colmap_edges.edges3d.curves.fitting import fit_curves
+from colmap_edges.options import PipelineOptions
+from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.mesh import background_stage, face_stage
+from colmap_edges.pipeline.trace import edge_stages
+from colmap_edges.report.contents import ImagePicture
+from colmap_edges.report.pictures import PictureTaker
+from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
+from colmap_edges.runtime.executors import Workers, thread_count
+from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
+from colmap_edges.surfaces.faces.grids import GridTaker
+from colmap_edges.surfaces.silhouettes import Background
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagePaths:
+    """Where the images are, and what belongs to them.
+
+    Attributes:
+        images: folder of the images.
+        masks: folder of masks, or one mask for all images; or None.
+        edge_maps: folder of edge images of another detector, or None.
+    """
+
+    images: Path
+    masks: Path | None = None
+    edge_maps: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What the images of a model show.
+
+    Attributes:
+        model: the model at the working scale, with refined poses if they were wanted.
+        traced: the 3D edges and the view-dependent contours.
+        curves: the curves that fit the edges.
+        background: rays to the background; None without one.
+        faces: planar faces between the edges.
+        pictures: reduced pictures of the images, if they were wanted.
+    """
+
+    model: Model
+    traced: TracedEdges
+    curves: Curves3D
+    background: Background | None
+    faces: Faces
+    pictures: Sequence[ImagePicture]
+
+
+def find_edges(
+    model: Model,
+    paths: ImagePaths,
+    settings: PipelineOptions,
+    stages: Stages,
+    workers: Workers,
+    *,
+    for_mesh: bool,
+    with_pictures: bool = False,
+    viewer: Viewer = NO_VIEWER,
+) -> Found:
+    """Run the stages from the images of a model to its edges.
+
+    Args:
+        model: the model at the working scale.
+        paths: of its images.
+        settings: the options, as `resolved` for the model's scale.
+        stages: the stages of the run.
+        workers: executor of the work on images and views.
+        for_mesh: whether to find the background and, unless `use_faces` is 0, faces.
+        with_pictures: whether to take reduced pictures of the images.
+        viewer: viewer that shows intermediate results.
+    """
+    taker = PictureTaker(len(model.views)) if with_pictures else None
+    grids = GridTaker() if for_mesh and settings.use_faces else None
+    visitor, others = Visitors.of(taker, grids), (paths.masks, paths.edge_maps)
+    detection = detect_stage(model, paths.images, settings, stages, visitor, workers, *others)
+    pictures = taker.pictures() if taker else ()
+    for picture in pictures:
+        viewer.show_picture(model.views[picture.view], picture)
+    given = model
+    model, traced = edge_stages(model, detection, settings, stages, workers)
+    detection.graphs.release()
+    if model is not given:
+        viewer.show_model(model)
+    viewer.show_edges(traced.edges, len(model.views))
+    curves = curve_stage(traced.edges, settings, stages)
+    background, faces = None, NO_FACES
+    if for_mesh and settings.meshing.background_weight:
+        background = background_stage(model, detection, traced.edges, settings, stages)
+    if grids:
+        small = grids.grids
+        faces = face_stage(model, traced.edges, small, settings, stages, detection, background)
+        viewer.show_faces(faces.faces)
+    return Found(
+        model=model,
+        traced=traced,
+        curves=curves,
+        background=background,
+        faces=faces,
+        pictures=pictures,
+    )
+
+
+def curve_stage(edges: Edges3D, settings: PipelineOptions, stages: Stages) -> Curves3D:
+    """Fit lines, arcs, circles, ellipses and splines to the edges."""
+    with stages.stage("curves") as stage:
+        regularize, threads = settings.curves.regularize, thread_count(settings)
+        curves = fit_curves(edges, regularize=regularize, num_threads=threads)
+        stage.counts = {"curves": curves.num_curves}
+    return curves
