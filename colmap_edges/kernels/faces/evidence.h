@@ -322,7 +322,6 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
       const Vec2 middle{FaceView::kCellPx * (x + right) / 2.0,
                         FaceView::kCellPx * (y + bottom) / 2.0};
       const Patch patch(view, middle);
-      if (patch.variance() <= kGrayNoise) continue;
       const Vec3 ray = view.RayThrough(middle);
       for (int32_t k = 0; k < num_planes; ++k) {
         const auto at = [&](int32_t i, int32_t j) {
