@@ -51,6 +51,7 @@ class EvidenceWeights(NamedTuple):
     correlation: float = 1.0  # gray that differs from that in other views
     inside: float = 0.15  # a place that the plane's points lie around
     depth_tolerance: float = 0.02  # share of depth by which surfaces are told apart
+    missed: float = 1.0  # points on the plane that neighbouring views observe, and the view not
 
 
 class BorderCosts(NamedTuple):
