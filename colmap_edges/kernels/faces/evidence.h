@@ -32,8 +32,8 @@ constexpr int32_t kMinCells = 6;
 // What observed points say against a plane, beyond which nothing else is asked.
 constexpr double kHopeless = 0.8;
 constexpr float kNextCell = 0.15f;  // of what a point says of its cell, for the eight around it
-constexpr int kPatchCells = 2;   // cells, each way, that one patch stands for
-constexpr int kMaxCompared = 3;  // views that a patch is compared with
+constexpr int kPatchCells = 2;      // cells, each way, that one patch stands for
+constexpr int kMaxCompared = 3;     // views that a patch is compared with
 
 struct ObservedPoint {
   int32_t point;
