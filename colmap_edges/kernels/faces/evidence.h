@@ -176,13 +176,12 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
 
 // The more of the neighbours that could see a point observe it, the less probable it is to miss it.
 inline std::vector<MissedPoint> FaceScene::MissedBy(int32_t v) const {
-  std::vector<int32_t> seen;
+  std::vector<int32_t> seen, own = observed[v];
+  std::sort(own.begin(), own.end());
   for (const int32_t u : neighbors[v])
     for (const int32_t p : observed[u])
       if (points.plane_offsets[p] < points.plane_offsets[p + 1]) seen.push_back(p);
   std::sort(seen.begin(), seen.end());
-  std::vector<uint8_t> is_own(points.points.size(), false);
-  for (const int32_t p : observed[v]) is_own[p] = true;
   std::vector<MissedPoint> missed;
   for (size_t i = 0; i < seen.size();) {
     const int32_t p = seen[i];
@@ -190,7 +189,9 @@ inline std::vector<MissedPoint> FaceScene::MissedBy(int32_t v) const {
     for (; i < seen.size() && seen[i] == p; ++i) ++count;
     Vec2 pixel;
     double depth;
-    if (is_own[p] || !views[v].Project(points.points[p], &pixel, &depth)) continue;
+    if (std::binary_search(own.begin(), own.end(), p) ||
+        !views[v].Project(points.points[p], &pixel, &depth))
+      continue;
     const int32_t cell = views[v].CellAt(pixel);
     for (const int32_t u : neighbors[v])
       holding += views[u].Project(points.points[p], &pixel, &depth);
