@@ -20,6 +20,7 @@ struct EvidenceWeights {
   double correlation;              // of the gray around the cell with that in neighbouring views
   double inside;                   // where a plane's points lie around
   double depth_tolerance;          // share of depth that tells one surface from another
+  double missed;                   // points on a plane that neighbours observe, and the view not
 };
 
 inline double Saturated(double count, double scale) {
@@ -30,13 +31,21 @@ inline double Saturated(double count, double scale) {
 constexpr int32_t kMinCells = 6;
 // What observed points say against a plane, beyond which nothing else is asked.
 constexpr double kHopeless = 0.8;
-constexpr int kPatchCells = 2;   // cells, each way, that one patch stands for
-constexpr int kMaxCompared = 3;  // views that a patch is compared with
+constexpr float kNextCell = 0.15f;  // of what a point says of its cell, for the eight around it
+constexpr int kPatchCells = 2;      // cells, each way, that one patch stands for
+constexpr int kMaxCompared = 3;     // views that a patch is compared with
 
 struct ObservedPoint {
   int32_t point;
   int32_t cell;
   double depth;
+};
+
+// A point that neighbours of a view observe and the view does not, though it lies in its picture.
+struct MissedPoint {
+  int32_t point;
+  int32_t cell;
+  float weight;  // negative logarithm of how probable it is to miss it where it can be seen
 };
 
 // Depths and costs of the labels of a view's cells: its planes, then none.
@@ -96,6 +105,8 @@ class FaceScene {
     return std::binary_search(begin, end, plane);
   }
   void AddPoints(int32_t v, ViewCosts* made) const;
+  std::vector<MissedPoint> MissedBy(int32_t v) const;
+  void AddMissed(int32_t v, ViewCosts* made) const;
   void AddSights(int32_t v, ViewCosts* made) const;
   void AddCorrelation(int32_t v, ViewCosts* made) const;
 
@@ -146,7 +157,7 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
     const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
     for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
       for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
-        const float weight = i == x && j == y ? 1.f : 0.15f;
+        const float weight = i == x && j == y ? 1.f : kNextCell;
         const size_t row = (size_t(j) * view.columns + i) * (num_planes + 1);
         const float* depths = &made->depths[row];
         for (int32_t k = 0; k < num_planes; ++k) {
@@ -161,6 +172,52 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
   for (size_t i = 0; i < size; ++i)
     made->costs[i] += -weights.on * Saturated(on[i], 3) + weights.before * Saturated(before[i], 2) +
                       weights.behind * Saturated(behind[i], 2);
+}
+
+// The more of the neighbours that could see a point observe it, the less probable it is to miss it.
+inline std::vector<MissedPoint> FaceScene::MissedBy(int32_t v) const {
+  std::vector<int32_t> seen, own = observed[v];
+  std::sort(own.begin(), own.end());
+  for (const int32_t u : neighbors[v])
+    for (const int32_t p : observed[u])
+      if (points.plane_offsets[p] < points.plane_offsets[p + 1]) seen.push_back(p);
+  std::sort(seen.begin(), seen.end());
+  std::vector<MissedPoint> missed;
+  for (size_t i = 0; i < seen.size();) {
+    const int32_t p = seen[i];
+    int count = 0, holding = 1;  // the view itself can see it
+    for (; i < seen.size() && seen[i] == p; ++i) ++count;
+    Vec2 pixel;
+    double depth;
+    if (std::binary_search(own.begin(), own.end(), p) ||
+        !views[v].Project(points.points[p], &pixel, &depth))
+      continue;
+    const int32_t cell = views[v].CellAt(pixel);
+    for (const int32_t u : neighbors[v])
+      holding += views[u].Project(points.points[p], &pixel, &depth);
+    missed.push_back({p, cell, -std::log1p(-float(count) / float(holding))});
+  }
+  return missed;
+}
+
+inline void FaceScene::AddMissed(int32_t v, ViewCosts* made) const {
+  const FaceView& view = views[v];
+  const int32_t num_planes = int32_t(made->planes.size());
+  std::vector<float> missed(made->costs.size(), 0);
+  for (const MissedPoint& point : MissedBy(v)) {
+    const int32_t x = point.cell % view.columns, y = point.cell / view.columns;
+    for (int32_t k = 0; k < num_planes; ++k) {
+      if (!IsOn(point.point, made->planes[k])) continue;
+      for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
+        for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
+          const float share = i == x && j == y ? 1.f : kNextCell;
+          missed[(size_t(j) * view.columns + i) * (num_planes + 1) + k] += share * point.weight;
+        }
+      }
+    }
+  }
+  for (size_t i = 0; i < missed.size(); ++i)
+    made->costs[i] += float(weights.missed * Saturated(missed[i], 2));
 }
 
 inline bool SameSide(const Plane& plane, const FaceView& one, const FaceView& other) {
@@ -322,7 +379,6 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
       const Vec2 middle{FaceView::kCellPx * (x + right) / 2.0,
                         FaceView::kCellPx * (y + bottom) / 2.0};
       const Patch patch(view, middle);
-      if (patch.variance() <= kGrayNoise) continue;
       const Vec3 ray = view.RayThrough(middle);
       for (int32_t k = 0; k < num_planes; ++k) {
         const auto at = [&](int32_t i, int32_t j) {
@@ -404,6 +460,7 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
     }
   }
   AddPoints(v, &made);
+  AddMissed(v, &made);
   AddSights(v, &made);
   if (weights.correlation > 0) AddCorrelation(v, &made);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {

@@ -17,14 +17,14 @@ from colmap_edges.core.arrays import (
     entries_of,
     offsets_of,
     order_of,
+    owners_of,
     parts_of,
     ranks_of,
     row_numbers,
 )
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import Grid, cells_in
-from colmap_edges.surfaces.faces.hypotheses import Planes
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, cells_in
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
@@ -35,7 +35,6 @@ MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 3
 PLAIN_CELLS = 2.0
-EACH_BEHIND = 4  # one in so many points on a face has one behind it
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face
 
@@ -154,33 +153,55 @@ def thinned(samples: Samples, accepted: IntArray) -> IntArray:
 
 
 def points_of_samples(
-    samples: Samples, accepted: IntArray, planes: Planes, centers: FloatArray
+    samples: Samples, accepted: IntArray, views: Sequence[View], grids: Sequence[Grid]
 ) -> SeenPoints:
-    """Accepted samples, thinned, as points that some agreeing views see; then points behind them.
+    """Accepted samples, thinned, as points that some agreeing views see.
 
-    The latter are seen by no view. They keep the mesher's cells behind a face thin, so that lines
-    of sight that pass the end of a wall do not pierce it.
+    These are the views that show most nearly the middle gray of all that agree. What stands before
+    a plane and was labelled as part of it differs from what other views see of the plane there.
 
     Args:
         samples: all samples.
         accepted: indices of those to choose from.
-        planes: that they lie on.
-        centers: (V, 3) of the views.
+        views: all views.
+        grids: their small pictures.
     """
     chosen = thinned(samples, accepted)
     counts = np.diff(samples.offsets)[chosen]
-    entries = entries_of(samples.offsets, chosen)[ranks_of(counts) % EACH_VIEW == 0]
-    views = samples.views[entries]
-    offsets = offsets_of(-(-counts // EACH_VIEW))
-    behind = chosen[::EACH_BEHIND]
-    normals = planes.normals[samples.planes[behind]]
-    sights = samples.points[behind] - centers[views[offsets[:-1][::EACH_BEHIND]]]
-    sides = np.sign(np.einsum("ij,ij->i", normals, sights))
-    depth = SPACING_CELLS * np.median(samples.sizes[chosen]) if len(chosen) else 0.0
-    return SeenPoints(
-        np.concatenate(
-            [samples.points[chosen], samples.points[behind] + depth * sides[:, None] * normals]
-        ),
-        np.concatenate([offsets, np.full(len(behind), offsets[-1])]),
-        views,
+    offsets, entries = offsets_of(counts), entries_of(samples.offsets, chosen)
+    owners, seeing = owners_of(offsets), samples.views[entries]
+    gray = grays_at(samples.points[chosen][owners], seeing, views, grids)
+    off = gray - middles(gray, offsets)[owners]
+    for rows in parts_of(
+        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
+    ):
+        off[rows] -= np.median(off[rows]) if len(rows) else 0.0  # exposures differ
+    order = np.lexsort((np.abs(off - middles(off, offsets)[owners]), owners))
+    kept = -(-counts // EACH_VIEW)
+    rays = np.sort(order[ranks_of(counts) < kept[owners]])
+    return SeenPoints(samples.points[chosen], offsets_of(kept), seeing[rays])
+
+
+def grays_at(
+    points: FloatArray, seeing: Int32Array, views: Sequence[View], grids: Sequence[Grid]
+) -> FloatArray:
+    """(N,) mean gray of the cell around each of (N, 3) points in the (N,) view that sees it."""
+    gray = np.zeros(len(points))
+    rows_of = parts_of(
+        order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
     )
+    for view, grid, rows in zip(views, grids, rows_of, strict=True):
+        means = cv2.blur(grid.gray.astype(np.float32), (CELL_PX, CELL_PX))
+        last = np.array(means.shape[::-1]) - 1
+        at = np.clip(np.floor(grid.pixels_of(view, points[rows])), 0, last).astype(np.int64)
+        gray[rows] = means[at[:, 1], at[:, 0]]
+    return gray
+
+
+def middles(values: FloatArray, offsets: IntArray) -> FloatArray:
+    """(n,) medians of the values between (n + 1,) offsets, none of which are empty."""
+    ordered = values[np.lexsort((values, owners_of(offsets)))]
+    counts = np.diff(offsets)
+    lower, upper = offsets[:-1] + (counts - 1) // 2, offsets[:-1] + counts // 2
+    medians: FloatArray = (ordered[lower] + ordered[upper]) / 2
+    return medians

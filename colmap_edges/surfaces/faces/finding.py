@@ -42,7 +42,7 @@ class Faces:
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
-        points: points on them with observing views, and points behind them without any.
+        points: points on them with observing views.
         num_planes: number of plane hypotheses.
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
@@ -116,9 +116,7 @@ def find_faces(
     evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
     planes = find_planes(evidence, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
-    return last.faces(
-        model, points_of_samples(last.samples, last.accepted, last.planes, model.camera_centers)
-    )
+    return last.faces(model, points_of_samples(last.samples, last.accepted, model.views, pictures))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,6 +36,12 @@ class Grid:
         height, width = self.gray.shape
         return height // CELL_PX, width // CELL_PX
 
+    def pixels_of(self, view: View, points: FloatArray) -> FloatArray:
+        """(N, 2) places of (N, 3) points before its view in the picture."""
+        local = points @ view.rotation.T + view.translation
+        pixels: FloatArray = self.focal_px * local[:, :2] / local[:, 2:] + self.principal
+        return pixels
+
 
 def cell_offsets(grids: Sequence[Grid]) -> IntArray:
     """(V + 1,) where the cells of each of V views begin among those of all."""
@@ -85,10 +91,8 @@ def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntA
 
     Points outside the picture count to the nearest cell.
     """
-    local = points @ view.rotation.T + view.translation
-    pixels = grid.focal_px * local[:, :2] / local[:, 2:] + grid.principal
     last = np.array(grid.gray.shape[::-1]) // CELL_PX - 1
-    cells = np.clip(np.floor(pixels / CELL_PX), 0, last).astype(np.int64)
+    cells = np.clip(np.floor(grid.pixels_of(view, points) / CELL_PX), 0, last).astype(np.int64)
     return cells[:, 1], cells[:, 0]
 
 

@@ -45,12 +45,13 @@ class EvidenceWeights(NamedTuple):
     seen_there: float = 0.4  # views that see a point at the plane's depth there
     unsupported: float = 0.6  # a plane on which the view observes few points
     no_plane: float = 1.1  # no plane; a plane without evidence costs 1
-    agree: float = 1.0  # views that took the same plane there
+    agree: float = 0.3  # views that took the same plane there
     disagree: float = 1.0  # views that took a plane farther away
     hidden: float = 0.5  # share of views that took a nearer plane
     correlation: float = 1.0  # gray that differs from that in other views
     inside: float = 0.15  # a place that the plane's points lie around
     depth_tolerance: float = 0.02  # share of depth by which surfaces are told apart
+    missed: float = 1.5  # points on the plane that neighbouring views observe, and the view not
 
 
 class BorderCosts(NamedTuple):

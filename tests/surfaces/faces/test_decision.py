@@ -1,4 +1,4 @@
-"""A face is seen from one side; what is behind it, no view sees."""
+"""A face is seen from one side, by views that show the same there."""
 
 from types import SimpleNamespace
 
@@ -7,10 +7,9 @@ import pycolmap
 
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import (
-    EACH_BEHIND,
     EACH_VIEW,
     PLAIN_CELLS,
-    SPACING_CELLS,
+    Samples,
     are_believed,
     are_plain,
     points_of_samples,
@@ -114,35 +113,52 @@ def test_places_far_from_all_points_of_their_view_are_plain():
     assert 0 < np.sum(upper & ~plain) < np.sum(upper & plain)
 
 
-def test_samples_are_thinned_to_points_of_every_third_view():
+def test_samples_are_thinned_to_points_of_a_third_of_their_views():
     samples, _ = support([1, 1])
     accepted = np.arange(len(samples.points))
     chosen = thinned(samples, accepted)
     assert 0 < len(chosen) < len(accepted)
-    made = points_of_samples(samples, accepted, PLANES, CENTERS)
-    assert np.array_equal(made.points[: len(chosen)], samples.points[chosen])
+    views = four_views()
+    made = points_of_samples(samples, accepted, views, [blank_grid(view) for view in views])
+    assert np.array_equal(made.points, samples.points[chosen])
     for row, sample in enumerate(chosen):
-        views = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]
+        seeing = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]
         first, last = made.track_offsets[row : row + 2]
-        assert made.track_views[first:last].tolist() == views[::EACH_VIEW].tolist()
+        assert last - first == -(-len(seeing) // EACH_VIEW)
+        assert np.isin(made.track_views[first:last], seeing).all()
 
 
-def test_points_behind_faces_are_seen_by_no_view():
-    samples, upper = support([1, 1])
-    for accepted, side in ((upper, -1), (np.isclose(samples.points[:, 2], -0.3), 1)):
-        rows = np.flatnonzero(accepted)
-        chosen = thinned(samples, rows)
-        made = points_of_samples(samples, rows, PLANES, CENTERS)
-        behind = made.points[len(chosen) :]
-        assert len(behind) == -(-len(chosen) // EACH_BEHIND)
-        assert np.all(np.diff(made.track_offsets)[len(chosen) :] == 0)
-        off = behind - samples.points[chosen[::EACH_BEHIND]]
-        assert np.allclose(off[:, :2], 0)
-        assert np.allclose(off[:, 2], side * SPACING_CELLS * np.median(samples.sizes[chosen]))
+def test_rays_come_from_views_that_show_the_middle_gray():
+    views = [*four_views()[:1] * 6]
+    grids = [blank_grid(view) for view in views]
+    for i, grid in enumerate(grids):
+        grid.gray[:] = 100 + 7 * i  # exposures differ
+        grid.gray[:, grid.gray.shape[1] // 2 :] += 40 * (i % 3 == 0)  # something stands before it
+    points = np.column_stack([np.linspace(-0.5, 0.5, 40), np.zeros((40, 2))])
+    none = np.zeros(len(points), np.int32)
+    samples = Samples(
+        points=points,
+        sizes=np.full(len(points), 0.01),
+        cells=none,
+        planes=none,
+        holding=none + 6,
+        agreeing=none + 6,
+        through=none,
+        hidden=none,
+        offsets=6 * np.arange(len(points) + 1),
+        views=np.tile(np.arange(6, dtype=np.int32), len(points)),
+    )
+    made = points_of_samples(samples, np.arange(len(points)), views, grids)
+    assert np.all(np.diff(made.track_offsets) == 6 // EACH_VIEW)
+    covered = np.repeat(made.points[:, 0] > 0.05, np.diff(made.track_offsets))
+    assert covered.any()
+    assert not np.isin(made.track_views[covered], [0, 3]).any()
 
 
 def test_without_accepted_samples_there_are_no_points():
     samples, _ = support([1, 1])
-    made = points_of_samples(samples, np.zeros(0, np.int64), PLANES, CENTERS)
+    views = four_views()
+    grids = [blank_grid(view) for view in views]
+    made = points_of_samples(samples, np.zeros(0, np.int64), views, grids)
     assert len(made.points) == len(made.track_views) == 0
     assert made.track_offsets.tolist() == [0]
