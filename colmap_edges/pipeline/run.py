@@ -57,21 +57,14 @@ def run(
     """
     paths = absolute(paths)
     check_paths(paths, overwrite)
-    if command != "mesh" or options.use_edges:
-        image_folder(paths)
-    if scheduler and paths.cache_path is None:
-        raise OptionError(
-            "a scheduler needs cache_path, through which workers read edge graphs; give it"
-        )
-    if command == "mesh":
-        check_mesher()
+    uses_images = command != "mesh" or options.use_edges
+    images = image_folder(paths) if uses_images else None
+    check_needs(command, paths, scheduler)
     with (
         new_folder(paths.output_path, OUTPUT, overwrite) as folder,
         open_workers(options, paths.cache_path, scheduler) as workers,
     ):
         stages = Stages(progress)
-        uses_images = command != "mesh" or options.use_edges
-        images = paths.image_path if uses_images else None
         model, settings = read_stage(paths.input_path, stages, images), options
         viewer.show_model(model)
         if not uses_images:
@@ -88,6 +81,20 @@ def run(
             report["stages"] = stages.records()
         write_record(folder, report)
     return report
+
+
+def check_needs(command: str, paths: Paths, scheduler: str) -> None:
+    """Check that the mesher and the cache are there if they are needed.
+
+    Raises:
+        ColmapEdgesError: if one is not.
+    """
+    if scheduler and paths.cache_path is None:
+        raise OptionError(
+            "a scheduler needs cache_path, through which workers read edge graphs; give it"
+        )
+    if command == "mesh":
+        check_mesher()
 
 
 def write_record(folder: Path, report: dict[str, Any]) -> None:

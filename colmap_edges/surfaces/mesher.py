@@ -197,8 +197,8 @@ def mesh_points(
 ) -> Mesh:
     """Mesh points with their viewing rays.
 
-    Non-finite points are left out. Coinciding points, and nearly coinciding points of edges, are
-    merged with all their rays. The result does not depend on the order of points and rays.
+    Non-finite points are left out; coinciding points, and nearly coinciding ones of edges, are
+    merged. The result does not depend on the order of points and rays.
 
     Args:
         points: (N, 3) float64.
@@ -244,7 +244,7 @@ def mesh_points(
         num_threads=num_threads or os.cpu_count() or 1,
     )
     check_volume(stats, len(points))
-    ids, black = sources[:, 0].astype(np.int64), np.zeros((len(vertices), 3), np.uint8)
+    ids, black = sources[:, 0].astype(np.int64), np.zeros(vertices.shape, np.uint8)
     return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
 
 

@@ -218,7 +218,7 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
     for min_blur_px, scale in ((0.0, 1.0), (1.5, 1.5)):
         options = PipelineOptions(detection=DetectionOptions(min_blur_px=min_blur_px))
         result = reconstruct(scene.reconstruction, scene_paths[0], options)
-        assert result.stages[0]["counts"]["image_scale"] == scale
+        assert result.stages[1]["counts"]["image_scale"] == scale
         edges = result.edges
         projected = np.array(
             [
@@ -250,7 +250,7 @@ def test_edges_of_images_given_twice_as_large_end_to_end(scene, scene_paths, tmp
         twice = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         cv2.imwrite(str(tmp_path / image.name), twice)
     result = reconstruct(large, tmp_path, PipelineOptions())
-    scale = result.stages[0]["counts"]["image_scale"]
+    scale = result.stages[1]["counts"]["image_scale"]
     assert 1 / 3.5 < scale <= 0.5
     edges, views = result.edges, model_from_reconstruction(large).views
     observed = edges.observations

@@ -244,7 +244,7 @@ def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert counts["detect"]["edge_pixels"] == counts["trace"]["edges"] == 0
     assert counts["mesh"]["faces"] > 500
-    assert "no edge was detected in any of 6 images" in report["findings"][0]["text"]
+    assert "no edge was detected in any of 6 images" in report["findings"][1]["text"]
     result = reconstruct(pycolmap.Reconstruction(str(small[1])), images)
     found = mesh(small[1], result.edges, background=result.background)
     assert len(found.faces) == counts["mesh"]["faces"]

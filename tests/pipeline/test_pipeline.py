@@ -390,7 +390,9 @@ def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_pat
     np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
     np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
-    assert [stage["name"] for stage in result.stages] == ["detect", "trace", "background", "faces"]
+    names = ["read", "detect", "trace", "curves", "background", "faces"]
+    assert [stage["name"] for stage in result.stages] == names
+    assert result.curves.num_curves >= result.edges.num_edges
     mesh = colmap_edges.mesh(scene.reconstruction, result.edges)
     with_edge_points = colmap_edges.mesh(result.reconstruction)
     assert len(mesh.vertices) >= 0.8 * len(with_edge_points.vertices) > 0

@@ -149,7 +149,8 @@ def test_files_of_users_are_written_in_one_way():
         "runtime.cache",
         "runtime.platform",  # of the kernel
         "edges2d.graphs",  # temporary files
-        "colmap.binary_files",  # appends to files that pycolmap wrote to a new folder
+        "colmap.appending",  # to files that pycolmap wrote to a new folder
+        "colmap.text_files",  # temporary files
         "colmap.triangulation",  # temporary files
         "colmap.writing",  # pycolmap writes to a new folder
     }
@@ -162,4 +163,4 @@ def test_files_of_users_are_written_in_one_way():
         if writing.search(line) and not reading.search(line)
     }
     assert found <= allowed
-    assert {"runtime.output", "runtime.cache", "colmap.binary_files"} <= found  # it sees them
+    assert {"runtime.output", "runtime.cache", "colmap.appending"} <= found  # it sees them

@@ -138,7 +138,7 @@ def test_each_loss_is_named_with_its_remedy(lost, text, remedy):
 def test_no_edges_are_the_first_finding():
     found = diagnose(stages(edges=0, read={"images_without_poses": 20}), PipelineOptions())
     assert [finding.text for finding in found] == [
-        "no 3D edge was found, so that the mesh is made without edges",
+        "no 3D edge was found, so that the mesh consists of SfM points alone",
         "images without a pose, which are not used: 20 of 30",
     ]
     assert found[0].remedy == "see the next note"

@@ -326,7 +326,10 @@ FORGED = {
     "of another shape": ("edge_graphs", lambda a: {"normals": a["normals"][:, :1].copy()}),
     "shorter": ("edge_graphs", lambda a: {"colors": a["colors"][1:]}),
     "outside of the image": ("edge_graphs", lambda a: {"points": a["points"] + np.float32(900)}),
-    "index out of range": ("edge_graphs", lambda a: {"smoothed": a["smoothed"] + 10**6}),
+    "offset out of range": (
+        "edge_graphs",
+        lambda a: {"polyline_offsets": a["polyline_offsets"] + 10**6},
+    ),
     "moved": ("edges", lambda a: {"edges.points": a["edges.points"] + 1}),
     "view out of range": (
         "edges",

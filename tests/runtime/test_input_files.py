@@ -127,7 +127,7 @@ def test_cache_entries_that_are_no_files_are_made_again(public, no_file, caplog)
     path = cache.path("kind", "key")
     path.parent.mkdir(parents=True)
     no_file(path)
-    assert cache.load("kind", "key") is None
+    assert cache.load("kind", "key", dict) is None
 
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"unreadable"}))

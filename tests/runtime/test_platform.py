@@ -1,5 +1,6 @@
 """Fallbacks for platforms that lack a system call, tested by removing the call."""
 
+import json
 import os
 import re
 import signal
@@ -15,11 +16,12 @@ from colmap_edges.errors import ColmapEdgesError, NotAFileError
 from colmap_edges.runtime import memory, ownership, platform
 from colmap_edges.runtime.input_files import open_file
 from colmap_edges.runtime.output import new_folder
-from colmap_edges.runtime.ownership import OUTPUT, read_record
+from colmap_edges.runtime.ownership import OUTPUT, file_sizes, read_record
 
 
 def record(folder):
-    (folder / "report.json").write_text('{"command": "mesh", "versions": {"colmap-edges": "1"}}')
+    report = {"versions": {"colmap-edges": "1"}, "files": file_sizes(folder)}
+    (folder / "report.json").write_text(json.dumps(report))
 
 
 def test_c_library_that_cannot_be_asked(monkeypatch):

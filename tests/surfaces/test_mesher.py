@@ -662,7 +662,8 @@ def test_a_mesh_far_from_the_origin_keeps_its_shape(tmp_path, suffix, shift):
 def test_a_mesh_without_triangles_is_written(tmp_path, suffix):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
     nothing = np.zeros((0, 3))
-    empty = replace(mesh, vertices=nothing, colors=np.uint8(nothing), faces=np.int32(nothing))
+    arrays = {"colors": np.uint8(nothing), "faces": np.int32(nothing)}
+    empty = replace(mesh, vertices=nothing, point3D_ids=mesh.point3D_ids[:0], **arrays)
     assert not write_mesh(empty, tmp_path / f"mesh{suffix}")
     assert (tmp_path / f"mesh{suffix}").stat().st_size > 20
 

@@ -24,7 +24,12 @@ THREADS = SimpleNamespace(remote=False)
 
 @pytest.fixture
 def whole():
-    return [known.graph_of(view, CURVES) for view in VIEWS]
+    graphs = [known.graph_of(view, CURVES) for view in VIEWS]
+    single = ("points", "undistorted", "normals")  # as detected ones are, and in the cache
+    return [
+        replace(graph, **{name: getattr(graph, name).astype(np.float32) for name in single})
+        for graph in graphs
+    ]
 
 
 @pytest.fixture
