@@ -191,7 +191,10 @@ def as_binary(path: Path) -> Iterator[Path]:
         ColmapEdgesError: if a file is a pipe or device, a text file is damaged, or the copies
             cannot be written.
     """
-    check_are_files(path)
+    try:
+        check_are_files(path)
+    except OSError as error:
+        raise ColmapEdgesError(f"no readable COLMAP model in {path} ({error})") from error
     if is_binary(path) or not is_text(path):
         yield path
         return

@@ -153,7 +153,8 @@ def left_out_view_errors(
     options = options or PipelineOptions()
     reconstruction = without_poses(model, unused)
     result = reconstruct(reconstruction, image_path, options)
-    found, scale = result.edges, result.stages[0]["counts"]["image_scale"]
+    counts = {stage["name"]: stage["counts"] for stage in result.stages}
+    found, scale = result.edges, counts["detect"]["image_scale"]
     used = model_from_reconstruction(reconstruction)
     surface = mesh(used, edges=found, background=result.background)
     caster = RayCaster(surface.vertices, surface.faces)

@@ -136,7 +136,10 @@ def traced_from(
         edges.check("edges", len(views))
         if not all((median_residuals(views, of) <= limit_px).all() for of in (edges, edges.nodes)):
             raise ValueError("points do not project to where they are observed")
-    return traced, dict(json.loads(str(arrays["details"])))
+    details = json.loads(str(arrays["details"]))
+    if not isinstance(details, dict):
+        raise ValueError("counts have no names")
+    return traced, details
 
 
 def median_residuals(views: Sequence[View], points: Edges3D | Nodes) -> FloatArray:

@@ -197,8 +197,7 @@ def mesh_points(
 ) -> Mesh:
     """Mesh points with their viewing rays.
 
-    Non-finite points are left out; coinciding points, and nearly coinciding ones of edges, are
-    merged. The result does not depend on the order of points and rays.
+    Non-finite points are left out; coinciding ones, and nearly so of edges, are merged.
 
     Args:
         points: (N, 3) float64.

@@ -453,9 +453,9 @@ def test_pipes_and_devices_are_no_place_to_write(small, tmp_path, overwrite):
     check_refused(cached, "cannot use cache")
     os.mkfifo(tmp_path / "pipe.rrd")
     (tmp_path / "null.rrd").symlink_to("/dev/null")
-    for name in ("pipe.rrd", "null.rrd"):
+    for name, kind in (("pipe.rrd", "a pipe"), ("null.rrd", "a link")):
         recorded = call(small, tmp_path / "out", "--rerun", tmp_path / name, *overwrite)
-        check_refused(recorded, name, "link or device")
+        check_refused(recorded, name, kind)
     assert stat.S_ISFIFO((tmp_path / "pipe.rrd").stat().st_mode)
     assert not (tmp_path / "out").exists()
 

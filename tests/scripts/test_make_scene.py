@@ -99,7 +99,7 @@ def test_model_agrees_with_the_truth(made):
         rays = xyz - view.centre()
         errors.append(np.abs(caster.hits(view.centre(), rays)[1] - 1))
     assert np.median(np.linalg.norm(np.concatenate(shifts), axis=1)) < 1.5
-    assert np.median(np.concatenate(errors)) < 0.02
+    assert np.median(np.concatenate(errors)) < 0.03  # of the distance: views are 160 pixels wide
 
 
 def test_images_show_the_scene(made):
