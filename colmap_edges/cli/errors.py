@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 import click
 
 from colmap_edges.cli.flags import with_dashes
-from colmap_edges.cli.terminal import STOPPED, say, start_logging
+from colmap_edges.cli.terminal import STOPPED, say, silence, start_logging
 from colmap_edges.errors import ColmapEdgesError, OptionError
 
 # What libraries say of their own errors when the system refuses memory or threads.
@@ -31,7 +30,7 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         command = click.get_current_context().command
         raise click.UsageError(with_dashes(str(error), command)) from error
     except BrokenPipeError as error:  # the reader of our output has closed the pipe
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence(sys.stdout)
         raise click.exceptions.Exit(1) from error
     except Exception as error:
         text = one_line(error)

@@ -8,8 +8,8 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from typing import Any
+from contextlib import contextmanager
+from typing import Any, TextIO
 
 import click
 
@@ -30,8 +30,19 @@ def show_usage_error(error: click.ClickException) -> None:
 
 def say(*lines: str, err: bool = False) -> None:
     """Print lines to standard output or error, with control characters escaped."""
-    with suppress(OSError) if err else nullcontext():  # nothing else can report it
+    try:
         click.echo("\n".join(map(printable, lines)), err=err)
+    except OSError:
+        if not err:
+            raise
+        silence(sys.stderr)  # nothing else can report it
+
+
+def silence(stream: TextIO) -> None:
+    """Lead a stream that cannot be written to the null device, else Python exits with 120."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream.fileno())
+    os.close(null)
 
 
 def open_streams() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import json
 import os
 import shutil
@@ -93,10 +94,11 @@ def version_name(code: str) -> str:
 
 
 def present_version() -> Version:
-    """The version of the tree that this script lies in."""
-    package = ROOT / "colmap_edges"
+    """The version that Python imports: of this tree where it is first in the path, or installed."""
+    spec = importlib.util.find_spec("colmap_edges")
+    package = Path(str(spec and spec.origin)).parent
     sources = [path for path in sorted(package.iterdir()) if path.name != "evaluation"]
-    return Version(name=version_name(f"present-{digest(sources)}"), root=ROOT)
+    return Version(name=version_name(f"present-{digest(sources)}"), root=package.parent)
 
 
 def version_at(commit: str, store: Store) -> Version:

@@ -241,7 +241,7 @@ def test_run_writes_refined_poses_and_leaves_the_input(scene, scene_paths, tmp_p
     before = hash_folder(off_folder)
     paths = Paths(image_path=scene_paths[0], input_path=off_folder, output_path=tmp_path / "out")
     report = run("reconstruct", paths, PipelineOptions(refine_poses=True, num_threads=1))
-    names = ["read", "detect", "trace", "refine poses", "trace again", "write", "report"]
+    names = ["read", "detect", "trace", "refine poses", "trace again", "curves", "write", "report"]
     assert [stage["name"] for stage in report["stages"]] == names
     assert hash_folder(off_folder) == before
     truth = truth_of(model_from_reconstruction(scene.reconstruction))
@@ -250,7 +250,7 @@ def test_run_writes_refined_poses_and_leaves_the_input(scene, scene_paths, tmp_p
     assert max(np.divide(errors[1], errors[0])) < 0.5
     assert (
         written.num_points3D()
-        == start.num_points3D() + report["stages"][5]["counts"]["edge_points"]
+        == start.num_points3D() + report["stages"][names.index("write")]["counts"]["edge_points"]
     )
 
 
