@@ -54,7 +54,7 @@ def ending_signals() -> list[int]:
 
 @contextmanager
 def signals_deferred(numbers: Collection[int]) -> Iterator[None]:
-    """Hold back signals until the block ends, where the system can."""
+    """Hold back signals of this thread, the only one so far, until the block ends, if possible."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
