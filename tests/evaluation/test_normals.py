@@ -54,7 +54,9 @@ def test_angle_of_a_tilted_plane(view, tilt, within_10, within_30, flipped):
     reference = depth.render_reference(plane(0), view)
     record = depth.depth_errors(plane(tilt, flipped=flipped), reference).record()
     assert record["normals_median_deg"] == pytest.approx(tilt, abs=1e-6)
-    assert (record["normals_10_deg"], record["normals_30_deg"]) == (within_10, within_30)
+    found = record["normals_10_deg"], record["normals_30_deg"]
+    # Embree 3 misses rays along the diagonal between the two triangles.
+    assert found == pytest.approx((within_10, within_30), abs=2e-3)
 
 
 def test_holes_count_as_wrong_normals(view):
