@@ -14,8 +14,8 @@ from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.protocols.scene import evaluate_mesh
-from colmap_edges.evaluation.readers.results import load_edges
 from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
+from colmap_edges.export.edges_json import load_edges
 from colmap_edges.images.files import read_image
 from colmap_edges.report.overlay import draw_edges
 

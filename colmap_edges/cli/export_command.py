@@ -51,7 +51,7 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
     """
     with importing():
         from colmap_edges.errors import ColmapEdgesError
-        from colmap_edges.evaluation.readers.results import read_edges
+        from colmap_edges.export.written import read_edges
         from colmap_edges.runtime.output import one_line
 
         write = writers().get(output_path.suffix.lower())
@@ -119,8 +119,9 @@ def described(written: Any, path: Path, step: Any) -> list[str]:
 def writers() -> dict[str, Callable[[Any, Path, str | None, bool], Any]]:
     """Writer functions by file suffix."""
     from colmap_edges.export.dxf import write_dxf
-    from colmap_edges.export.edges import write_obj, write_ply
+    from colmap_edges.export.edges import write_obj
     from colmap_edges.export.glb import write_glb
+    from colmap_edges.export.ply import write_ply
     from colmap_edges.export.step import write_step
 
     return {

@@ -20,8 +20,8 @@ from colmap_edges.evaluation import pictures, tables
 from colmap_edges.evaluation.metrics import clouds, depth, dtu_distances, edges
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
-from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.scenes import Reference, Scene
+from colmap_edges.export import peers
 from colmap_edges.options import PipelineOptions, preset
 from colmap_edges.runtime.input_files import read_text
 from colmap_edges.runtime.output import write_whole

@@ -16,8 +16,10 @@ from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.dxf import write_dxf
-from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
+from colmap_edges.export.edges import edge_lengths, write_obj
+from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.glb import write_glb
+from colmap_edges.export.ply import write_ply
 from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents

@@ -21,7 +21,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.dtu_distances import DtuReference, ObservedMask
 from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import columns
-from colmap_edges.evaluation.readers.ply import read_ply
+from colmap_edges.export.ply import read_ply
 from colmap_edges.runtime.input_files import open_file, read_text
 
 PAPER_SCANS = (6, 23, 28, 37, 98, 118)

@@ -25,8 +25,10 @@ from colmap_edges.evaluation.metrics import (
 )
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_geometry, load_mesh
 from colmap_edges.evaluation.metrics.statistics import summarize
-from colmap_edges.evaluation.readers import peers, results
-from colmap_edges.evaluation.readers.curves import Curves, load_curves
+from colmap_edges.evaluation.readers.curves import Curves, load_curves, read_curves
+from colmap_edges.export import peers
+from colmap_edges.export.edges_json import load_edges
+from colmap_edges.export.written import read_edges
 
 Record = dict[str, Any]
 THRESHOLDS = (0.005, 0.01, 0.02)  # relative to the longest side of the reference's box
@@ -170,7 +172,7 @@ def evaluate_edges(
         The content of `evaluation.json`.
     """
     model = load_model(sparse_path)
-    found = peers.read_curves(edges_path)
+    found = read_curves(edges_path)
     run = run_edges(edges_path, model)
     record: Record = {
         "edges": str(edges_path),
@@ -211,7 +213,7 @@ def _against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> 
     true = kinds.true_curves(reference_path, threshold / kinds.SAMPLES)
     if true is None or not (edges_path.parent / "edges.json").is_file():
         return {}
-    found = results.read_edges(edges_path.parent).curves
+    found = read_edges(edges_path.parent).curves
     return {"kinds": asdict(kinds.compare_kinds(found, true, threshold))}
 
 
@@ -221,7 +223,7 @@ def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
     is_run = (beside / "edges.json").is_file() and (beside / "sparse").is_dir()
     if edges_path.name != "edges.ply" or not is_run:
         return None
-    return results.load_edges(edges_path.parent, model)
+    return load_edges(edges_path.parent, model)
 
 
 def _twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
