@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from colmap_edges.core.curves3d import KINDS, LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.errors import printable
+from colmap_edges.images.files import path_of_image
 from colmap_edges.runtime.output import write_whole
 
 COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
@@ -75,6 +77,21 @@ def write_svg(
             lines += paths_of(edges, curves, curve, seen, view)
         lines.append("</g>\n")
     write_whole(path, ("".join(lines) + "</svg>\n").encode(), "curves", overwrite=overwrite)
+
+
+def write_svgs(
+    edges: Edges3D,
+    curves: Curves3D,
+    views: Sequence[View],
+    folder: Path,
+    *,
+    overwrite: bool = True,
+) -> None:
+    """Write an SVG for each view into a folder, by the view's name; see `write_svg`."""
+    for index, view in enumerate(views):
+        path = path_of_image(folder, f"{view.name}.svg")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_svg(edges, curves, view, index, path, overwrite=overwrite)
 
 
 def points_seen(edges: Edges3D, index: int) -> BoolArray:
