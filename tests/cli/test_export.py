@@ -1,6 +1,7 @@
 """The command `export`: written files and outputs of runs are read back."""
 
 import os
+import re
 import shutil
 import sys
 
@@ -17,7 +18,7 @@ from colmap_edges.colmap.writing import write_model
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.export.edges_json import write_json
-from colmap_edges.export.formats import check_formats, formats_of
+from colmap_edges.export.formats import FORMATS, check_formats, formats_of
 from colmap_edges.pipeline.write import export_stage
 from colmap_edges.runtime.stages import Stages
 
@@ -97,6 +98,13 @@ def test_a_run_writes_the_same_files(run_path, scene_model, tmp_path, hash_folde
         assert done.exit_code == 0, done.output
     written = hash_folder(theirs)
     assert len(written) == 9 and written.items() <= ours.items()
+
+
+def test_help_names_every_format():
+    shown = CliRunner().invoke(cli, ["mesh", "--help"], terminal_width=200).output
+    text = " ".join(shown.partition("--export")[2].partition("--config")[0].split())
+    offered = {"ply", *re.findall(r"(\w+)(?:, | \(|$)", text.partition(": ")[2])}
+    assert set(FORMATS) <= offered, offered
 
 
 def test_a_run_without_edges_exports_its_mesh_alone(tmp_path):
