@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,23 +24,6 @@ from colmap_edges.runtime.ownership import PROGRAM, STRUCTURES
 
 CHORD_DEG = 10.0  # turn of a curve per chord
 NO_SCORE = 1.0  # LIMAP's score of 2D segments of detectors without scores
-
-
-@dataclass(frozen=True, kw_only=True)
-class Line3D:
-    """One straight line with its 2D segments.
-
-    Attributes:
-        ends: (2, 3) its ends, world units.
-        views: (O,) views that observe it.
-        segments: (O, 2, 2) ends of the observed 2D segments, image pixels.
-        sigma: standard deviation across it, world units.
-    """
-
-    ends: FloatArray
-    views: IntArray
-    segments: FloatArray
-    sigma: float
 
 
 @checked
@@ -68,22 +50,20 @@ def write_structures(
     """
     edges.check("edges", len(model.views))
     curves.check("curves", edges)
-    lines = [line for line in straight_lines(edges, curves) if len(line.views) > 1]
-    images = model.reconstruction.images
-    detections: list[list[tuple[FloatArray, int]]] = [[] for _ in model.views]
+    lines = [line for line in straight_lines(edges, curves, model) if len(line.image_ids) > 1]
+    detections: dict[int, list[bytes]] = {view.image_id: [] for view in model.views}
     content = [struct.pack("<Q", len(lines))]
     for index, line in enumerate(lines):
-        content.append(struct.pack("<Q6dQ", index, *line.ends.ravel(), len(line.views)))
-        for view, segment in zip(line.views.tolist(), line.segments, strict=True):
-            content.append(struct.pack("<2I", model.views[view].image_id, len(detections[view])))
-            detections[view].append((segment, index))
+        content.append(struct.pack("<Q6dQ", index, *line.segments.ravel(), len(line.image_ids)))
+        for image_id, ends in zip(line.image_ids.tolist(), line.ends2D, strict=True):
+            content.append(struct.pack("<2I", image_id, len(detections[image_id])))
+            detections[image_id].append(struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index))
         content.append(struct.pack("<d", line.sigma if np.isfinite(line.sigma) else 0.0))
     files = {"lines3D.bin": b"".join(content)}
-    content = [struct.pack("<Q", len(model.views))]
-    for view, found in zip(model.views, detections, strict=True):
-        num_points = images[view.image_id].num_points2D()
-        content.append(struct.pack("<2IQ", view.image_id, num_points, len(found)))
-        content += [struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index) for ends, index in found]
+    content = [struct.pack("<Q", len(detections))]
+    for image_id, found in detections.items():
+        num_points = model.reconstruction.images[image_id].num_points2D()
+        content += [struct.pack("<2IQ", image_id, num_points, len(found)), *found]
         content.append(struct.pack("<2Q", 0, 0))  # no groups and no links
     files["structures2d.bin"] = b"".join(content)
     for name in ("groups3D.bin", "wireframe3D.bin"):  # required by LIMAP
@@ -97,8 +77,9 @@ def write_structures(
     return len(lines)
 
 
-def straight_lines(edges: Edges3D, curves: Curves3D) -> list[Line3D]:
+def straight_lines(edges: Edges3D, curves: Curves3D, model: Model) -> list[Line]:
     """Lines, and chords of all other curves."""
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
     found = []
     for curve in range(curves.num_curves):
         first, end = curves.ranges[curve].tolist()
@@ -111,10 +92,12 @@ def straight_lines(edges: Edges3D, curves: Curves3D) -> list[Line3D]:
         parts = np.minimum((np.linspace(0, 1, len(rows)) * count).astype(np.int64), count - 1)
         for part in range(count):
             chosen = rows[parts == part]
-            views, segments = observed_segments(edges, chosen)
+            views, ends2D = observed_segments(edges, chosen)
             sigma = float(np.median(edges.sigmas[chosen])) if len(chosen) else np.nan
-            ends = points[part : part + 2]
-            found.append(Line3D(ends=ends, views=views, segments=segments, sigma=sigma))
+            ends = points[None, part : part + 2]
+            found.append(
+                Line(segments=ends, image_ids=image_ids[views], ends2D=ends2D, sigma=sigma)
+            )
     return found
 
 

@@ -1,4 +1,4 @@
-"""Straight 3D lines of other programs as 3D edges."""
+"""Straight 3D lines with their 2D segments, and their conversion to 3D edges."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from colmap_edges.errors import ColmapEdgesError
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One straight 3D line of another system.
+    """One straight 3D line.
 
     Attributes:
         segments: (S, 2, 3) its 3D segments, by their ends.
         image_ids: (O,) COLMAP ids of the images that see it.
         ends2D: (O, 2, 2) ends of the 2D segments seen there, pixels; NaN if the format holds
             none, in which case the whole line counts as seen.
+        sigma: standard deviation across it, world units; NaN if unknown.
     """
 
     segments: FloatArray
     image_ids: IntArray
     ends2D: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    sigma: float = np.nan
 
 
 def sample_lines(lines: Iterable[Line], model: Model, spacing_px: float = 4.0) -> Edges3D:
