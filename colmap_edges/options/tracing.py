@@ -167,16 +167,12 @@ class TracingOptions(Options):
     # Maximum mean residual of a 3D edge, relative to the median over all observations; larger ones
     # mark view-dependent contours (set by trial).
     max_residual_ratio: float = 1.7
-    # Mean residual below which a 3D edge is never a view-dependent contour unless it moves, in
-    # pixels of the given images (tried on 19 scenes: docs/experiments.md, Contours are told by
-    # their radius).
-    min_residual_px: float = constant(0.25, given_px=True)
+    # Mean residual below which a 3D edge is never a view-dependent contour, in pixels of the
+    # upsampled images (tried on 22 scenes: docs/experiments.md, Contours, again).
+    min_residual_px: float = 0.35
     # Maximum displacement of a 3D edge next to overexposed pixels, in pixels of the given images
     # (0.3 to 0.5 pixels were measured).
     max_displacement_px: float = constant(0.7, given_px=True)
-    # Minimum radius of a body whose contour is told by its motion, in pixels of the given images
-    # (tried on 19 scenes).
-    min_radius_px: float = constant(4.0, given_px=True)
     max_false_edges: float = option(
         1.0,
         "Expected number of accidental 3D edges in the whole scene (a-contrario test); smaller "

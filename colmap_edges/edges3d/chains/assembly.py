@@ -12,8 +12,9 @@ from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D, TracedEdges, mean_colors
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.edges2d.edge_index import look_up
-from colmap_edges.edges3d.chains.filtering import Sorted, Traced
+from colmap_edges.edges3d.chains.filtering import FilteredCurves
 from colmap_edges.edges3d.chains.merging import merge_traced
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.bends import cut_at_bends
 from colmap_edges.edges3d.linking.circles import join_circles
@@ -63,14 +64,14 @@ def link(
 
 
 def merged_pieces(
-    given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
+    given: TracingInput, kept: FilteredCurves, options: PipelineOptions, num_threads: int
 ) -> tuple[TracedEdges, dict[str, int]]:
     """The kept pieces of all reference views without duplicates, and counts."""
     once, merged = merge_traced(given, kept, options, num_threads)
     return TracedEdges(edges=make_edges(once.edges), contours=make_edges(once.contours)), merged
 
 
-def make_edges(parts: list[Traced]) -> Edges3D:
+def make_edges(parts: list[TracedCurves]) -> Edges3D:
     """Combine the curves of all reference views to 3D edges, observed at positions on chains."""
     lengths = np.concatenate([np.zeros(0, np.int64), *(np.diff(part.offsets) for part in parts)])
     places = ChainObservations.concatenated([part.observations for part in parts])

@@ -12,7 +12,8 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, IntArray, owners_of
 from colmap_edges.core.observations import ChainObservations
-from colmap_edges.edges3d.chains.filtering import Sorted, Traced, chosen, find_pieces
+from colmap_edges.edges3d.chains.filtering import FilteredCurves, chosen, find_pieces
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import (
     ByView,
     TracingInput,
@@ -26,7 +27,9 @@ def nothing_covered(offsets: ByView[IntArray]) -> list[BoolArray]:
     return [np.zeros(offsets[view][-1], bool) for view in range(len(offsets))]
 
 
-def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> TracingInput:
+def what_remains(
+    whole: TracingInput, kept: FilteredCurves, options: TracingOptions
+) -> TracingInput:
     """The input of a later round: the stretches of chains without a 3D edge.
 
     Contours cover nothing: they move over the surface and so cross chains of nearby edges.
@@ -45,8 +48,8 @@ def what_remains(whole: TracingInput, kept: Sorted, options: TracingOptions) -> 
 
 
 def without_repeats(
-    whole: TracingInput, kept: Sorted, options: TracingOptions
-) -> tuple[Sorted, dict[str, int]]:
+    whole: TracingInput, kept: FilteredCurves, options: TracingOptions
+) -> tuple[FilteredCurves, dict[str, int]]:
     """Keep each stretch of a chain in its first contour only; also returns counts.
 
     Contours do not cover chains, so that further reference views trace them again.
@@ -67,7 +70,7 @@ def without_repeats(
     return replace(kept, contours=firsts), counts
 
 
-def in_whole_graphs(given: TracingInput, traced: list[Traced]) -> list[Traced]:
+def in_whole_graphs(given: TracingInput, traced: list[TracedCurves]) -> list[TracedCurves]:
     """Convert positions of curves from the remaining parts of graphs to the whole graphs."""
     if given.free is None:
         return traced

@@ -1,4 +1,4 @@
-"""Separation of the traced curves of all views into edges and view-dependent contours.
+"""Filtering of the traced curves of all views: uncertain, accidental and occluded ones, contours.
 
 (paper: Visibility refinement and outliers filtering)
 """
@@ -13,7 +13,6 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
     BoolArray,
-    Float32Array,
     FloatArray,
     IntArray,
     entries_of,
@@ -21,41 +20,13 @@ from colmap_edges.core.arrays import (
     owners_of,
 )
 from colmap_edges.core.observations import ChainObservations
+from colmap_edges.edges3d.chains.contours import Seen, are_fixed, scatter_of
 from colmap_edges.edges3d.chains.occlusion import find_hidden
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.options import TracingOptions
 
-MIN_GAIN = 0.3  # part of the residuals of a contour that its radius explains
-ROBUST_PX = 1.0  # residual at which the weight of an observation of a radius is 1/4
-ROBUST_STEPS = 4  # iterations of the estimate of radii
 TESTS_PER_CURVE = 30  # number of independent depths of a chain (tests of the a-contrario model)
 INDEPENDENT_PX = 16  # distance along a chain beyond which observations are independent
-
-
-@dataclass(frozen=True, kw_only=True)
-class Traced:
-    """Curves of one reference view with their observations.
-
-    Attributes:
-        points: (N, 3) world points.
-        sigmas: (N,) standard deviation along the reference view's ray, world units.
-        offsets: (E + 1,) CSR of the points by curve.
-        reference: the view on whose chains they lie.
-        observations: observations on the views' chains, those of the reference view first.
-        uncertainties: (N,) `sigmas` in pixels of the reference view.
-        residuals: (T,) float32 signed distances across the observing chains, in pixels.
-        drifts: (T,) float32 their changes by the radius of a rounded edge, pixels per pixel.
-        log_chances: (N,) log10 of the probability of as many accidental observations.
-    """
-
-    points: FloatArray
-    sigmas: FloatArray
-    uncertainties: FloatArray
-    residuals: Float32Array
-    drifts: Float32Array
-    log_chances: FloatArray
-    offsets: IntArray
-    reference: int
-    observations: ChainObservations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +45,7 @@ class Limits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sorted:
+class FilteredCurves:
     """The kept curves, separated into edges and contours.
 
     Attributes:
@@ -83,18 +54,18 @@ class Sorted:
         limits: the limits of this decision.
     """
 
-    edges: list[Traced]
-    contours: list[Traced]
+    edges: list[TracedCurves]
+    contours: list[TracedCurves]
     limits: Limits
 
 
-def sort_out(
+def filter_curves(
     model: Model,
-    traced: list[Traced],
+    traced: list[TracedCurves],
     options: TracingOptions,
     num_threads: int,
     limits: Limits | None = None,
-) -> tuple[Sorted, dict[str, Any]]:
+) -> tuple[FilteredCurves, dict[str, Any]]:
     """Filter observations, points and pieces, and separate edges from contours.
 
     Args:
@@ -110,10 +81,10 @@ def sort_out(
     traced, hidden = without_hidden(model, traced, options, num_threads)
     limits = limits or find_limits(traced, options)
     sure, stats = sure_points(traced, limits, options)
-    kept, start = Sorted(edges=[], contours=[], limits=limits), 0
+    kept, start = FilteredCurves(edges=[], contours=[], limits=limits), 0
     for each in traced:
         end = start + len(each.points)
-        fixed, moving = sort_pieces(each, sure[start:end], limits, options)
+        fixed, moving = filter_pieces(each, sure[start:end], limits, options)
         kept.edges.append(fixed)
         kept.contours.append(moving)
         start = end
@@ -129,8 +100,8 @@ def sort_out(
 
 
 def without_hidden(
-    model: Model, traced: list[Traced], options: TracingOptions, num_threads: int
-) -> tuple[list[Traced], int]:
+    model: Model, traced: list[TracedCurves], options: TracingOptions, num_threads: int
+) -> tuple[list[TracedCurves], int]:
     """The curves without observations of occluded points, and how many were removed."""
     if not traced or options.occlusion_radius_px == 0:
         return traced, 0
@@ -159,7 +130,7 @@ def without_hidden(
     return kept, int(hidden.sum())
 
 
-def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
+def find_limits(traced: list[TracedCurves], options: TracingOptions) -> Limits:
     """Compute the limits from the medians over all points with enough observations.
 
     The median residual is taken over observations, not points: scenes of smooth bodies may have as
@@ -177,13 +148,15 @@ def find_limits(traced: list[Traced], options: TracingOptions) -> Limits:
     )
 
 
-def chance_limit(traced: list[Traced], options: TracingOptions) -> float:
+def chance_limit(traced: list[TracedCurves], options: TracingOptions) -> float:
     """log10 of the threshold of the a-contrario test, for `max_false_edges` false pieces."""
     tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
     return float(np.log10(options.max_false_edges / max(tests, 1)))
 
 
-def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | None) -> BoolArray:
+def lasting_points(
+    traced: TracedCurves, options: TracingOptions, limits: Limits | None
+) -> BoolArray:
     """(N,) whether points of one reference view have enough observations and pass the test.
 
     If `limits` are given, also whether their pieces are edges and not contours.
@@ -197,7 +170,7 @@ def lasting_points(traced: Traced, options: TracingOptions, limits: Limits | Non
 
 
 def sure_points(
-    traced: list[Traced], limits: Limits, options: TracingOptions
+    traced: list[TracedCurves], limits: Limits, options: TracingOptions
 ) -> tuple[BoolArray, dict[str, Any]]:
     """Select points with enough observations and a small enough standard deviation.
 
@@ -214,7 +187,9 @@ def sure_points(
     }
 
 
-def measures_of(traced: list[Traced], options: TracingOptions) -> tuple[BoolArray, FloatArray]:
+def measures_of(
+    traced: list[TracedCurves], options: TracingOptions
+) -> tuple[BoolArray, FloatArray]:
     """(N,) whether points have enough observations, (N,) their uncertainties."""
     counts = np.concatenate([np.zeros(0, int), *(t.observations.counts for t in traced)])
     uncertain = np.concatenate([np.zeros(0), *(t.uncertainties for t in traced)])
@@ -226,7 +201,7 @@ def median_of(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
+def scatter_of_points(traced: list[TracedCurves]) -> tuple[FloatArray, IntArray]:
     """(N,) mean residual of all points in pixels, and (N,) its number of observations."""
     scatter = [
         scatter_of(seen, np.abs(seen.residuals))
@@ -236,84 +211,9 @@ def scatter_of_points(traced: list[Traced]) -> tuple[FloatArray, IntArray]:
     return np.concatenate([np.zeros(0), *scatter]), np.concatenate([np.zeros(0, np.int64), *spare])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Seen:
-    """Observations of groups of points in other views than the reference view.
-
-    Attributes:
-        residuals: (T,) signed distances across the observing chains, in pixels.
-        drifts: (T,) their changes by the radius of a rounded edge, pixels per pixel.
-        owners: (T,) group of each observation.
-        spare: (G,) number of observations less one for each point, which determines its depth.
-    """
-
-    residuals: FloatArray
-    drifts: FloatArray
-    owners: IntArray
-    spare: IntArray
-
-    @classmethod
-    def of(cls, traced: Traced, groups: IntArray) -> Seen:
-        """The observations of groups of points, numbered from 0 in (N,) `groups`."""
-        observed = traced.observations
-        others = np.flatnonzero(observed.views != traced.reference)
-        return cls(
-            residuals=traced.residuals[others].astype(np.float64),
-            drifts=traced.drifts[others].astype(np.float64),
-            owners=groups[observed.points[others]],
-            spare=np.bincount(groups, observed.counts - 2).astype(np.int64),
-        )
-
-
-def scatter_of(seen: Seen, distances: FloatArray) -> FloatArray:
-    """(G,) mean of the (T,) distances of the observations of each group."""
-    sums = np.bincount(seen.owners, distances, len(seen.spare))
-    scatter: FloatArray = sums / np.maximum(seen.spare, 1)
-    return scatter
-
-
-def are_fixed(
-    traced: Traced, groups: IntArray, limits_px: FloatArray | float, options: TracingOptions
-) -> BoolArray:
-    """(G,) whether the observations of groups of points are of a fixed edge.
-
-    The point that is seen on a smooth body moves over it with the view, as on a cylinder whose
-    radius the observations determine. An edge next to overexposed pixels is displaced towards its
-    dark side in all views, as if it had a radius of this displacement. So a displacement explains
-    residuals of edges, but a larger radius those of contours.
-
-    Args:
-        traced: the curves, N points.
-        groups: (N,) group of each point, numbered from 0.
-        limits_px: one or (G,) maximum mean residuals of an edge.
-        options: the largest displacement of an edge and the smallest radius of a contour.
-    """
-    seen = Seen.of(traced, groups)
-    radii = fit_radii(seen)
-    displaced = np.clip(radii, -options.max_displacement_px, options.max_displacement_px)
-    fixed, moving = (
-        scatter_of(seen, np.abs(seen.residuals + of[seen.owners] * seen.drifts))
-        for of in (displaced, radii)
-    )
-    moves = (np.abs(radii) > options.min_radius_px) & (moving < (1 - MIN_GAIN) * fixed)
-    return np.asarray((fixed <= limits_px) & ~moves)
-
-
-def fit_radii(seen: Seen) -> FloatArray:
-    """(G,) radii of rounded edges in pixels, robustly fitted (Geman-McClure weights)."""
-    radii = np.zeros(len(seen.spare))
-    for _ in range(ROBUST_STEPS):
-        rest = (seen.residuals + radii[seen.owners] * seen.drifts) / ROBUST_PX
-        weighted = seen.drifts / (1 + rest**2) ** 2
-        information = np.bincount(seen.owners, weighted * seen.drifts, len(radii))
-        pull = np.bincount(seen.owners, weighted * seen.residuals, len(radii))
-        radii = -pull / (information + 1e-300)
-    return radii
-
-
-def sort_pieces(
-    traced: Traced, keep: BoolArray, limits: Limits, options: TracingOptions
-) -> tuple[Traced, Traced]:
+def filter_pieces(
+    traced: TracedCurves, keep: BoolArray, limits: Limits, options: TracingOptions
+) -> tuple[TracedCurves, TracedCurves]:
     """Split curves at dropped points; drop short pieces and those that fail the a-contrario test.
 
     Returns:
@@ -328,7 +228,9 @@ def sort_pieces(
     )
 
 
-def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tuple[Traced, Traced]:
+def filter_remains(
+    traced: TracedCurves, limits: Limits, options: TracingOptions
+) -> tuple[TracedCurves, TracedCurves]:
     """Split the remainders of pieces at points with too few observations.
 
     The relative standard deviation of the mean residual of n points is taken as 1 / sqrt(n).
@@ -348,7 +250,7 @@ def sort_remains(traced: Traced, limits: Limits, options: TracingOptions) -> tup
 
 
 def find_pieces(
-    traced: Traced, keep: BoolArray, log_chance: float, options: TracingOptions
+    traced: TracedCurves, keep: BoolArray, log_chance: float, options: TracingOptions
 ) -> tuple[IntArray, BoolArray]:
     """Split curves at dropped points.
 
@@ -367,12 +269,12 @@ def find_pieces(
     return pieces, (sizes >= options.min_curve_points) & (logs <= log_chance)
 
 
-def chosen(traced: Traced, pieces: IntArray, keep: BoolArray) -> Traced:
+def chosen(traced: TracedCurves, pieces: IntArray, keep: BoolArray) -> TracedCurves:
     """The points where `keep` is true, as curves of their (N,) pieces."""
     lengths = np.unique(pieces[keep], return_counts=True)[1]
     points = np.flatnonzero(keep)
     rows = entries_of(traced.observations.offsets, points)
-    return Traced(
+    return TracedCurves(
         points=traced.points[keep],
         sigmas=traced.sigmas[keep],
         uncertainties=traced.uncertainties[keep],

@@ -17,11 +17,10 @@ from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.view import lift
 from colmap_edges.edges3d.chains.curves import Curves, replace_depths
 from colmap_edges.edges3d.chains.filtering import (
-    Sorted,
-    Traced,
+    FilteredCurves,
     chosen,
+    filter_remains,
     find_pieces,
-    sort_remains,
 )
 from colmap_edges.edges3d.chains.observing import Observers, Sums, drop_lone, placed
 from colmap_edges.edges3d.chains.refinement import (
@@ -30,6 +29,7 @@ from colmap_edges.edges3d.chains.refinement import (
     rounding_drifts,
     with_reference,
 )
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.copies import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -37,8 +37,8 @@ from colmap_edges.options import PipelineOptions
 
 
 def merge_traced(
-    given: TracingInput, kept: Sorted, options: PipelineOptions, num_threads: int
-) -> tuple[Sorted, dict[str, int]]:
+    given: TracingInput, kept: FilteredCurves, options: PipelineOptions, num_threads: int
+) -> tuple[FilteredCurves, dict[str, int]]:
     """Merge duplicates: the kept piece takes over the observations of the removed ones.
 
     Args:
@@ -74,7 +74,7 @@ def merge_traced(
         if len(rows):
             taken = taken_observations(pieces.observations, merging.givers[rows], takers)
             left = refined_with(given, left, taken, options, num_threads)
-        fixed, moving = sort_remains(left, kept.limits, options.tracing)
+        fixed, moving = filter_remains(left, kept.limits, options.tracing)
         edges.append(fixed)
         contours.append(moving)
     count = {"points_merged": int((~merging.kept).sum())}
@@ -103,8 +103,12 @@ def taken_observations(
 
 
 def refined_with(
-    given: TracingInput, traced: Traced, taken: Taken, options: PipelineOptions, num_threads: int
-) -> Traced:
+    given: TracingInput,
+    traced: TracedCurves,
+    taken: Taken,
+    options: PipelineOptions,
+    num_threads: int,
+) -> TracedCurves:
     """Refine curves of one reference view on their own observations and those taken over."""
     reference = given.views[traced.reference]
     others, table = observation_table(traced, taken)
@@ -143,7 +147,7 @@ def refined_with(
     )
 
 
-def observation_table(traced: Traced, taken: Taken) -> tuple[IntArray, FloatArray]:
+def observation_table(traced: TracedCurves, taken: Taken) -> tuple[IntArray, FloatArray]:
     """The K other views that observe curves, and (N, 1 + K) positions on their chains.
 
     The first column is the reference view. Own observations have priority over those taken over.

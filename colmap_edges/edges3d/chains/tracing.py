@@ -37,13 +37,13 @@ from colmap_edges.edges3d.chains.depths import (
     learn_side_likelihoods,
 )
 from colmap_edges.edges3d.chains.filtering import (
+    FilteredCurves,
     Limits,
-    Sorted,
-    Traced,
+    filter_curves,
     lasting_points,
-    sort_out,
 )
 from colmap_edges.edges3d.chains.refinement import refine_curves, with_reference
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput, make_input
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.options import ChainDepthOptions, PipelineOptions, of_later_rounds
@@ -123,13 +123,13 @@ def trace_rounds(
     num_threads: int,
     advance: Callable[[], None],
     workers: Workers,
-) -> tuple[Sorted, dict[str, Any]]:
+) -> tuple[FilteredCurves, dict[str, Any]]:
     """The filtered curves of all rounds, and counts; intermediate data are released on return."""
     traced, stats = trace_round(whole, near, options, None, workers, advance)
     # Made again at the end in a hundredth of a round's time, they take half of its memory.
     whole.indexes.clear()
     whole.graphs.trim()
-    kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads)
+    kept, sorted_stats = filter_curves(model, traced, options.tracing, num_threads)
     whole = replace(whole, neighbors=near.later_neighbors)
     later = of_later_rounds(options)
     for _ in range(1, options.tracing.num_rounds):
@@ -139,7 +139,7 @@ def trace_rounds(
         found, more = trace_round(rest, near, later, limits, workers, advance)
         traced += in_whole_graphs(rest, found)
         stats = {name: stats[name] + more[name] for name in stats}
-        kept, sorted_stats = sort_out(model, traced, options.tracing, num_threads, limits)
+        kept, sorted_stats = filter_curves(model, traced, options.tracing, num_threads, limits)
     return kept, stats | sorted_stats
 
 
@@ -150,7 +150,7 @@ def trace_round(
     limits: Limits | None,
     workers: Workers,
     advance: Callable[[], None],
-) -> tuple[list[Traced], dict[str, int]]:
+) -> tuple[list[TracedCurves], dict[str, int]]:
     """Trace curves with every view as the reference view, the best first; also counts samples.
 
     `limits` are those of edges, if known from an earlier round.
@@ -197,7 +197,7 @@ def trace_views(
     limits: Limits | None,
     workers: Workers,
     advance: Callable[[], None],
-) -> tuple[list[Traced], int]:
+) -> tuple[list[TracedCurves], int]:
     """Trace curves on the chains of every view that earlier ones do not cover, the best view first.
 
     Views without a common observing view are processed in parallel.
@@ -208,7 +208,7 @@ def trace_views(
     views = [given.views[view] for view in range(len(depths))]
     scores = [score_of(*of) for of in zip(views, depths, agreeing, strict=True)]
     order = np.argsort([-score for score in scores], kind="stable")
-    traced: dict[int, Traced] = {}
+    traced: dict[int, TracedCurves] = {}
     covered = nothing_covered(given.polyline_offsets)
     in_runs = np.zeros(len(order), np.int64)
 
@@ -217,7 +217,7 @@ def trace_views(
         found, threads = (covered[view], depths[view], agreeing[view]), workers.threads_per_view
         return curves_traced, (part, view, *found, options, threads)
 
-    def finish(view: int, result: tuple[Traced | None, int]) -> None:
+    def finish(view: int, result: tuple[TracedCurves | None, int]) -> None:
         found, in_runs[view] = result
         if found is not None:
             traced[view] = found
@@ -245,7 +245,7 @@ def curves_traced(
     agreeing: Int32Array,
     options: PipelineOptions,
     num_threads: int,
-) -> tuple[Traced | None, int]:
+) -> tuple[TracedCurves | None, int]:
     """Curves on the uncovered ones of a view's (N,) points, refined, with observations.
 
     Returns:
@@ -294,7 +294,7 @@ def trace_view(
     curves: Curves,
     options: PipelineOptions,
     num_threads: int,
-) -> Traced:
+) -> TracedCurves:
     """Refine the curves of one reference view and find their observations."""
     observing_views = given.observing_views[view]
     reference = given.views[view]
@@ -318,7 +318,7 @@ def trace_view(
     inverse_depths = refined.curves.inverse_depths
     positions = np.column_stack([curves.indices, refined.positions])
     seen = np.isfinite(positions)
-    return Traced(
+    return TracedCurves(
         points=lift(reference, refined.curves.undistorted, inverse_depths),
         sigmas=refined.sigmas / inverse_depths**2,
         uncertainties=refined.sigmas / inverse_depths * reference.focal_px,

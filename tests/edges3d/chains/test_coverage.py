@@ -20,7 +20,8 @@ from colmap_edges.edges3d.chains.coverage import (
     without_repeats,
     without_short,
 )
-from colmap_edges.edges3d.chains.filtering import Limits, Sorted, Traced
+from colmap_edges.edges3d.chains.filtering import FilteredCurves, Limits
+from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
@@ -101,7 +102,7 @@ def along(chain, views, points, reference_observes=True):
     at = np.tile((chain + points)[:, None].astype(float), len(views))
     if not reference_observes:
         at[:, 0] = np.nan
-    return Traced(
+    return TracedCurves(
         points=np.column_stack([points, np.zeros((count, 2))]),
         sigmas=np.ones(count),
         uncertainties=np.ones(count),
@@ -128,7 +129,7 @@ def test_edges_take_what_they_run_along_and_contours_nothing(fence):
     second = fence.polyline_offsets[0][1]
     points = np.arange(40, 120, 4)
     edges, contours = (along(chain, [0, 1, 2], points) for chain in (0, second))
-    kept = Sorted(edges=[edges], contours=[contours], limits=LIMITS)
+    kept = FilteredCurves(edges=[edges], contours=[contours], limits=LIMITS)
     rest = what_remains(fence, kept, TracingOptions())
     for view in (0, 1, 2):
         assert not rest.free[view][40:117].any()
@@ -142,7 +143,7 @@ def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     elsewhere = along(0, [3, 4], np.arange(40, 120, 4))
     not_in_reference = along(0, [2, 5, 6], np.arange(40, 120, 4), reference_observes=False)
     contours = [first, again, elsewhere, not_in_reference]
-    kept = Sorted(edges=[], contours=contours, limits=LIMITS)
+    kept = FilteredCurves(edges=[], contours=contours, limits=LIMITS)
     options = TracingOptions(curve_step_points=4, min_curve_points=3)
     left, counts = without_repeats(fence, kept, options)
     assert [of.points[:, 0].tolist() for of in left.contours] == [
