@@ -12,8 +12,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.view import View
+from colmap_edges.evaluation.mesh_errors import evaluate_mesh
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
-from colmap_edges.evaluation.protocols.scene import evaluate_mesh
 from colmap_edges.evaluation.readers.results import load_edges
 from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
 from colmap_edges.images.files import read_image

@@ -18,7 +18,7 @@ from rooms.light import illuminate
 from rooms.plans import ROOMS
 from rooms.render import Pinhole, write_images
 
-from colmap_edges.colmap.triangulation import PosedImage, triangulate
+from colmap_edges.evaluation.triangulation import PosedImage, triangulate
 
 CUT = 0.1  # maximum side of the triangles for which light is computed, metres
 SIZE = (640, 480)  # pixels

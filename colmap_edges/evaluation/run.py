@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,9 @@ import colmap_edges
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import held_out, pictures, tables
+from colmap_edges.evaluation.edge_errors import evaluate_edges
+from colmap_edges.evaluation.mesh_errors import evaluate_mesh
 from colmap_edges.evaluation.metrics import depth, edges
-from colmap_edges.evaluation.protocols import scene
 from colmap_edges.evaluation.readers import results
 from colmap_edges.export.meshes import MESH_FORMATS
 from colmap_edges.runtime.output import new_folder, write_whole
@@ -59,16 +58,14 @@ def run(
         if image_path and reference_path and reference_path.is_dir():
             draw_edge_points(run_path, input_path, reference_path, image_path, folder)
         if held_out_views and image_path is not None:
-            errors = held_out.left_out_view_errors(
+            record["held_out_views"] = held_out.left_out_view_errors(
                 input_path, image_path, held_out_views, pictures_path=folder
             )
-            record["held_out_views"] = [asdict(error) for error in errors]
         text = tables.run_tables(record) + "\n"
         write_whole(folder / "evaluation.md", text.encode(), "tables")
         record["versions"] = {PROGRAM: colmap_edges.__version__}
         record["files"] = file_sizes(folder)
-        text = json.dumps(record, indent=2) + "\n"
-        write_whole(folder / EVALUATION.record, text.encode(), "figures")
+        tables.write_figures(folder / EVALUATION.record, record)
     return record
 
 
@@ -83,13 +80,13 @@ def figures(
     record: dict[str, Any] = {}
     has_depths = reference_path is not None and reference_path.is_dir()
     if reference_path is not None:
-        record["mesh"] = scene.evaluate_mesh(
+        record["mesh"] = evaluate_mesh(
             find_mesh(run_path), input_path, reference_path, pictures_path=pictures_path
         )
     else:
         record["held_out_points"] = held_out_points(run_path, input_path)
     if (run_path / "edges.ply").is_file():
-        record["edges"] = scene.evaluate_edges(
+        record["edges"] = evaluate_edges(
             run_path / "edges.ply",
             run_path / "sparse",
             input_path,

@@ -3,38 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranks_of
+from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, scores
+from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
+from colmap_edges.evaluation.metrics.statistics import Record, mean
 from colmap_edges.evaluation.readers.curves import Curves
-
-
-@dataclass(frozen=True, kw_only=True)
-class CurveErrors:
-    """Errors of reconstructed curves against true ones.
-
-    Attributes:
-        accuracy: Mean distance from samples of the result to the reference.
-        completeness: Mean distance from samples of the reference to the result.
-        scores: Precision, recall and F at every threshold.
-        result_samples: Number of samples of the result.
-        reference_samples: Number of samples of the reference.
-        spacing: Distance between samples along the curves.
-        unit: World units per unit of these figures (1 without scaling).
-    """
-
-    accuracy: float
-    completeness: float
-    scores: list[Score]
-    result_samples: int
-    reference_samples: int
-    spacing: float
-    unit: float
 
 
 class Samples(NamedTuple):
@@ -72,12 +49,6 @@ def sample(curves: Curves, spacing: float) -> FloatArray:
     return sample_segments(curves, spacing).points if len(curves.segments) else curves.points
 
 
-def inside_box(points: FloatArray, reference: FloatArray, margin: float) -> BoolArray:
-    """Which of `points` (N, 3) lie in the bounding box of `reference`, grown by `margin`."""
-    low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
-
-
 def compare_curves(
     result: Curves,
     reference: Curves,
@@ -86,7 +57,7 @@ def compare_curves(
     spacing: float = 0.0,
     unit_size: bool = False,
     crop: bool = False,
-) -> CurveErrors:
+) -> Record:
     """Precision, recall, accuracy and completeness of `result` against `reference`.
 
     Both are sampled every `spacing` (0: a fifth of the smallest threshold), so a nearest sample
@@ -102,6 +73,11 @@ def compare_curves(
         crop: Count only samples of the result in the reference's box, for references that cover
             a part of the scene.
 
+    Returns:
+        `accuracy` and `completeness` (mean distances from samples of the result to the reference
+        and back), `scores` at every threshold, `result_samples`, `reference_samples`, `spacing`,
+        and `unit` (world units per unit of these figures).
+
     Raises:
         ColmapEdgesError: The reference is empty.
     """
@@ -109,21 +85,20 @@ def compare_curves(
         raise ColmapEdgesError("the reference holds no curve")
     unit = float(np.ptp(reference.points, axis=0).max()) if unit_size else 1.0
     spacing = spacing or min(thresholds) / 5
-    found = sample(_scaled(result, unit), spacing)
-    true = sample(_scaled(reference, unit), spacing)
-    if crop:
-        found = found[inside_box(found, true, max(thresholds))]
-    to_reference, to_result = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
-    return CurveErrors(
-        accuracy=float(to_reference.mean()) if len(found) else float("nan"),
-        completeness=float(to_result.mean()),
-        scores=scores(to_reference, to_result, thresholds),
-        result_samples=len(found),
-        reference_samples=len(true),
-        spacing=spacing,
-        unit=unit,
+    found, true = (
+        sample(Curves(points=each.points / unit, segments=each.segments), spacing)
+        for each in (result, reference)
     )
-
-
-def _scaled(curves: Curves, unit: float) -> Curves:
-    return Curves(points=curves.points / unit, segments=curves.segments)
+    if crop:
+        low, high = true.min(axis=0) - max(thresholds), true.max(axis=0) + max(thresholds)
+        found = found[((found >= low) & (found <= high)).all(axis=1)]
+    to_reference, to_result = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
+    return {
+        "accuracy": mean(to_reference),
+        "completeness": mean(to_result),
+        "scores": scores(to_reference, to_result, thresholds),
+        "result_samples": len(found),
+        "reference_samples": len(true),
+        "spacing": spacing,
+        "unit": unit,
+    }

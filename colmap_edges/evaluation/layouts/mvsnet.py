@@ -16,18 +16,14 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.colmap.triangulation import PosedImage, posed_image
 from colmap_edges.core.arrays import Float32Array, FloatArray
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.layouts import dtu
 from colmap_edges.evaluation.metrics.depth import ReferenceDepth
-from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.evaluation.scenes import Reference
+from colmap_edges.evaluation.triangulation import PosedImage, posed_image
 from colmap_edges.images.files import read_picture
 from colmap_edges.runtime.input_files import read_bytes, read_text
-
-# Scale factor from the pixels of Cameras/train to those of the crops.
-CROP_OVER_CAMERA = 4.0
-# Pixels of depth_visual_NNNN.png darker than this have no depth (as in MVSNet's training code).
-_MIN_VISUAL = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +73,7 @@ def find_layout(root: Path, scan: int) -> Layout:
     return Layout(
         image_path=crops,
         camera_path=root / "Cameras" / "train",
-        pixel_factor=CROP_OVER_CAMERA,
+        pixel_factor=4.0,
         depth_path=root / "Depths" / f"scan{scan}_train",
     )
 
@@ -146,6 +142,17 @@ def read_camera(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
     return calibration, rotation, pose[:3, 3]
 
 
+def reference_of(root: Path, scan: int, model: Model) -> Reference:
+    """The depth maps of the scan's images that are in `model`; a note where there are none.
+
+    Raises:
+        ColmapEdgesError: A file is damaged.
+    """
+    depths = load_depths(root, scan, model)
+    missing = "This scan has neither Points nor Depths: no errors are measured."
+    return Reference(depths=depths, notes=[] if depths else [missing])
+
+
 def load_depths(root: Path, scan: int, model: Model) -> list[ReferenceDepth]:
     """Depth maps of the scan's images that are in `model`; none where the release holds none.
 
@@ -170,7 +177,7 @@ def _without_background(depth: Float32Array, visual_path: Path) -> Float32Array:
         visual = read_picture(visual_path).max(axis=2)
         if visual.shape != depth.shape:
             raise ColmapEdgesError(f"{visual_path} has another size than its depth map")
-        known &= visual > _MIN_VISUAL
+        known &= visual > 10  # as in MVSNet's training code
     return np.where(known, depth, np.float32(0))
 
 

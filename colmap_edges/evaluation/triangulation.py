@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from scipy.spatial.distance import cdist
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
@@ -164,15 +165,10 @@ def match(
 def neighbor_pairs(images: Sequence[PosedImage], num_neighbors: int) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of images at least one of which is a nearest neighbour of the other."""
     centers = np.array([image.center for image in images])
-    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
-    np.fill_diagonal(distances, np.inf)
-    nearest = np.argsort(distances, axis=1, kind="stable")[:, :num_neighbors]
-    pairs = {
-        (min(a, int(b)), max(a, int(b)))
-        for a, row in enumerate(nearest)
-        for b in row
-        if np.isfinite(distances[a, b])
-    }
+    distances = cdist(centers, centers)
+    np.fill_diagonal(distances, -1.0)  # first of its own neighbours
+    nearest = np.argsort(distances, axis=1, kind="stable")[:, 1 : num_neighbors + 1]
+    pairs = {(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row}
     return sorted(pairs)
 
 

@@ -1,0 +1,153 @@
+"""Errors of 3D edges against curves, depth maps and their own observations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.evaluation.metrics import (
+    curves,
+    depth,
+    edge_graphs,
+    edges,
+    kinds,
+    visible_curves,
+)
+from colmap_edges.evaluation.metrics.raycasting import load_mesh
+from colmap_edges.evaluation.metrics.statistics import Record
+from colmap_edges.evaluation.readers import peers, results
+from colmap_edges.evaluation.readers.curves import Curves, load_curves
+
+
+def evaluate_edges(
+    edges_path: Path,
+    sparse_path: Path,
+    input_path: Path | None = None,
+    *,
+    reference_path: Path | None = None,
+    surface_path: Path | None = None,
+    reference_depth_path: Path | None = None,
+    thresholds: Sequence[float] = (),
+    thresholds_px: Sequence[float] = (1.0, 2.0),
+    unit_size: bool = False,
+    crop: bool = False,
+) -> Record:
+    """Measure 3D edges against curves and depth maps, and against their own observations.
+
+    Args:
+        edges_path: Edge graph as PLY with `vertex` and `edge` elements, or a peer's lines.
+        sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
+        input_path: Model without them; without it every point counts as an edge point.
+        reference_path: True curves (.npz or .ply).
+        surface_path: True surface; if given, recall counts true curves visible in at least three
+            views, and `thresholds_px` apply.
+        reference_depth_path: Folder of depth maps.
+        thresholds: Distances for precision and recall; default 0.005, 0.01 and 0.02 of the
+            longest side of the reference's box.
+        thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
+        unit_size: Scale so that the longest side of the reference's box is 1.
+        crop: Count only what lies in the reference's box.
+
+    Returns:
+        The content of `evaluation.json`.
+    """
+    model = load_model(sparse_path)
+    sfm = None if input_path is None else load_model(input_path)
+    found, run = peers.read_curves(edges_path), run_edges(edges_path, model)
+    record: Record = {
+        "edges": str(edges_path),
+        "lengths": edges.segment_lengths(found),
+        "twins": twins(found, run, model),
+    }
+    if edges_path.suffix in (".ply", ".npz"):
+        points = model if sfm is None else edges.edge_points(model, sfm)
+        record["reprojection"] = edges.reprojection_errors(points)
+    else:  # other lines are sampled at their projections
+        points = edges.points_of_edges(peers.load(edges_path, model), model)
+    if reference_path is not None:
+        true = load_curves(reference_path)
+        size = float(np.ptp(true.points, axis=0).max())
+        unit = size if unit_size else 1.0
+        limits = thresholds or [share * size / unit for share in (0.005, 0.01, 0.02)]
+        if surface_path is None:
+            record["curves"] = curves.compare_curves(
+                found, true, limits, unit_size=unit_size, crop=crop
+            )
+            record |= against_kinds(edges_path, reference_path, min(limits) * unit)
+        else:
+            record["curves"] = against_visible_curves(
+                found, true, model, sfm, surface_path, thresholds_px
+            )
+        record["times_found"] = edge_graphs.times_found(found, true, limits, unit)
+        if run is not None and len(true.segments):
+            record["corners"] = against_corners(run, true, limits, unit)
+    if reference_depth_path is not None:
+        references = depth.load_reference_depths(reference_depth_path, model)
+        of = {"edge_points": points} | ({} if sfm is None else {"sfm_points": sfm})
+        record["depth"] = {
+            name: edges.summarize_depth(edges.depth_window_errors(kind, references))
+            for name, kind in of.items()
+        }
+    return record
+
+
+def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
+    """The edges of an output folder with their tracks and nodes; None for edges without these."""
+    beside = edges_path.parent
+    is_run = (beside / "edges.json").is_file() and (beside / "sparse").is_dir()
+    if edges_path.name != "edges.ply" or not is_run:
+        return None
+    return results.load_edges(beside, model)
+
+
+def twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
+    """Shares of the edges' length with parallel twins, in pixels of the observing views."""
+    if run is None:
+        _, sizes = visible_curves.visibility(found.points, model.views, None)
+    else:
+        sizes = edge_graphs.observed_pixel_sizes(run, model.views)
+    sizes = np.where(np.isfinite(sizes), sizes, np.median(sizes[np.isfinite(sizes)], axis=0))
+    return edge_graphs.twin_shares(found, sizes)
+
+
+def against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> Record:
+    """Errors of kinds and radii, if reference and output folder hold them."""
+    true = kinds.true_curves(reference_path, threshold / 5)
+    if true is None or not (edges_path.parent / "edges.json").is_file():
+        return {}
+    found = results.read_edges(edges_path.parent).curves
+    return {"kinds": kinds.compare_kinds(found, true, threshold)}
+
+
+def against_visible_curves(
+    found: Curves,
+    true: Curves,
+    model: Model,
+    sfm: Model | None,
+    surface_path: Path,
+    thresholds_px: Sequence[float],
+) -> Record:
+    """Errors in pixels, and those of the SfM points against the same surface."""
+    surface = load_mesh(surface_path)
+    record = visible_curves.compare_visible_curves(
+        found, true, model.views, surface, thresholds_px=thresholds_px
+    )
+    if sfm is not None:
+        record["sfm_points_on_surface"] = visible_curves.on_surface(
+            sfm.points3D_xyz, model.views, surface, thresholds_px
+        )
+    return record
+
+
+def against_corners(run: Edges3D, true: Curves, limits: Sequence[float], unit: float) -> Record:
+    """Precision and recall of the nodes at which edges meet, and numbers of corners."""
+    found, wanted = edge_graphs.found_corners(run) / unit, edge_graphs.true_corners(true) / unit
+    return {
+        "scores": edge_graphs.compare_corners(found, wanted, limits),
+        "result_corners": len(found),
+        "reference_corners": len(wanted),
+    }
