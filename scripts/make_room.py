@@ -3,7 +3,7 @@
 
 Needs manifold3d in addition to the extra "evaluation". Each room is a folder of images/, sparse/
 (true poses and SIFT points), surface.ply and curves.npz, for `colmap-edges mesh`,
-scripts/evaluate_scene.py and scripts/evaluate_edges.py. A room takes 1 to 2 minutes on a core.
+scripts/evaluate.py scene and scripts/evaluate.py edges. A room takes 1 to 2 minutes on a core.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
-from colmap_edges.evaluation.metrics import clouds, depth, dtu_distances, edges
+from colmap_edges.evaluation.metrics import clouds, depth, dtu_distances, edges, normals
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.metrics.statistics import Record, mean, summarize
 from colmap_edges.evaluation.scenes import Reference, reference_of
@@ -75,8 +75,11 @@ def against_depth(
     if pictures_path is not None:
         pictures.write_error_maps(pictures_path, results)
     views = {result.name: result.record() for result in results}
-    shares = [name for name in views[results[0].name] if name not in summarize([])]
-    means = {name: mean([view[name] for view in views.values() if name in view]) for name in shares}
+    means = {
+        name: mean([view[name] for view in views.values() if name in view])
+        for name in ("coverage", *depth.RIGHT_WITHIN, *normals.NORMALS_WITHIN)
+        if any(name in view for view in views.values())
+    }
     return {"pooled": depth.pool(results), "mean_of_views": means, "views": views}
 
 
