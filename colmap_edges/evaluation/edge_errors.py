@@ -43,11 +43,9 @@ def evaluate_edges(
         sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
-        surface_path: True surface; if given, recall counts true curves visible in at least three
-            views, and `thresholds_px` apply.
+        surface_path: True surface; with it recall counts true curves that three views see.
         reference_depth_path: Folder of depth maps.
-        thresholds: Distances for precision and recall; default 0.005, 0.01 and 0.02 of the
-            longest side of the reference's box.
+        thresholds: Distances for precision and recall; default 0.005, 0.01, 0.02 of the size.
         thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
         unit_size: Scale so that the longest side of the reference's box is 1.
         crop: Count only what lies in the reference's box.
@@ -83,14 +81,13 @@ def evaluate_edges(
                 found, true, model, sfm, surface_path, thresholds_px
             )
         record["times_found"] = edge_graphs.times_found(found, true, limits, unit)
-        if run is not None and len(true.segments):
-            record["corners"] = against_corners(run, true, limits, unit)
+        record |= against_corners(run, true, limits, unit)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
-        of = {"edge_points": points} | ({} if sfm is None else {"sfm_points": sfm})
         record["depth"] = {
             name: edges.summarize_depth(edges.depth_window_errors(kind, references))
-            for name, kind in of.items()
+            for name, kind in (("edge_points", points), ("sfm_points", sfm))
+            if kind is not None
         }
     return record
 
@@ -143,11 +140,13 @@ def against_visible_curves(
     return record
 
 
-def against_corners(run: Edges3D, true: Curves, limits: Sequence[float], unit: float) -> Record:
-    """Precision and recall of the nodes at which edges meet, and numbers of corners."""
+def against_corners(
+    run: Edges3D | None, true: Curves, limits: Sequence[float], unit: float
+) -> Record:
+    """Precision and recall of the nodes at which edges meet, if there are any, and their number."""
+    if run is None or not len(true.segments):
+        return {}
     found, wanted = edge_graphs.found_corners(run) / unit, edge_graphs.true_corners(true) / unit
-    return {
-        "scores": edge_graphs.compare_corners(found, wanted, limits),
-        "result_corners": len(found),
-        "reference_corners": len(wanted),
-    }
+    scores = edge_graphs.compare_corners(found, wanted, limits)
+    counts = {"result_corners": len(found), "reference_corners": len(wanted)}
+    return {"corners": {"scores": scores} | counts}

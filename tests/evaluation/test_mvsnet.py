@@ -54,7 +54,7 @@ def test_images_of_full_size_come_first_with_their_own_cameras(root, tmp_path, n
 
 
 def test_depth_maps_fit_the_images(root, model):
-    references = mvsnet.load_depths(root, 6, model)
+    references = mvsnet.reference_of(root, 6, model).depths
     assert [reference.view.name for reference in references] == [v.name for v in model.views]
     for reference, (rotation, translation) in zip(references, miniature.poses(), strict=True):
         assert reference.scale == 0.25

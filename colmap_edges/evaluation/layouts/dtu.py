@@ -10,6 +10,7 @@ import re
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
@@ -208,16 +209,16 @@ def read_mask(path: Path) -> ObservedMask:
     Raises:
         ColmapEdgesError: The file holds something else.
     """
-    with _matlab_errors(path), open_file(path) as file:
-        data = loadmat(file)
+    with reading_matlab(path) as data:
         mask = ObservedMask(
             cells=data["ObsMask"].astype(bool),
             box=data["BB"].astype(np.float64).reshape(2, 3),
             resolution=float(np.squeeze(data["Res"])),
         )
-    finite = np.isfinite(mask.box).all()
-    if mask.cells.ndim != 3 or not finite or not 0 < mask.resolution < np.inf:
-        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+        if mask.cells.ndim != 3 or not np.isfinite(mask.box).all():
+            raise ValueError("absurd values")
+        if not 0 < mask.resolution < np.inf:
+            raise ValueError(f"cells of {mask.resolution} mm")
     return mask
 
 
@@ -227,17 +228,19 @@ def read_plane(path: Path) -> FloatArray:
     Raises:
         ColmapEdgesError: The file holds something else.
     """
-    with _matlab_errors(path), open_file(path) as file:
-        plane: FloatArray = loadmat(file)["P"].astype(np.float64).reshape(4)
-    if not np.isfinite(plane).all():
-        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+    with reading_matlab(path) as data:
+        plane: FloatArray = data["P"].astype(np.float64).reshape(4)
+        if not np.isfinite(plane).all():
+            raise ValueError("absurd values")
     return plane
 
 
 @contextmanager
-def _matlab_errors(path: Path) -> Iterator[None]:
+def reading_matlab(path: Path) -> Iterator[dict[str, Any]]:
+    """The arrays of a .mat; any error within becomes one that names the file."""
     try:
-        yield
+        with open_file(path) as file:
+            yield loadmat(file)
     except Exception as error:  # the exceptions of SciPy's reader are not documented
         reason = " ".join(str(error).split())[:200]
         raise ColmapEdgesError(f"{path} is not DTU's: {reason}") from error

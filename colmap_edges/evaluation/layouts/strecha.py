@@ -9,7 +9,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.metrics.poses import TruePoses
+from colmap_edges.evaluation.metrics.poses import TrueCameras
 from colmap_edges.evaluation.scenes import Scene, reference_of
 from colmap_edges.evaluation.triangulation import PosedImage, posed_image
 from colmap_edges.runtime.input_files import read_text
@@ -77,7 +77,7 @@ def posed_images(image_path: Path, camera_path: Path | None = None) -> list[Pose
     return images
 
 
-def load_true_poses(camera_path: Path) -> TruePoses:
+def load_true_poses(camera_path: Path) -> TrueCameras:
     """The poses of a folder's NAME.camera files.
 
     Raises:
@@ -88,7 +88,7 @@ def load_true_poses(camera_path: Path) -> TruePoses:
         raise ColmapEdgesError(f"{camera_path} holds no NAME.camera")
     cameras = {path.stem: read_camera(path, np.eye(3)) for path in paths}
     poses = {name: np.column_stack([turn, shift]) for name, (_, turn, shift) in cameras.items()}
-    return TruePoses(cam_from_world=poses)
+    return TrueCameras(cam_from_world=poses)
 
 
 def read_calibration(path: Path) -> FloatArray | None:
