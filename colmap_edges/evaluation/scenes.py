@@ -118,7 +118,7 @@ def reference_of(path: Path | None, view_names: Sequence[str], model: Model) -> 
     vertices = np.asarray(geometry.vertices, dtype=np.float64)
     if len(getattr(geometry, "faces", ())):
         caster = RayCaster(vertices, geometry.faces)
-        depths = depth.render_references(caster, views_named(model, view_names))
+        depths = [depth.render_reference(caster, v) for v in views_named(model, view_names)]
         return Reference(depths=depths, surface=geometry)
     return Reference(
         depths=[depth.cloud_depth(vertices, depth.central_view(model))], points=vertices

@@ -86,7 +86,7 @@ def test_coverage_counts_only_pixels_with_a_reference_depth(model_path):
     truth[:30] = 0
     reference = depth.ReferenceDepth(view=view, depth=truth, scale=1.0)
     result = depth.depth_errors(RayCaster(half.vertices, half.faces), reference)
-    assert result.coverage == 0.5
+    assert result.record()["coverage"] == 0.5
     assert np.isnan(result.errors[:30]).all()
     np.testing.assert_allclose(result.errors[30:, 40:], 2, atol=1e-5)
 

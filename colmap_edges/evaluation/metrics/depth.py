@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,8 +19,6 @@ from colmap_edges.evaluation.metrics.normals import angles_deg, normal_shares, n
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 from colmap_edges.evaluation.metrics.statistics import Record, mean, summarize
 from colmap_edges.evaluation.readers.arrays import read_arrays
-
-logger = logging.getLogger(__name__)
 
 RIGHT_WITHIN = {"right_0_5_percent": 0.005, "right_1_percent": 0.01, "right_2_percent": 0.02}
 
@@ -72,7 +69,6 @@ class DepthErrors:
         name: Name of the view.
         errors: (H, W) in world units, NaN where either is unknown.
         reference: (H, W) depths, 0 where unknown.
-        coverage: Share of the reference's known pixels at which the mesh is hit.
         angles_deg: (N,) angles between the normals of mesh and reference at the N pixels at which
             the reference has a normal, NaN where the mesh is not hit; None if it has none.
     """
@@ -80,7 +76,6 @@ class DepthErrors:
     name: str
     errors: FloatArray
     reference: Float32Array
-    coverage: float
     angles_deg: FloatArray | None = None
 
     @property
@@ -146,8 +141,14 @@ def read_depth(path: Path) -> tuple[Float32Array, float, str]:
     return depth, scale, name
 
 
-def render_reference(caster: RayCaster, view: View, scale: float = 1.0) -> ReferenceDepth:
-    """Depths (0 where it is not hit) and normals of the mesh of `caster` in `view`."""
+def render_reference(
+    caster: RayCaster, view: View, scale: float = 1.0, max_size_px: int = 1600
+) -> ReferenceDepth:
+    """Depths (0 where it is not hit) and normals of the mesh of `caster` in `view`.
+
+    The longer side of the maps is at most `max_size_px`.
+    """
+    scale = min(scale, max_size_px / max(view.width, view.height))
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
     depth, normals = caster.hits(view.center, view.rays(pixel_centers(shape) / scale))
     return ReferenceDepth(
@@ -156,16 +157,6 @@ def render_reference(caster: RayCaster, view: View, scale: float = 1.0) -> Refer
         scale=scale,
         surface_normals=normals.reshape(*shape, 3),
     )
-
-
-def render_references(
-    caster: RayCaster, views: Sequence[View], max_size_px: int = 1600
-) -> list[ReferenceDepth]:
-    """Depth maps of a reference mesh in `views`, the longer side at most `max_size_px`."""
-    return [
-        render_reference(caster, view, min(1.0, max_size_px / max(view.width, view.height)))
-        for view in views
-    ]
 
 
 def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
@@ -221,16 +212,8 @@ def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
     if truth is not None:
         has_normal = np.isfinite(truth[known][:, 0])
         angles = angles_deg(normals[has_normal], truth[known][has_normal])
-    answered = int(np.isfinite(errors).sum())
-    coverage = answered / len(rays) if len(rays) else float("nan")
-    logger.debug("%s: %d of %d pixels hit", reference.view.name, answered, len(rays))
-    return DepthErrors(
-        name=reference.view.name,
-        errors=errors,
-        reference=reference.depth,
-        coverage=coverage,
-        angles_deg=angles,
-    )
+    name = reference.view.name
+    return DepthErrors(name=name, errors=errors, reference=reference.depth, angles_deg=angles)
 
 
 def pool(results: Sequence[DepthErrors]) -> Record:
