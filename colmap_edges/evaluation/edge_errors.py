@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics import (
     curves,
     depth,
@@ -29,12 +31,8 @@ def evaluate_edges(
     input_path: Path | None = None,
     *,
     reference_path: Path | None = None,
-    surface_path: Path | None = None,
     reference_depth_path: Path | None = None,
-    thresholds: Sequence[float] = (),
-    thresholds_px: Sequence[float] = (1.0, 2.0),
-    unit_size: bool = False,
-    crop: bool = False,
+    **choices: Any,
 ) -> Record:
     """Measure 3D edges against curves and depth maps, and against their own observations.
 
@@ -43,12 +41,8 @@ def evaluate_edges(
         sparse_path: COLMAP model with the edge points; a peer's are sampled from its lines.
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
-        surface_path: True surface; with it recall counts true curves that three views see.
         reference_depth_path: Folder of depth maps.
-        thresholds: Distances for precision and recall; default 0.005, 0.01, 0.02 of the size.
-        thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
-        unit_size: Scale so that the longest side of the reference's box is 1.
-        crop: Count only what lies in the reference's box.
+        choices: Of the comparison with curves, see `against_curves`.
 
     Returns:
         The content of `evaluation.json`.
@@ -67,21 +61,7 @@ def evaluate_edges(
     else:  # other lines are sampled at their projections
         points = edges.points_of_edges(peers.load(edges_path, model), model)
     if reference_path is not None:
-        true = load_curves(reference_path)
-        size = float(np.ptp(true.points, axis=0).max())
-        unit = size if unit_size else 1.0
-        limits = thresholds or [share * size / unit for share in (0.005, 0.01, 0.02)]
-        if surface_path is None:
-            record["curves"] = curves.compare_curves(
-                found, true, limits, unit_size=unit_size, crop=crop
-            )
-            record |= against_kinds(edges_path, reference_path, min(limits) * unit)
-        else:
-            record["curves"] = against_visible_curves(
-                found, true, model, sfm, surface_path, thresholds_px
-            )
-        record["times_found"] = edge_graphs.times_found(found, true, limits, unit)
-        record |= against_corners(run, true, limits, unit)
+        record |= against_curves(edges_path, reference_path, found, model, sfm, run, **choices)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
         record["depth"] = {
@@ -90,6 +70,67 @@ def evaluate_edges(
             if kind is not None
         }
     return record
+
+
+def against_curves(
+    edges_path: Path,
+    reference_path: Path,
+    found: Curves,
+    model: Model,
+    sfm: Model | None,
+    run: Edges3D | None,
+    *,
+    surface_path: Path | None = None,
+    thresholds: Sequence[float] = (),
+    thresholds_px: Sequence[float] = (1.0, 2.0),
+    unit_size: bool = False,
+    crop: bool = False,
+) -> Record:
+    """Measure the curves `found` in a file against true ones.
+
+    Args:
+        edges_path: Their file; kinds of curves are those of edges.json beside it.
+        reference_path: True curves (.npz or .ply).
+        found: The curves.
+        model: Model with the views.
+        sfm: Model with the SfM points, which are compared with the surface, too.
+        run: The edges of an output folder, whose corners are compared.
+        surface_path: True surface; with it recall counts true curves that three views see.
+        thresholds: Distances for precision and recall; default 0.005, 0.01, 0.02 of the size.
+        thresholds_px: The same in pixels at the scene's depth, with `surface_path`.
+        unit_size: Scale so that the longest side of the reference's box is 1.
+        crop: Count only what lies in the reference's box.
+
+    Raises:
+        ColmapEdgesError: There is no true curve.
+    """
+    true = load_curves(reference_path)
+    if not len(true.points):
+        raise ColmapEdgesError(f"{reference_path} holds no curve to compare edges with")
+    size = float(np.ptp(true.points, axis=0).max())
+    unit = size if unit_size else 1.0
+    limits = thresholds or [share * size / unit for share in (0.005, 0.01, 0.02)]
+    record: Record = {"times_found": edge_graphs.times_found(found, true, limits, unit)}
+    if surface_path is None:
+        scores = curves.compare_curves(found, true, limits, unit_size=unit_size, crop=crop)
+        record |= against_kinds(edges_path, reference_path, min(limits) * unit)
+    else:
+        surface = load_mesh(surface_path)
+        scores = visible_curves.compare_visible_curves(
+            found, true, model.views, surface, thresholds_px=thresholds_px
+        )
+        if sfm is not None:
+            scores["sfm_points_on_surface"] = visible_curves.on_surface(
+                sfm.points3D_xyz, model.views, surface, thresholds_px
+            )
+    if run is not None and len(true.segments):
+        corners, wanted = edge_graphs.found_corners(run), edge_graphs.true_corners(true)
+        record["corners"] = {
+            "scores": edge_graphs.compare_corners(corners / unit, wanted / unit, limits),
+            "result_corners": len(corners),
+            "reference_corners": len(wanted),
+        }
+    return record | {"curves": scores}
 
 
 def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
@@ -118,35 +159,3 @@ def against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> R
         return {}
     found = results.read_edges(edges_path.parent).curves
     return {"kinds": kinds.compare_kinds(found, true, threshold)}
-
-
-def against_visible_curves(
-    found: Curves,
-    true: Curves,
-    model: Model,
-    sfm: Model | None,
-    surface_path: Path,
-    thresholds_px: Sequence[float],
-) -> Record:
-    """Errors in pixels, and those of the SfM points against the same surface."""
-    surface = load_mesh(surface_path)
-    record = visible_curves.compare_visible_curves(
-        found, true, model.views, surface, thresholds_px=thresholds_px
-    )
-    if sfm is not None:
-        record["sfm_points_on_surface"] = visible_curves.on_surface(
-            sfm.points3D_xyz, model.views, surface, thresholds_px
-        )
-    return record
-
-
-def against_corners(
-    run: Edges3D | None, true: Curves, limits: Sequence[float], unit: float
-) -> Record:
-    """Precision and recall of the nodes at which edges meet, if there are any, and their number."""
-    if run is None or not len(true.segments):
-        return {}
-    found, wanted = edge_graphs.found_corners(run) / unit, edge_graphs.true_corners(true) / unit
-    scores = edge_graphs.compare_corners(found, wanted, limits)
-    counts = {"result_corners": len(found), "reference_corners": len(wanted)}
-    return {"corners": {"scores": scores} | counts}

@@ -8,7 +8,6 @@ from curve_edges import arc, edges_of, frame, segment
 
 from colmap_edges.core.curves3d import ARC, CIRCLE, LINE, SPLINE, Curves3D
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.kinds import TrueCurves, compare_kinds, true_curves
 
 
@@ -72,7 +71,6 @@ def test_reference_with_kinds_is_read(tmp_path):
     arrays |= {"curves": np.array([0, 1]), "kinds": np.array([0, 0]), "radii": np.ones((2, 2))}
     np.savez(tmp_path / "kinds.npz", **arrays)
     true = true_curves(tmp_path / "kinds.npz", 0.1)
+    np.savez(tmp_path / "none.npz", **{**arrays, "edges": np.zeros((0, 2), int)})
+    assert true_curves(tmp_path / "none.npz", 0.1) is None
     assert len(true.points) == 20 and true.curves.tolist() == [0] * 10 + [1] * 10
-    nothing = replace(true, points=np.zeros((0, 3)), curves=np.zeros(0, np.int64))
-    with pytest.raises(ColmapEdgesError, match="no curve"):
-        compare_kinds(Curves3D.none(), nothing, 0.1)

@@ -268,6 +268,11 @@ def test_scripts_write_figures_and_report_bad_input(model_path, tmp_path):
     sparse = ("--edges_path", tmp_path / "edges.ply", "--sparse_path", model_path)
     done = run_script("evaluate.py", "edges", *sparse, "--reference_path", tmp_path / "edges.ply")
     assert "| 0.005 | 1 | 1 | 1 |" in done.stdout
+    np.savez(tmp_path / "none.npz", points=np.zeros((0, 3)), edges=np.zeros((0, 2), int))
+    done = run_script(
+        *("evaluate.py", "edges", *sparse, "--reference_path", tmp_path / "none.npz"), code=1
+    )
+    assert "none.npz holds no curve" in done.stderr
     done = run_script("evaluate.py", "scene", *paths[:2], "--input_path", tmp_path, code=1)
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1

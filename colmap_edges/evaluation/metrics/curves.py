@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray, ranks_of
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
 from colmap_edges.evaluation.metrics.statistics import Record, mean
 from colmap_edges.evaluation.readers.curves import Curves
@@ -65,7 +64,7 @@ def compare_curves(
 
     Args:
         result: Reconstructed curves.
-        reference: True curves, or samples of them.
+        reference: True curves, or samples of them; at least one.
         thresholds: Distances, in units of the comparison.
         spacing: Sampling distance in the same unit.
         unit_size: Scale both so that the longest side of the reference's box is 1 (the protocol
@@ -77,12 +76,7 @@ def compare_curves(
         `accuracy` and `completeness` (mean distances from samples of the result to the reference
         and back), `scores` at every threshold, `result_samples`, `reference_samples`, `spacing`,
         and `unit` (world units per unit of these figures).
-
-    Raises:
-        ColmapEdgesError: The reference is empty.
     """
-    if not len(reference.points):
-        raise ColmapEdgesError("the reference holds no curve")
     unit = float(np.ptp(reference.points, axis=0).max()) if unit_size else 1.0
     spacing = spacing or min(thresholds) / 5
     found, true = (

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import ARC, ELLIPTIC_ARC, LINE, SPLINE, Curves3D
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.curves import sample_segments
 from colmap_edges.evaluation.metrics.statistics import Record
 from colmap_edges.evaluation.readers.arrays import read_arrays
@@ -45,12 +44,14 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
         spacing: largest distance between samples along a curve.
 
     Returns:
-        The curves; None if the file does not hold their kinds.
+        The curves; None if the file holds none, or not their kinds.
     """
     data = read_arrays(path) if path.suffix == ".npz" else {}
     if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
         return None
     samples = sample_segments(Curves(points=data["points"], segments=data["edges"]), spacing)
+    if not len(samples.points):
+        return None
     return TrueCurves(
         points=samples.points,
         curves=data["curves"][samples.segments],
@@ -64,7 +65,7 @@ def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> Recor
 
     Args:
         result: Curves as fitted.
-        true: Samples of the true curves, closer than the threshold.
+        true: Samples of the true curves, at least one, closer than the threshold.
         threshold: Distance within which a sample lies on a true curve, world units; there are five
             samples of the result in it.
 
@@ -76,12 +77,7 @@ def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> Recor
         true curve (`right_kind`; arcs count for circles). The share of the length of round curves
         of the right kind whose radii are within 1 % (`right_radius`), and the median by length of
         their relative errors of the radius (`median_radius_error`).
-
-    Raises:
-        ColmapEdgesError: There is no true curve.
     """
-    if not len(true.points):
-        raise ColmapEdgesError("the reference holds no curve")
     points, owners = result.sampled(threshold / 5)
     counts = np.bincount(owners, minlength=result.num_curves)
     weights = result.lengths()[owners] / counts[owners]

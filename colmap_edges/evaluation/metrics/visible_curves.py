@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.view import View
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import (
     cloud_to_cloud,
     cloud_to_mesh,
@@ -60,7 +59,7 @@ def compare_visible_curves(
 
     Args:
         result: Reconstructed curves.
-        reference: True curves, or samples of them.
+        reference: True curves, or samples of them; at least one.
         views: The posed images.
         surface: True surface, a mesh with `vertices` and `faces`; None for no occlusion.
         thresholds_px: Distances in pixels.
@@ -70,12 +69,7 @@ def compare_visible_curves(
         The figures of `curves.compare_curves` in world units, with the visible true curves as
         reference; `recall_by_views`; and the share `on_surface` of the result within each
         threshold of the surface, including painted edges that are no true curves.
-
-    Raises:
-        ColmapEdgesError: The reference is empty.
     """
-    if not len(reference.points):
-        raise ColmapEdgesError("the reference holds no curve")
     caster = None if surface is None else RayCaster(surface.vertices, surface.faces)
     coarse = visibility(reference.points, views, None)[1]
     spacing = float(np.median(coarse)) * min(thresholds_px) / 5
