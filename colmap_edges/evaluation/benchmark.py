@@ -7,7 +7,9 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.errors import ColmapEdgesError
@@ -72,7 +74,10 @@ def run(
         ColmapEdgesError: A method is unknown, the baseline is not among the rows, no scene has a
             result of a peer, or `output_path` holds results from other images of a scene.
     """
-    found = [existing(scene.peers(peer_paths or {})) for scene in scenes]
+    found = [
+        {name: path for name, path in scene.peers(peer_paths or {}).items() if path.exists()}
+        for scene in scenes
+    ]
     rows = list(dict.fromkeys([*names, *(peer for each in found for peer in each)]))
     check_names(names, baseline, rows, peer_paths or {})
     for scene in scenes:
@@ -83,17 +88,12 @@ def run(
         progress(f"[{number}/{len(scenes)}] {scene.name}")
         folder = output_path / scene.name
         results[scene.name] = {"unit": scene.unit, "methods": {}}
-        shared = replace(scene, load_reference=read_once(scene.load_reference))
+        inputs = cache(partial(prepared, scene, folder))
         for method in [*names, *peer_results]:
-            record = _run_method(shared, method, folder, peer_results.get(method), progress)
+            record = _run_method(inputs, method, folder, peer_results.get(method), progress)
             results[scene.name]["methods"][method] = record
         write_results(results, output_path, baseline or rows[0])
     return results
-
-
-def existing(paths: dict[str, Path]) -> dict[str, Path]:
-    """The paths at which there is something."""
-    return {name: path for name, path in paths.items() if path.exists()}
 
 
 def check_names(
@@ -133,16 +133,31 @@ def keep_image_names(scene: Scene, folder: Path) -> None:
         write_whole(path, names.encode(), "names of images")
 
 
-def read_once(read: Callable[[Model], Reference]) -> Callable[[Model], Reference]:
-    """The reader of a reference, whose first result serves all methods."""
-    first: list[Reference] = []
+class Inputs(NamedTuple):
+    """What all methods have in common."""
 
-    def load_reference(model: Model) -> Reference:
-        if not first:
-            first.append(read(model))
-        return first[0]
+    image_path: Path
+    sparse_path: Path
+    model: Model
+    reference: Reference
 
-    return load_reference
+
+def prepared(scene: Scene, folder: Path) -> Inputs:
+    """The model of a scene, triangulated in `folder` unless given or there already; its reference.
+
+    Raises:
+        ColmapEdgesError: Something is missing; see its message.
+    """
+    if scene.problem:
+        raise ColmapEdgesError(scene.problem)
+    folder.mkdir(parents=True, exist_ok=True)
+    sparse_path = scene.sparse_path or folder / "sparse"
+    if scene.sparse_path is None and not (sparse_path / "points3D.bin").is_file():
+        partial_path = folder / "sparse.partial"
+        triangulate(scene.posed, scene.image_path, partial_path)
+        partial_path.rename(sparse_path)
+    model = load_model(sparse_path)
+    return Inputs(scene.image_path, sparse_path, model, scene.load_reference(model))
 
 
 def write_results(results: Record, output_path: Path, baseline: str) -> None:
@@ -153,7 +168,7 @@ def write_results(results: Record, output_path: Path, baseline: str) -> None:
 
 
 def _run_method(
-    scene: Scene, method: str, folder: Path, peer: Path | None, progress: Progress
+    inputs: Callable[[], Inputs], method: str, folder: Path, peer: Path | None, progress: Progress
 ) -> Record:
     slug = method.replace(" ", "_").replace("/", "_")
     done = folder / f"{slug}.json"
@@ -162,9 +177,9 @@ def _run_method(
         return dict(json.loads(read_text(done)))
     started = time.perf_counter()
     try:
-        record = evaluate_method(scene, method, folder, folder / slug, peer)
+        record = evaluate_method(inputs(), method, folder / slug, peer)
     except Exception as error:
-        logger.debug("%s, %s", scene.name, method, exc_info=True)
+        logger.debug("%s, %s", folder.name, method, exc_info=True)
         progress(f"  {method}: failed: {error}")
         return {"error": " ".join(str(error).split()) or type(error).__name__}
     record["seconds"] = round(time.perf_counter() - started, 2)
@@ -174,52 +189,35 @@ def _run_method(
 
 
 def evaluate_method(
-    scene: Scene, method: str, folder: Path, run_path: Path, peer: Path | None = None
+    inputs: Inputs, method: str, run_path: Path, peer: Path | None = None
 ) -> Record:
     """Mesh one scene by one method, or by a peer's lines, into `run_path`; measure mesh and points.
 
     Raises:
         ColmapEdgesError: Something is missing or fails; see its message.
     """
-    if scene.problem:
-        raise ColmapEdgesError(scene.problem)
-    folder.mkdir(parents=True, exist_ok=True)
-    sparse_path = scene.sparse_path or triangulated(scene, folder / "sparse")
-    model = load_model(sparse_path)
-    reference = scene.load_reference(model)  # read first, since meshing takes longest
-    if peer is not None:
-        points = mesh_peer(peer, model, run_path)
+    if peer is None:
+        points = mesh_own(inputs, methods()[method], run_path)
     else:
-        points = mesh_own(methods()[method], scene.image_path, sparse_path, model, run_path)
+        points = mesh_peer(inputs.model, peer, run_path)
     mesh = load_mesh(run_path / "mesh.ply")
-    sfm_points = None if points is model else model
-    return measure(mesh, points, reference, run_path / "maps", sfm_points=sfm_points)
+    sfm_points = None if points is inputs.model else inputs.model
+    return measure(mesh, points, inputs.reference, run_path / "maps", sfm_points=sfm_points)
 
 
-def triangulated(scene: Scene, path: Path) -> Path:
-    """The sparse model triangulated from the scene's posed images; reused if it exists."""
-    if not (path / "points3D.bin").is_file():
-        partial = path.with_name(path.name + ".partial")
-        triangulate(scene.posed, scene.image_path, partial)
-        partial.rename(path)
-    return path
-
-
-def mesh_own(
-    options: PipelineOptions, image_path: Path, sparse_path: Path, model: Model, run_path: Path
-) -> Model:
+def mesh_own(inputs: Inputs, options: PipelineOptions, run_path: Path) -> Model:
     """Run the pipeline into `run_path`; returns the evaluated points: the edges' or all."""
     from colmap_edges.pipeline.paths import Paths
     from colmap_edges.pipeline.run import run as run_pipeline
 
-    paths = Paths(image_path=image_path, input_path=sparse_path, output_path=run_path)
+    paths = Paths(image_path=inputs.image_path, input_path=inputs.sparse_path, output_path=run_path)
     run_pipeline("mesh", paths, options, overwrite=True)
     if not options.use_edges:
-        return model
-    return edges.edge_points(load_model(run_path / "sparse"), model)
+        return inputs.model
+    return edges.edge_points(load_model(run_path / "sparse"), inputs.model)
 
 
-def mesh_peer(path: Path, model: Model, run_path: Path) -> Model:
+def mesh_peer(model: Model, path: Path, run_path: Path) -> Model:
     """Mesh a peer's lines with the model's points into `run_path`; returns the lines' points."""
     from colmap_edges.export.meshes import write_mesh
     from colmap_edges.surfaces.mesher import mesh

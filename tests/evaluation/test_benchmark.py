@@ -129,38 +129,43 @@ def fake_scene(tmp_path, name, problem=""):
     return scenes.Scene(name=name, image_path=tmp_path, problem=problem)
 
 
-def test_reference_is_read_once_for_all_methods(tmp_path, monkeypatch):
+def unprepared(scene, folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    return scene
+
+
+def test_reference_is_read_once_for_all_methods(sparse, tmp_path, monkeypatch):
     read = []
 
-    def evaluate(scene, *_):
-        assert scene.load_reference(None) is scene.load_reference(None)
+    def evaluate(inputs, method, run_path, peer):
+        assert inputs.reference is read[0]
         return {"faces": 7, "points": {"count": 3}}
 
     def load(model):
-        read.append(model)
-        return scenes.Reference()
+        read.append(scenes.Reference())
+        return read[-1]
 
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     (tmp_path / "a").mkdir()
-    scene = replace(fake_scene(tmp_path, "a"), load_reference=load)
+    scene = replace(fake_scene(tmp_path, "a"), sparse_path=sparse, load_reference=load)
     results = benchmark.run([scene], tmp_path, ("SfM", "edges"))
-    assert len(results["a"]["methods"]) == 2
+    assert [row["faces"] for row in results["a"]["methods"].values()] == [7, 7]
     assert len(read) == 1
 
 
 def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeypatch):
     calls = []
 
-    def evaluate(scene, method, folder, run_path, peer):
+    def evaluate(scene, method, run_path, peer):
         calls.append((scene.name, method))
         if scene.name == "b":
             raise RuntimeError("broken\nscan")
-        folder.mkdir(parents=True, exist_ok=True)
         size = 2.0 if method == "SfM" else 1.0
         errors = {name: size for name in ("mae", "rmse", "sigma", "median", "p90")}
         mesh = errors | {"coverage": 0.9, "right_1_percent": 0.7}
         return {"faces": 7, "points": {"count": 3} | errors, "mesh": mesh}
 
+    monkeypatch.setattr(benchmark, "prepared", unprepared)
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     listed = [fake_scene(tmp_path, name) for name in "abc"]
     lines = []
@@ -224,9 +229,10 @@ def test_unknown_baselines_and_methods_are_named(tmp_path):
 
 
 def test_results_from_other_images_are_not_read_again(root, tmp_path, monkeypatch):
-    def evaluate(scene, method, folder, run_path, peer):
+    def evaluate(scene, method, run_path, peer):
         return {"faces": len(scene.posed), "points": {"count": 3}}
 
+    monkeypatch.setattr(benchmark, "prepared", unprepared)
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     benchmark.run(scan_scenes(root, [6]), tmp_path, ("SfM",))
     before = (tmp_path / "evaluation.json").read_text()
