@@ -17,7 +17,6 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
 from colmap_edges.evaluation.metrics.statistics import Record, mean
 
-THINNING_MM = 0.2
 MAX_DISTANCE_MM = 20.0
 
 
@@ -53,7 +52,7 @@ class DtuReference:
 
 
 def sample_mesh(
-    mesh: trimesh.Trimesh, spacing: float = THINNING_MM, seed: int = 0, max_points: int = 20_000_000
+    mesh: trimesh.Trimesh, spacing: float = 0.2, seed: int = 0, max_points: int = 20_000_000
 ) -> FloatArray:
     """Points on a mesh, denser than one per `spacing`.
 
@@ -72,7 +71,7 @@ def sample_mesh(
     return np.concatenate([np.asarray(mesh.vertices), np.asarray(points)])
 
 
-def thin(points: FloatArray, distance: float = THINNING_MM, seed: int = 0) -> FloatArray:
+def thin(points: FloatArray, distance: float = 0.2, seed: int = 0) -> FloatArray:
     """Keep, in random order, each of the points (N, 3) without a kept one within `distance`."""
     shuffled = points[np.random.default_rng(seed).permutation(len(points))]
     tree, kept = cKDTree(shuffled), np.ones(len(shuffled), dtype=bool)
