@@ -17,7 +17,6 @@ from colmap_edges.evaluation.metrics import (
     edge_graphs,
     edges,
     kinds,
-    visible_curves,
 )
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.metrics.statistics import Record
@@ -116,11 +115,11 @@ def against_curves(
         record |= against_kinds(edges_path, reference_path, min(limits) * unit)
     else:
         surface = load_mesh(surface_path)
-        scores = visible_curves.compare_visible_curves(
+        scores = curves.compare_visible_curves(
             found, true, model.views, surface, thresholds_px=thresholds_px
         )
         if sfm is not None:
-            scores["sfm_points_on_surface"] = visible_curves.on_surface(
+            scores["sfm_points_on_surface"] = curves.on_surface(
                 sfm.points3D_xyz, model.views, surface, thresholds_px
             )
     if run is not None and len(true.segments):
@@ -145,7 +144,7 @@ def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
 def twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
     """Shares of the edges' length with parallel twins, in pixels of the observing views."""
     if run is None:
-        _, sizes = visible_curves.visibility(found.points, model.views, None)
+        _, sizes = curves.visibility(found.points, model.views, None)
     else:
         sizes = edge_graphs.observed_pixel_sizes(run, model.views)
     sizes = np.where(np.isfinite(sizes), sizes, np.median(sizes[np.isfinite(sizes)], axis=0))

@@ -10,7 +10,7 @@ from project import run_script
 from colmap_edges.colmap.model import load_model
 from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.mesh_errors import evaluate_mesh
-from colmap_edges.evaluation.metrics import curves, depth, edges, visible_curves
+from colmap_edges.evaluation.metrics import curves, depth, edges
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 
@@ -189,9 +189,7 @@ def test_hidden_curves_are_not_asked_for(model_path):
     truth = Curves(points=np.vstack([shown, hidden]), segments=np.array([(0, 1), (2, 3)]))
     found = Curves(points=np.add(shown, (0, 0.8, 0)), segments=np.array([(0, 1)]))
     surface = plane(0.0)
-    errors = visible_curves.compare_visible_curves(
-        found, truth, views, surface, thresholds_px=(0.5, 1)
-    )
+    errors = curves.compare_visible_curves(found, truth, views, surface, thresholds_px=(0.5, 1))
     assert [row["recall"] for row in errors["scores"]] == [0, 1]  # a pixel is one unit at 100
     assert [row["precision"] for row in errors["scores"]] == [0, 1]
     by_views = [
@@ -200,9 +198,9 @@ def test_hidden_curves_are_not_asked_for(model_path):
     assert by_views == [(0, 0, [0, 0]), (5, 8, [0, 1])]
     assert [row["length"] for row in errors["recall_by_views"]] == pytest.approx([20, 20], rel=0.01)
     caster = RayCaster(surface.vertices, surface.faces)
-    counts, _ = visible_curves.visibility(truth.points, views, caster)
+    counts, _ = curves.visibility(truth.points, views, caster)
     assert counts.tolist() == [5, 5, 0, 0]
-    everything = visible_curves.compare_visible_curves(found, truth, views, thresholds_px=(1,))
+    everything = curves.compare_visible_curves(found, truth, views, thresholds_px=(1,))
     assert everything["scores"][0]["recall"] == pytest.approx(0.5, abs=0.01)
     assert everything["on_surface"] == []
 
@@ -213,9 +211,7 @@ def test_marks_on_the_surface_differ_from_points_off_it(model_path):
     # Of 60 units of length 20 are on the curve, 20 a mark, 20 at 1.5 pixels above the surface.
     ends = [(x, y, z) for y, z in ((0, 0), (5, 0), (10, -1.5)) for x in (-10.0, 10)]
     found = Curves(points=np.array(ends), segments=np.array([(0, 1), (2, 3), (4, 5)]))
-    errors = visible_curves.compare_visible_curves(
-        found, truth, views, plane(0.0), thresholds_px=(1, 2)
-    )
+    errors = curves.compare_visible_curves(found, truth, views, plane(0.0), thresholds_px=(1, 2))
     assert [row["precision"] for row in errors["scores"]] == pytest.approx([1 / 3, 1 / 3], abs=1e-3)
     assert errors["on_surface"] == pytest.approx([2 / 3, 1], abs=1e-3)
 
@@ -223,7 +219,7 @@ def test_marks_on_the_surface_differ_from_points_off_it(model_path):
 def test_recall_by_views_doubles_its_ranges():
     counts = np.array([0, 1, 2, 3, 4, 5, 8, 9, 17])
     distances = np.where(counts % 2 == 1, 0.5, 5.0)
-    rows = visible_curves.recall_by_views(distances, counts, (1.0,), 0.25)
+    rows = curves.recall_by_views(distances, counts, (1.0,), 0.25)
     assert [(row["min_views"], row["max_views"]) for row in rows] == [
         (0, 0), (1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32),
     ]  # fmt: skip
