@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from colmap_edges.core.edges3d import Edges3D
     from colmap_edges.edges3d.curves.fitting import fit_curves
     from colmap_edges.errors import ColmapEdgesError
-    from colmap_edges.evaluation.readers.results import WrittenEdges, read_edges
     from colmap_edges.export.graph import to_networkx
     from colmap_edges.export.meshes import write_mesh
     from colmap_edges.export.tables import EdgeTables, to_pandas
+    from colmap_edges.export.written import WrittenEdges, read_edges
     from colmap_edges.options import PipelineOptions, preset
     from colmap_edges.pipeline.reconstruct import EdgeReconstruction, reconstruct
     from colmap_edges.surfaces.faces.finding import Faces
@@ -61,11 +61,11 @@ _MODULES = {
     "Faces": "surfaces.faces.finding",
     "Mesh": "surfaces.mesh",
     "PipelineOptions": "options",
-    "WrittenEdges": "evaluation.readers.results",
+    "WrittenEdges": "export.written",
     "fit_curves": "edges3d.curves.fitting",
     "mesh": "surfaces.mesher",
     "preset": "options",
-    "read_edges": "evaluation.readers.results",
+    "read_edges": "export.written",
     "reconstruct": "pipeline.reconstruct",
     "to_networkx": "export.graph",
     "to_pandas": "export.tables",

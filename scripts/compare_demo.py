@@ -15,8 +15,8 @@ from colmap_edges.core.view import View
 from colmap_edges.evaluation.mesh_errors import evaluate_mesh
 from colmap_edges.evaluation.metrics.depth import pixel_centers
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
-from colmap_edges.evaluation.readers.results import load_edges
 from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
+from colmap_edges.export.edges_json import load_edges
 from colmap_edges.images.files import read_image
 from colmap_edges.report.overlay import draw_edges
 

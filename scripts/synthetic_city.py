@@ -37,7 +37,8 @@ from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.edge_graph import build_edge_graph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import write_json, write_ply
+from colmap_edges.export.edges_json import write_json
+from colmap_edges.export.ply import write_ply
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.read import model_counts

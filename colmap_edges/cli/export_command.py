@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -51,30 +50,40 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
     """
     with importing():
         from colmap_edges.errors import ColmapEdgesError
-        from colmap_edges.evaluation.readers.results import read_edges
+        from colmap_edges.export.formats import FORMATS, notes_on
+        from colmap_edges.export.written import read_edges
         from colmap_edges.runtime.output import one_line
 
-        write = writers().get(output_path.suffix.lower())
-    if (output_path.name != STRUCTURES and write is None) or (
-        (svg is not None) != (output_path.suffix.lower() == ".svg")
-    ):
+    name = format_of(output_path)
+    if name not in FORMATS or (svg is not None) != (name == "svg"):
         raise ColmapEdgesError(
             f"cannot write edges as {output_path.name!r}; give a file named .step, .stp, .dxf, "
             ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
         )
-    check_place(output_path, run_path, write is not None, overwrite)
+    check_place(output_path, run_path, name != "limap", overwrite)
     written = read_edges(run_path)
     if not written.edges.num_edges:
         raise ColmapEdgesError(f"{run_path} holds no edges, so there is nothing to write")
     with one_line("cannot make", output_path.parent):
         output_path.parent.mkdir(parents=True, exist_ok=True)
-    if write is None:
-        from colmap_edges.export.limap import write_structures
+    if svg is not None:
+        write_view(written, output_path, svg, overwrite)
+        result = None
+    else:
+        result = FORMATS[name].write(written, output_path, overwrite)
+    if name == "limap":
+        return [f"{result:,} lines in {output_path}; LIMAP reads them with the model of {run_path}"]
+    notes = [f"Note: {note}" for note in notes_on(written, result)]
+    count = getattr(result, "num_curves", written.curves.num_curves)
+    return [*notes, f"{count:,} curves of {written.edges.num_edges:,} edges: {output_path}"]
 
-        edges, curves, model = written.edges, written.curves, written.model
-        count = write_structures(edges, curves, model, output_path, overwrite=overwrite)
-        return [f"{count:,} lines in {output_path}; LIMAP reads them with the model of {run_path}"]
-    return described(written, output_path, write(written, output_path, svg, overwrite))
+
+def format_of(output_path: Path) -> str:
+    """Name of the format of a file or folder of this name."""
+    if output_path.name == STRUCTURES:
+        return "limap"
+    suffix = output_path.suffix.lower().removeprefix(".")
+    return {"stp": "step", "limap": ""}.get(suffix, suffix)
 
 
 def check_place(output_path: Path, run_path: Path, is_file: bool, overwrite: bool) -> None:
@@ -95,46 +104,7 @@ def check_place(output_path: Path, run_path: Path, is_file: bool, overwrite: boo
             check_free(output_path, overwrite)
 
 
-def described(written: Any, path: Path, step: Any) -> list[str]:
-    """Lines about a written file; `step` is the result of `write_step`, or None."""
-    all_curves = written.curves.num_curves
-    text = f"{all_curves:,} curves of {written.edges.num_edges:,} edges: {path}"
-    if step is None:
-        return [text]
-    notes = []
-    if missing := all_curves - step.num_curves:
-        notes.append(
-            f"Note: {missing:,} of {all_curves:,} curves are left out, since they have no length "
-            "that STEP files can hold."
-        )
-        text = f"{step.num_curves:,} of {text}"
-    if step.unit_mm != 1:
-        notes.append(
-            f"Note: one unit of the model is {step.unit_mm:,.0f} mm in the file, since programs "
-            "would take the ends of its short curves as one point."
-        )
-    return [*notes, text]
-
-
-def writers() -> dict[str, Callable[[Any, Path, str | None, bool], Any]]:
-    """Writer functions by file suffix."""
-    from colmap_edges.export.dxf import write_dxf
-    from colmap_edges.export.edges import write_obj, write_ply
-    from colmap_edges.export.glb import write_glb
-    from colmap_edges.export.step import write_step
-
-    return {
-        ".step": lambda found, path, _, over: write_step(found.curves, path, overwrite=over),
-        ".stp": lambda found, path, _, over: write_step(found.curves, path, overwrite=over),
-        ".dxf": lambda found, path, _, over: write_dxf(found.curves, path, overwrite=over),
-        ".glb": lambda found, path, _, over: write_glb(found.edges, path, overwrite=over),
-        ".obj": lambda found, path, _, over: write_obj(found.edges, path, overwrite=over),
-        ".ply": lambda found, path, _, over: write_ply(found.edges, path, overwrite=over),
-        ".svg": write_view,
-    }
-
-
-def write_view(written: Any, path: Path, name: str | None, overwrite: bool) -> None:
+def write_view(written: Any, path: Path, name: str, overwrite: bool) -> None:
     """Write the edges projected into the image named `name`.
 
     Raises:
@@ -145,9 +115,9 @@ def write_view(written: Any, path: Path, name: str | None, overwrite: bool) -> N
 
     views = written.model.views
     names = [PurePosixPath(view.name) for view in views]  # without "./"
-    if PurePosixPath(name or "") not in names:
+    if PurePosixPath(name) not in names:
         raise ColmapEdgesError(
             f"no posed image is named {name!r}; names look like {views[0].name!r}"
         )
-    index = names.index(PurePosixPath(name or ""))
+    index = names.index(PurePosixPath(name))
     write_svg(written.edges, written.curves, views[index], index, path, overwrite=overwrite)

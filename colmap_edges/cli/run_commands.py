@@ -21,7 +21,7 @@ from colmap_edges.runtime.stages import Progress
 
 # Options of each command.
 MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
-ONLY_MESH_FLAGS = {"meshing", "mesh_type", "use_edges", "use_faces", "masks_are_background"}
+ONLY_MESH_FLAGS = {"meshing", "use_edges", "use_faces", "masks_are_background"}
 RECONSTRUCT_FLAGS = MESH_FLAGS - ONLY_MESH_FLAGS
 DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "detection", "edge_graph"}
 
@@ -54,6 +54,17 @@ def preset_flags() -> list[click.Option]:
             "et al.; other flags override its values [chains]",
         ),
     ]
+
+
+def export_flag() -> click.Option:
+    """Make the flag that chooses further formats."""
+    return click.Option(
+        ["--export"],
+        default="",
+        metavar="FORMAT,...",
+        help="Further formats of the edges and the mesh, separated by commas: obj, glb, dxf, step, "
+        "svg (a drawing of each image), limap",
+    )
 
 
 def recording_target(value: str) -> str:
@@ -93,7 +104,7 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             metavar="ADDRESS",
             help="dask cluster, such as tcp://host:8786; needs --cache_path",
         ),
-        *(preset_flags() if "tracing" in names else []),
+        *([*preset_flags(), export_flag()] if "tracing" in names else []),
         click.Option(
             ["--config"],
             type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -154,18 +165,21 @@ def run_stages(
 ) -> dict[str, Any]:
     """Import the stages, run them, and return the report."""
     with importing():
+        from colmap_edges.export.formats import formats_of
         from colmap_edges.pipeline.paths import Paths
         from colmap_edges.pipeline.run import run
         from colmap_edges.report.rerun_viewer import open_viewer
 
     optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
     paths, overwrite = Paths(**paths_of_flags, **optional), values["overwrite"]
+    exports = formats_of(values.get("export", ""))
     with open_viewer(values["rerun"], paths.output_path, overwrite, paths.inputs) as viewer:
         return run(
             name,
             paths,
             options,
             overwrite=overwrite,
+            exports=exports,
             progress=progress,
             scheduler=values["scheduler"],
             viewer=viewer,

@@ -12,8 +12,6 @@ from colmap_edges.report.outcome import VIEWERS, outcome
 LOOK_AT = {
     "report.html": "in any web browser",
     "mesh.ply": "in MeshLab, Blender or CloudCompare",
-    "mesh.obj": "in MeshLab, Blender or CloudCompare",
-    "mesh.glb": "in Blender or any glTF viewer",
     "edges.ply": "in MeshLab or Blender",
     "overlays": "with any viewer of pictures",
 }

@@ -18,9 +18,9 @@ from colmap_edges.evaluation.mesh_errors import measure
 from colmap_edges.evaluation.metrics import edges
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.metrics.statistics import Record
-from colmap_edges.evaluation.readers import peers
 from colmap_edges.evaluation.scenes import Reference, Scene
 from colmap_edges.evaluation.triangulation import triangulate
+from colmap_edges.export import peers
 from colmap_edges.options import PipelineOptions, preset
 from colmap_edges.runtime.input_files import read_text
 from colmap_edges.runtime.output import write_whole

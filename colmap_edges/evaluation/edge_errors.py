@@ -20,8 +20,10 @@ from colmap_edges.evaluation.metrics import (
 )
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.metrics.statistics import Record
-from colmap_edges.evaluation.readers import peers, results
-from colmap_edges.evaluation.readers.curves import Curves, load_curves
+from colmap_edges.evaluation.readers.curves import Curves, load_curves, read_curves
+from colmap_edges.export import peers
+from colmap_edges.export.edges_json import load_edges
+from colmap_edges.export.written import read_edges
 
 
 def evaluate_edges(
@@ -48,7 +50,7 @@ def evaluate_edges(
     """
     model = load_model(sparse_path)
     sfm = None if input_path is None else load_model(input_path)
-    found, run = peers.read_curves(edges_path), run_edges(edges_path, model)
+    found, run = read_curves(edges_path), run_edges(edges_path, model)
     record: Record = {
         "edges": str(edges_path),
         "lengths": edges.segment_lengths(found),
@@ -138,7 +140,7 @@ def run_edges(edges_path: Path, model: Model) -> Edges3D | None:
     is_run = (beside / "edges.json").is_file() and (beside / "sparse").is_dir()
     if edges_path.name != "edges.ply" or not is_run:
         return None
-    return results.load_edges(beside, model)
+    return load_edges(beside, model)
 
 
 def twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
@@ -156,5 +158,5 @@ def against_kinds(edges_path: Path, reference_path: Path, threshold: float) -> R
     true = kinds.true_curves(reference_path, threshold / 5)
     if true is None or not (edges_path.parent / "edges.json").is_file():
         return {}
-    found = results.read_edges(edges_path.parent).curves
+    found = read_edges(edges_path.parent).curves
     return {"kinds": kinds.compare_kinds(found, true, threshold)}

@@ -13,7 +13,7 @@ from colmap_edges.evaluation import held_out, pictures, tables
 from colmap_edges.evaluation.edge_errors import evaluate_edges
 from colmap_edges.evaluation.mesh_errors import evaluate_mesh
 from colmap_edges.evaluation.metrics import depth, edges
-from colmap_edges.evaluation.readers import results
+from colmap_edges.export.edges_json import load_edges
 from colmap_edges.export.meshes import MESH_FORMATS
 from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import EVALUATION, PROGRAM, file_sizes
@@ -129,6 +129,6 @@ def held_out_points(run_path: Path, input_path: Path) -> dict[str, Any]:
     """
     record = {"SfM only": held_out.split_half_errors(input_path)}
     if (run_path / "edges.json").is_file():
-        found = results.load_edges(run_path, load_model(input_path))
+        found = load_edges(run_path, load_model(input_path))
         record["with edges"] = held_out.split_half_errors(input_path, found)
     return record

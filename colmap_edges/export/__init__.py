@@ -1,1 +1,1 @@
-"""Export of 3D edges and meshes to the file formats of other programs."""
+"""Writing and reading of 3D edges, faces and meshes in the formats of this and other programs."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.runtime.input_files import read_text
+from colmap_edges.runtime.input_files import DAMAGE, read_text
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.faces.outlines import Face
 
@@ -53,7 +53,7 @@ def read_faces(path: Path, model: Model) -> list[Face]:
     try:
         records = json.loads(read_text(path))["faces"]
         return [face_of(record, indices) for record in records]
-    except (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+    except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{path} holds no faces of its model: {error}") from error
 
 

@@ -11,27 +11,12 @@ from colmap_edges.core.checks import checked
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.edges import formatted
 from colmap_edges.export.glb import TRIANGLES, as_glb
+from colmap_edges.export.ply import mesh_as_ply
 from colmap_edges.export.precision import needs_double
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
 
 MESH_FORMATS = (".ply", ".obj", ".glb")
-PLY_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
-PLY_HEADER = """ply
-format binary_little_endian 1.0
-comment mesh by colmap-edges
-element vertex {vertices}
-property {number} x
-property {number} y
-property {number} z
-property uchar red
-property uchar green
-property uchar blue
-property uchar alpha
-element face {faces}
-property list uchar int vertex_indices
-end_header
-"""
 
 
 @checked
@@ -54,7 +39,7 @@ def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
         )
     far = needs_double(mesh.vertices, sides_of(mesh))
     if suffix == ".ply":
-        data = as_ply(mesh, "f8" if far else "f4")
+        data = mesh_as_ply(mesh, "f8" if far else "f4")
     elif suffix == ".obj":
         data = as_obj(mesh)
     else:
@@ -66,18 +51,6 @@ def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
 def sides_of(mesh: Mesh) -> Int32Array:
     """(3 F, 2) the sides of all triangles, by their vertices."""
     return mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-
-
-def as_ply(mesh: Mesh, number: str) -> bytes:
-    """A binary PLY of the mesh, with coordinates of type f4, as most readers expect, or f8."""
-    vertex = np.dtype([("xyz", f"<{number}", 3), ("rgba", "u1", 4)])
-    vertices = np.full(len(mesh.vertices), 255, vertex)
-    vertices["xyz"], vertices["rgba"][:, :3] = mesh.vertices, mesh.colors
-    faces = np.full(len(mesh.faces), 3, PLY_FACE)
-    faces["indices"] = mesh.faces
-    name = {"f4": "float", "f8": "double"}[number]
-    header = PLY_HEADER.format(vertices=len(vertices), faces=len(faces), number=name)
-    return header.encode() + vertices.tobytes() + faces.tobytes()
 
 
 def as_obj(mesh: Mesh) -> bytes:

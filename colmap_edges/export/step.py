@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.output import write_whole
@@ -21,7 +20,6 @@ SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precisio
 SHORTEST = 100 * SMALLEST  # of a curve in the file
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class StepFile:
     """What a STEP file holds.
@@ -46,12 +44,9 @@ def write_step(curves: Curves3D, path: Path, *, overwrite: bool = True) -> StepF
         ColmapEdgesError: if OpenCASCADE is not installed, the file cannot be written, or exists
             and `overwrite` is false.
     """
-    try:
-        from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
-    except ImportError as error:
-        raise ColmapEdgesError(
-            f"{path.name} needs a CAD kernel: pip install 'colmap-edges[step]'"
-        ) from error
+    check_kernel()
+    from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
+
     be_silent()
     builder, compound = BRep.BRep_Builder(), TopoDS.TopoDS_Compound()
     builder.MakeCompound(compound)
@@ -75,6 +70,20 @@ def write_step(curves: Curves3D, path: Path, *, overwrite: bool = True) -> StepF
     data = PRODUCT.sub(b"PRODUCT('edges','edges'", written.getvalue(), count=1)
     write_whole(path, data, "curves", overwrite=overwrite)
     return StepFile(num_curves=count, unit_mm=unit_mm)
+
+
+def check_kernel() -> None:
+    """Check that OpenCASCADE is installed.
+
+    Raises:
+        ColmapEdgesError: if it is not.
+    """
+    try:
+        import OCP.STEPControl  # noqa: F401
+    except ImportError as error:
+        raise ColmapEdgesError(
+            "STEP files need a CAD kernel: pip install 'colmap-edges[step]'"
+        ) from error
 
 
 def unit_of(lengths: FloatArray) -> float:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    offsets_of,
+    owners_of,
+    ranks_of,
+)
 from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import KINDS, LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.errors import printable
+from colmap_edges.images.files import path_of_image
 from colmap_edges.runtime.output import write_whole
 
 COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
@@ -69,12 +78,33 @@ def write_svg(
             styles=styles,
         )
     ]
+    steps = np.where(curves.kinds == LINE, STEPS_OF_LINES, STEPS)
+    offsets = offsets_of(steps + 1)
+    owners = owners_of(offsets)
+    pixels, depths = view.project(curves.at(owners, ranks_of(steps + 1) / steps[owners]))
+    inside = view.holds(pixels, depths)
     for kind, name in enumerate(KINDS):
         lines.append(f'<g class="{name}">\n')
         for curve in np.flatnonzero(curves.kinds == kind).tolist():
-            lines += paths_of(edges, curves, curve, seen, view)
+            drawn = slice(*offsets[curve : curve + 2])
+            lines += paths_of(edges, curves, curve, seen, pixels[drawn], inside[drawn])
         lines.append("</g>\n")
     write_whole(path, ("".join(lines) + "</svg>\n").encode(), "curves", overwrite=overwrite)
+
+
+def write_svgs(
+    edges: Edges3D,
+    curves: Curves3D,
+    views: Sequence[View],
+    folder: Path,
+    *,
+    overwrite: bool = True,
+) -> None:
+    """Write an SVG for each view into a folder, by the view's name; see `write_svg`."""
+    for index, view in enumerate(views):
+        path = path_of_image(folder, f"{view.name}.svg")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_svg(edges, curves, view, index, path, overwrite=overwrite)
 
 
 def points_seen(edges: Edges3D, index: int) -> BoolArray:
@@ -91,17 +121,27 @@ def points_seen(edges: Edges3D, index: int) -> BoolArray:
 
 
 def paths_of(
-    edges: Edges3D, curves: Curves3D, curve: int, seen: BoolArray, view: View
+    edges: Edges3D,
+    curves: Curves3D,
+    curve: int,
+    seen: BoolArray,
+    pixels: FloatArray,
+    inside: BoolArray,
 ) -> list[str]:
-    """The SVG paths of a curve: its stretches in the image, observed and unobserved."""
-    steps = STEPS_OF_LINES if curves.kinds[curve] == LINE else STEPS
-    places = np.linspace(0, 1, steps + 1)
-    pixels, depths = view.project(curves.at(np.full(steps + 1, curve), places))
-    inside = view.holds(pixels, depths)
+    """The SVG paths of a curve: its stretches in the image, observed and unobserved.
+
+    Args:
+        edges: the edges.
+        curves: the curves.
+        curve: index of the curve.
+        seen: (N,) whether the view observes the edge points.
+        pixels: (n, 2) projections of evenly spread points of the curve.
+        inside: (n,) whether these are in the image.
+    """
     first, end = curves.ranges[curve].tolist()
     start = int(edges.edge_offsets[curves.edges[curve]])
     size = int(edges.edge_offsets[curves.edges[curve] + 1]) - start
-    rows = first + np.rint(places * (end - 1 - first)).astype(np.int64)
+    rows = first + np.rint(np.linspace(0, 1, len(pixels)) * (end - 1 - first)).astype(np.int64)
     shown = seen[start + (rows - start) % size]
     drawn = inside[:-1] & inside[1:]
     states = np.where(drawn, np.where(shown[:-1] & shown[1:], 2, 1), 0)

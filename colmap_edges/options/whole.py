@@ -58,7 +58,6 @@ class PipelineOptions(Options):
         "Treat masked pixels as background: their rays are free space",
     )
     output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
-    mesh_type: str = option("PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"))
     num_threads: int = option(-1, "Number of threads; -1 uses all cores", within=(-1, 100_000))
     max_graph_memory_gb: float = option(
         4.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,14 @@ from colmap_edges.colmap.writing import check_text_names
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
 from colmap_edges.export.faces import write_faces
+from colmap_edges.export.formats import check_formats
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
 from colmap_edges.pipeline.found import ImagePaths, find_edges
 from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
 from colmap_edges.pipeline.read import check_pictures, read_stage
-from colmap_edges.pipeline.write import make_report, report_stage, write_stage
+from colmap_edges.pipeline.write import export_stage, make_report, report_stage, write_stage
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, open_workers
@@ -32,6 +34,7 @@ def run(
     options: PipelineOptions,
     *,
     overwrite: bool = False,
+    exports: Sequence[str] = (),
     progress: Progress = no_progress,
     scheduler: str = "",
     viewer: Viewer = NO_VIEWER,
@@ -45,6 +48,7 @@ def run(
         paths: input and output paths.
         options: options of all stages.
         overwrite: replace an existing output.
+        exports: further formats of edges and mesh, of `export.formats.FORMATS`.
         progress: called at every step.
         scheduler: address of a dask.distributed scheduler, whose workers do the work.
         viewer: viewer that shows intermediate results.
@@ -60,6 +64,7 @@ def run(
     uses_images = command != "mesh" or options.use_edges
     images = image_folder(paths) if uses_images else None
     check_needs(command, paths, scheduler)
+    check_formats(exports, uses_images)
     with (
         new_folder(paths.output_path, OUTPUT, overwrite) as folder,
         open_workers(options, paths.cache_path, scheduler) as workers,
@@ -75,6 +80,7 @@ def run(
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
             contents = run_edges(command, model, paths, folder, settings, stages, workers, viewer)
+        export_stage(folder, contents.mesh, exports, stages)
         report = make_report(command, paths, options, settings, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)

@@ -38,7 +38,6 @@ NOT_OF_TRACING = {
     "report",
     "refine_poses",
     "output_type",
-    "mesh_type",
     "num_threads",
     "max_graph_memory_gb",
     "masks_are_background",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
@@ -15,9 +17,12 @@ from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.dxf import write_dxf
-from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
-from colmap_edges.export.glb import write_glb
+from colmap_edges.export.edges import edge_lengths
+from colmap_edges.export.edges_json import write_json
+from colmap_edges.export.formats import FORMATS, notes_on
+from colmap_edges.export.meshes import MESH_FORMATS, write_mesh
+from colmap_edges.export.ply import write_ply
+from colmap_edges.export.written import read_edges
 from colmap_edges.options import PipelineOptions, recorded
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.report.contents import Contents
@@ -25,6 +30,9 @@ from colmap_edges.report.diagnosis import diagnose
 from colmap_edges.report.funnel import funnel
 from colmap_edges.report.page import write_report
 from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.mesh import Mesh
+
+logger = logging.getLogger(__name__)
 
 
 def write_stage(
@@ -45,9 +53,6 @@ def write_stage(
         sparse = folder / "sparse"
         ids = write_model(model, edges, sparse, options.output_type, residuals)
         write_ply(edges, folder / "edges.ply")
-        write_obj(edges, folder / "edges.obj")
-        write_glb(edges, folder / "edges.glb")
-        write_dxf(curves, folder / "edges.dxf")
         write_json(edges, curves, model, ids, residuals, folder / "edges.json")
         stage.counts = {
             "edges": edges.num_edges,
@@ -57,6 +62,29 @@ def write_stage(
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
     return with_edge_points(model, edges, ids)
+
+
+def export_stage(folder: Path, mesh: Mesh | None, names: Sequence[str], stages: Stages) -> None:
+    """Write the edges of an output folder, and the mesh, in further formats.
+
+    Args:
+        folder: the folder, whose edges are read back; without any, none are written.
+        mesh: the mesh, written in those formats that hold meshes.
+        names: the formats.
+        stages: the stages of the run.
+    """
+    if not names:
+        return
+    with stages.stage("export") as stage:
+        written = read_edges(folder) if (folder / "edges.json").exists() else None
+        for name in names:
+            if written and written.edges.num_edges:
+                place, write = FORMATS[name]
+                for note in notes_on(written, write(written, folder / place, True)):
+                    logger.warning(note)
+            if mesh and f".{name}" in MESH_FORMATS:
+                write_mesh(mesh, folder / f"mesh.{name}")
+        stage.counts = {"formats": len(names)}
 
 
 def report_stage(contents: Contents, folder: Path, record: dict[str, Any], stages: Stages) -> None:

@@ -69,7 +69,7 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     if counts.get("mesh", {}).get("faces") == 0:
         findings.append(empty_mesh(counts["mesh"], options))
     if counts.get("mesh", {}).get("far_from_origin"):
-        findings.append(far_mesh(options))
+        findings.append(far_mesh())
     return findings
 
 
@@ -247,16 +247,11 @@ def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Fin
     )
 
 
-def far_mesh(options: PipelineOptions) -> Finding:
+def far_mesh() -> Finding:
     """The finding that 32-bit coordinates would distort the mesh."""
-    kept = {
-        "PLY": "mesh.ply holds 64-bit ones",
-        "OBJ": "mesh.obj holds all digits",
-        "GLB": "mesh.glb holds them relative to an offset",
-    }[options.mesh_type]
     return Finding(
         text="the model lies so far from the origin that coordinates of 32 bits would distort the "
-        f"mesh; {kept}, but some programs round them when they read them",
+        "mesh; mesh.ply holds 64-bit ones, but some programs round them when they read them",
         remedy="move the origin into the scene, for example with `colmap model_aligner` and its "
         "--alignment_type enu, and run again",
     )

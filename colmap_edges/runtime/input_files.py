@@ -19,6 +19,17 @@ KINDS = {
     stat.S_IFSOCK: "a socket",
 }
 
+# Exceptions raised for damaged files.
+DAMAGE = (
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+
 
 def open_file(path: Path) -> BinaryIO:
     """Open a regular file to read its bytes.

@@ -1,11 +1,14 @@
 """The command `export`: written files and outputs of runs are read back."""
 
 import os
+import re
 import shutil
+import sys
 
 import ezdxf
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 import colmap_edges
@@ -13,7 +16,11 @@ from colmap_edges.cli.main import cli
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import write_json
+from colmap_edges.errors import ColmapEdgesError, OptionError
+from colmap_edges.export.edges_json import write_json
+from colmap_edges.export.formats import FORMATS, check_formats, formats_of
+from colmap_edges.pipeline.write import export_stage
+from colmap_edges.runtime.stages import Stages
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +70,56 @@ def test_every_format_is_written(run_path, scene_model, tmp_path, name):
     if name.endswith("dxf"):
         curves = colmap_edges.read_edges(run_path).curves
         assert len(ezdxf.readfile(tmp_path / name).modelspace()) == curves.num_curves
+
+
+def test_a_run_writes_the_same_files(run_path, scene_model, tmp_path, hash_folder):
+    names = formats_of("obj,GLB, dxf,svg,limap,dxf")
+    assert names == ["obj", "glb", "dxf", "svg", "limap"]
+    run = tmp_path / "run"
+    shutil.copytree(run_path, run)
+    box = trimesh.creation.box()
+    mesh = colmap_edges.Mesh(
+        vertices=np.array(box.vertices),
+        faces=np.array(box.faces, np.int32),
+        point3D_ids=np.full(8, -1),
+        colors=np.zeros((8, 3), np.uint8),
+    )
+    export_stage(run, mesh, names, Stages())
+    places = {"edges.obj", "edges.glb", "edges.dxf", "svg", "structures"}
+    made = {path.name for path in run.iterdir()} - {path.name for path in run_path.iterdir()}
+    assert made == places | {"mesh.obj", "mesh.glb"}
+    assert trimesh.load(run / "mesh.glb", force="mesh").volume == pytest.approx(1)
+    pictures = {f"svg/{view.name}.svg" for view in scene_model.views}
+    ours, theirs = hash_folder(run), tmp_path / "theirs"
+    assert pictures <= set(ours)
+    for place in (*places - {"svg"}, min(pictures)):
+        more = ("--svg", scene_model.views[0].name) if place in pictures else ()
+        done = export("--run_path", run, "--output_path", theirs / place, *more)
+        assert done.exit_code == 0, done.output
+    written = hash_folder(theirs)
+    assert len(written) == 9 and written.items() <= ours.items()
+
+
+def test_help_names_every_format():
+    shown = CliRunner().invoke(cli, ["mesh", "--help"], terminal_width=200).output
+    text = " ".join(shown.partition("--export")[2].partition("--config")[0].split())
+    offered = {"ply", *re.findall(r"(\w+)(?:, | \(|$)", text.partition(": ")[2])}
+    assert set(FORMATS) <= offered, offered
+
+
+def test_a_run_without_edges_exports_its_mesh_alone(tmp_path):
+    export_stage(tmp_path, None, ["dxf"], Stages())
+    assert not any(tmp_path.iterdir())
+    check_formats(["obj", "glb"], has_edges=False)
+    with pytest.raises(OptionError, match="export is 'svg' and use_edges 0"):
+        check_formats(["obj", "svg"], has_edges=False)
+
+
+def test_a_missing_cad_kernel_is_said_before_a_run(monkeypatch):
+    monkeypatch.setitem(sys.modules, "OCP", None)
+    check_formats(["dxf"], has_edges=True)
+    with pytest.raises(ColmapEdgesError, match=r"pip install 'colmap-edges\[step\]'"):
+        check_formats(["dxf", "step"], has_edges=True)
 
 
 def test_lines_go_to_limap_and_come_back(run_path, tmp_path):

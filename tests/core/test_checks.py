@@ -12,9 +12,11 @@ import pytest
 import colmap_edges
 from colmap_edges import ColmapEdgesError, Curves3D, Edges3D, Mesh, fit_curves, mesh, read_edges
 from colmap_edges.export.dxf import write_dxf
-from colmap_edges.export.edges import write_json, write_obj, write_ply
+from colmap_edges.export.edges import write_obj
+from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.glb import write_glb
 from colmap_edges.export.limap import write_structures
+from colmap_edges.export.ply import write_ply
 from colmap_edges.export.svg import write_svg
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.surfaces.faces.finding import NO_FACES

@@ -19,8 +19,8 @@ from colmap_edges.evaluation.layouts.scans import scan_scenes
 from colmap_edges.evaluation.mesh_errors import evaluate_mesh, measure
 from colmap_edges.evaluation.metrics import clouds, depth
 from colmap_edges.evaluation.metrics.raycasting import RayCaster, seen_in
-from colmap_edges.evaluation.readers import results
 from colmap_edges.evaluation.readers.curves import load_curves
+from colmap_edges.export.edges_json import load_edges
 from colmap_edges.options import DetectionOptions, PipelineOptions
 from colmap_edges.pipeline.reconstruct import reconstruct
 
@@ -426,7 +426,7 @@ def test_upsampled_images_give_more_edges(root, sparse):
 @pytest.mark.usefixtures("mesher")
 def test_edges_are_read_back(sparse, run_path):
     model = load_model(sparse)
-    found = results.load_edges(run_path, model)
+    found = load_edges(run_path, model)
     observed = found.observations
     written = load_curves(run_path / "edges.ply")
     np.testing.assert_allclose(found.points, written.points)

@@ -10,7 +10,8 @@ import pytest
 from colmap_edges.colmap.model import model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.layouts import strecha
-from colmap_edges.evaluation.readers import peers
+from colmap_edges.evaluation.readers.curves import read_curves
+from colmap_edges.export import peers
 
 LIMAP = Path(__file__).parent / "data" / "limap"
 
@@ -223,9 +224,9 @@ def test_lines_in_unknown_images_are_refused(model):
 
 
 def test_lines_of_peers_are_curves_too(tmp_path):
-    found = peers.read_curves(LIMAP)
+    found = read_curves(LIMAP)
     assert len(found.segments) == 9
     expected = np.concatenate([ends for ends, _ in limap_text()])
     np.testing.assert_allclose(found.points, expected, atol=1e-5)
     with pytest.raises(ColmapEdgesError, match="does not exist"):
-        peers.read_curves(tmp_path / "none.txt")
+        read_curves(tmp_path / "none.txt")

@@ -5,7 +5,7 @@ import pytest
 
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.curves import load_curves
-from colmap_edges.evaluation.readers.ply import read_ply
+from colmap_edges.export.ply import read_ply
 
 VERTICES = np.array([(0, 0, 0), (1, 2, 3), (4, 5, 6)], ">f4")
 HEADER = """ply

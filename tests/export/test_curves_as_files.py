@@ -14,10 +14,9 @@ from colmap_edges.core.curves3d import KINDS, Curves3D
 from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.readers.peers import read_limap2
 from colmap_edges.export.curve_records import curve_records, curves_of_records
 from colmap_edges.export.dxf import write_dxf
-from colmap_edges.export.limap import write_structures
+from colmap_edges.export.limap import read_limap2, write_structures
 from colmap_edges.export.svg import write_svg
 
 

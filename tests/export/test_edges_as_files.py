@@ -10,8 +10,10 @@ from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import edge_lengths, write_json, write_obj, write_ply
+from colmap_edges.export.edges import edge_lengths, write_obj
+from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.glb import write_glb
+from colmap_edges.export.ply import write_ply
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ from colmap_edges.cli.flags import load_toml
 from colmap_edges.cli.info import describe
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.poses import load_true_cameras
-from colmap_edges.evaluation.readers import peers, results
+from colmap_edges.export import edges_json, peers
 
 DEEP = "[" * 100_000
 
 
 def load_edges(path):
-    results.load_edges(path.parent, valid.view_model())
+    edges_json.load_edges(path.parent, valid.view_model())
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_order_of_images_in_the_model(small_scene, reference, tmp_path):
     records = image_records(data, path)[::-1]
     path.write_bytes(data[: COUNT.size] + b"".join(data[r.start : r.end] for r in records))
     mesh(tmp_path / "scene", tmp_path / "out")
-    for name in ("mesh.ply", "edges.ply", "edges.json", "edges.obj"):
+    for name in ("mesh.ply", "edges.ply", "edges.json"):
         assert (tmp_path / "out" / name).read_bytes() == (reference / name).read_bytes()
 
 

@@ -293,9 +293,9 @@ def meshed(scene_paths, tmp_path_factory):
 
 def test_mesh_writes_every_file(meshed, scene_model):
     output, report = meshed
-    edges = {f"edges.{kind}" for kind in ("dxf", "glb", "json", "obj", "ply")}
-    others = {"faces.json", "mesh.ply", "report.html", "report.json", "sparse"}
-    assert {path.name for path in output.iterdir()} == edges | others
+    names = {"edges.json", "edges.ply", "faces.json", "mesh.ply", "sparse"}
+    names |= {"report.html", "report.json"}
+    assert {path.name for path in output.iterdir()} == names
     stages = ["read", "detect", "trace", "curves", "background", "faces", "write", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == stages
     edge_points = report["stages"][stages.index("write")]["counts"]["edge_points"]

@@ -19,8 +19,9 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError, NotAFileError
 from colmap_edges.evaluation.layouts import dtu, strecha
 from colmap_edges.evaluation.metrics import poses, raycasting
-from colmap_edges.evaluation.readers import arrays, peers, ply
-from colmap_edges.evaluation.readers.curves import load_curves
+from colmap_edges.evaluation.readers import arrays
+from colmap_edges.evaluation.readers.curves import load_curves, read_curves
+from colmap_edges.export import ply
 from colmap_edges.images.files import read_picture
 from colmap_edges.images.masks import check_masks, read_mask
 from colmap_edges.options import PipelineOptions
@@ -93,9 +94,9 @@ READERS = {
     "calibration": ("0.camera", strecha.read_camera),
     "matrix": ("pos.txt", dtu.read_matrix),
     "true cameras": ("true_cameras.json", poses.load_true_cameras),
-    "lines": ("lines.txt", peers.read_curves),
-    "obj lines": ("lines.obj", peers.read_curves),
-    "limap tracks": ("track_0.txt", lambda path: peers.read_curves(path.parent)),
+    "lines": ("lines.txt", read_curves),
+    "obj lines": ("lines.obj", read_curves),
+    "limap tracks": ("track_0.txt", lambda path: read_curves(path.parent)),
 }
 
 

@@ -9,7 +9,7 @@ from colmap_edges import Face, Mesh, write_mesh
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import write_json
+from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.faces import write_faces
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline

@@ -13,7 +13,7 @@ from project import SCRIPTS
 from run_limap import detect, neighbors, undistorted
 
 from colmap_edges.colmap.model import load_model
-from colmap_edges.evaluation.readers import peers
+from colmap_edges.export import peers
 
 
 def test_limap_is_given_the_views_that_share_most_points():

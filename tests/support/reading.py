@@ -18,8 +18,9 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.layouts import dtu, neus, strecha
 from colmap_edges.evaluation.metrics import depth, raycasting
-from colmap_edges.evaluation.readers import peers, results
-from colmap_edges.evaluation.readers.curves import Curves
+from colmap_edges.evaluation.readers import curves
+from colmap_edges.export import peers
+from colmap_edges.export.edges_json import load_edges
 from colmap_edges.images.files import read_image
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
@@ -72,10 +73,10 @@ def read_config(folder: Path) -> None:
 
 def read_curves(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
-        found = peers.read_curves(path)
+        found = curves.read_curves(path)
         if len(found.points):
             with np.errstate(all="ignore"):
-                Curves.lengths(found)
+                curves.Curves.lengths(found)
 
 
 def read_meshes(folder: Path) -> None:
@@ -111,7 +112,7 @@ def read_peer(name: str):
 
 def read_output(folder: Path) -> None:
     info.describe(folder)
-    results.load_edges(folder, context["model"])
+    load_edges(folder, context["model"])
 
 
 def run_all(folder: Path) -> None:

@@ -22,9 +22,9 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics import depth, dtu_distances
 from colmap_edges.evaluation.metrics.dtu_distances import DtuReference, ObservedMask
 from colmap_edges.evaluation.readers.curves import columns
-from colmap_edges.evaluation.readers.ply import read_ply
 from colmap_edges.evaluation.scenes import Reference
 from colmap_edges.evaluation.triangulation import PosedImage, posed_image
+from colmap_edges.export.ply import read_ply
 from colmap_edges.runtime.input_files import open_file, read_text
 
 PARTS = ("", "SampleSet/MVS Data", "MVS Data")

@@ -1,1 +1,1 @@
-"""Readers of reference data, of other systems' results, and of our output folders."""
+"""Readers of reference data."""

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.readers.arrays import read_arrays
-from colmap_edges.evaluation.readers.ply import read_ply
+from colmap_edges.export.peers import read_lines
+from colmap_edges.export.ply import read_ply
+from colmap_edges.runtime.input_files import DAMAGE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,24 @@ def load_curves(path: Path) -> Curves:
     if len(segments) and (segments.min() < 0 or segments.max() >= len(points)):
         raise ColmapEdgesError(f"{path}: a segment refers to a point outside 0..{len(points) - 1}")
     return Curves(points=points, segments=segments)
+
+
+def read_curves(path: Path) -> Curves:
+    """Read 3D edges as `load_curves` does, or the lines of Line3D++ or LIMAP.
+
+    Raises:
+        ColmapEdgesError: Nothing readable there.
+    """
+    if path.suffix in (".ply", ".npz"):
+        return load_curves(path)
+    if not path.exists():
+        raise ColmapEdgesError(f"{path} does not exist; give a file of 3D edges")
+    try:
+        segments = np.concatenate([line.segments for line in read_lines(path)])
+    except DAMAGE as error:
+        raise ColmapEdgesError(f"{path} holds no readable lines: {error}") from error
+    index = np.arange(2 * len(segments)).reshape(-1, 2)
+    return Curves(points=segments.reshape(-1, 3), segments=index)
 
 
 def columns(element: NDArray[Any] | None, names: tuple[str, ...], path: Path) -> NDArray[Any]:
