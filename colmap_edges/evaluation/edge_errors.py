@@ -11,6 +11,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation import pictures
 from colmap_edges.evaluation.metrics import (
     curves,
     depth,
@@ -33,6 +34,8 @@ def evaluate_edges(
     *,
     reference_path: Path | None = None,
     reference_depth_path: Path | None = None,
+    image_path: Path | None = None,
+    pictures_path: Path | None = None,
     **choices: Any,
 ) -> Record:
     """Measure 3D edges against curves and depth maps, and against their own observations.
@@ -43,6 +46,8 @@ def evaluate_edges(
         input_path: Model without them; without it every point counts as an edge point.
         reference_path: True curves (.npz or .ply).
         reference_depth_path: Folder of depth maps.
+        image_path: Images, over which points with a reference depth are drawn.
+        pictures_path: Folder for these pictures.
         choices: Of the comparison with curves, see `against_curves`.
 
     Returns:
@@ -65,6 +70,8 @@ def evaluate_edges(
         record |= against_curves(edges_path, reference_path, found, model, sfm, run, **choices)
     if reference_depth_path is not None:
         references = depth.load_reference_depths(reference_depth_path, model)
+        if image_path is not None and pictures_path is not None:
+            pictures.write_edge_overlays(pictures_path, points, references, image_path)
         record["depth"] = {
             name: edges.summarize_depth(edges.depth_window_errors(kind, references))
             for name, kind in (("edge_points", points), ("sfm_points", sfm))
