@@ -8,19 +8,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from colmap_edges.colmap.model import Model, load_model
+from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
-from colmap_edges.evaluation.metrics.raycasting import load_mesh
-from colmap_edges.evaluation.protocols.scene import evaluate_mesh
+from colmap_edges.evaluation.mesh_errors import evaluate_mesh
+from colmap_edges.evaluation.metrics.depth import pixel_centers
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.tables import NORMALS, SHARES, markdown
 from colmap_edges.export.edges_json import load_edges
 from colmap_edges.images.files import read_image
 from colmap_edges.report.overlay import draw_edges
 
 MESHES = ("without_edges", "with_edges")
-COLUMNS = ("mae", "rmse", "median", "p90", *SHARES, *NORMALS)
 
 
 def main() -> None:
@@ -38,14 +38,15 @@ def main() -> None:
 
 def depth_errors(demo: Path, output: Path) -> str:
     """Table of the errors of depth in all views of both meshes, in the demo's unit."""
+    columns = ("mae", "rmse", "median", "p90", *SHARES, *NORMALS)
     rows = []
     for name in MESHES:
         found = evaluate_mesh(
             output / name / "mesh.ply", demo / "sparse", demo / "surface.ply", view_names=("all",)
         )["depth"]["pooled"]
-        rows.append([name.replace("_", " "), *(found[column] for column in COLUMNS)])
+        rows.append([name.replace("_", " "), *(found[column] for column in columns)])
     return markdown(
-        ("depth error in all views", *(name.replace("_", " ") for name in COLUMNS)), rows
+        ("depth error in all views", *(name.replace("_", " ") for name in columns)), rows
     )
 
 
@@ -61,19 +62,11 @@ def picture(demo: Path, output: Path, model: Model, index: int) -> np.ndarray:
 def shade(mesh_path: Path, view: View) -> np.ndarray:
     """The mesh seen by a view, (H, W, 3) uint8, lit from the camera."""
     mesh = load_mesh(mesh_path)
-    rows, columns = np.indices((view.height, view.width))
-    pixels = np.column_stack([columns.ravel() + 0.5, rows.ravel() + 0.5])
-    rays = np.column_stack(
-        [view.undistorted_from_image(pixels) / view.focal_px, np.ones(len(pixels))]
-    )
-    rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ view.rotation
-    center = mesh.vertices.mean(axis=0)
-    mesh.vertices -= center
-    origins = np.broadcast_to(view.center - center, rays.shape)
-    hit = RayMeshIntersector(mesh).intersects_first(origins, rays)
-    light = np.abs(np.einsum("ij,ij->i", mesh.face_normals[hit], rays))
-    gray = np.where(hit >= 0, 40 + 200 * light, 255).astype(np.uint8)
-    return cv2.cvtColor(gray.reshape(rows.shape), cv2.COLOR_GRAY2BGR)
+    rays = unit(view.rays(pixel_centers((view.height, view.width))))
+    normals = RayCaster(mesh.vertices, mesh.faces).hits(view.center, rays).normals
+    light = np.abs(np.einsum("ij,ij->i", normals, rays))
+    gray = np.where(np.isfinite(light), 40 + 200 * light, 255).astype(np.uint8)
+    return cv2.cvtColor(gray.reshape(view.height, view.width), cv2.COLOR_GRAY2BGR)
 
 
 if __name__ == "__main__":

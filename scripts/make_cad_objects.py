@@ -2,8 +2,9 @@
 """Make textureless CAD objects with their views, true surface and true sharp curves.
 
 Needs manifold3d in addition to the extra "evaluation". Each object is a folder of images/, sparse/
-(poses without points), surface.ply and curves.npz, for `colmap-edges` and evaluate_edges.py.
-curves.npz holds the curve of each edge of the mesh, and kind and radii of each curve.
+(poses without points), surface.ply and curves.npz, for `colmap-edges` and
+`evaluate.py edges`. curves.npz holds the curve of each edge of the mesh, and kind and radii of
+each curve.
 """
 
 from __future__ import annotations

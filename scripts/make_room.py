@@ -3,7 +3,7 @@
 
 Needs manifold3d in addition to the extra "evaluation". Each room is a folder of images/, sparse/
 (true poses and SIFT points), surface.ply and curves.npz, for `colmap-edges mesh`,
-scripts/evaluate_scene.py and scripts/evaluate_edges.py. A room takes 1 to 2 minutes on a core.
+scripts/evaluate.py scene and scripts/evaluate.py edges. A room takes 1 to 2 minutes on a core.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rooms.light import illuminate
 from rooms.plans import ROOMS
 from rooms.render import Pinhole, write_images
 
-from colmap_edges.colmap.triangulation import PosedImage, triangulate
+from colmap_edges.evaluation.triangulation import PosedImage, triangulate
 
 CUT = 0.1  # maximum side of the triangles for which light is computed, metres
 SIZE = (640, 480)  # pixels

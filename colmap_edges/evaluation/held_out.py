@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model, load_model, model_from_reconstruction
 from colmap_edges.core.arrays import FloatArray
@@ -17,28 +15,9 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
 from colmap_edges.evaluation.metrics import depth
-from colmap_edges.evaluation.metrics.raycasting import RayCaster
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewErrors:
-    """Distances in pixels from reprojected edge points to edges detected in an unused image.
-
-    Attributes:
-        view: Name of the image.
-        points: Number of unoccluded edge points in the image.
-        median_px: Median distance.
-        within_1_px: Share within one pixel.
-        within_2_px: Share within two pixels.
-        chance_2_px: Share of random pixels within two pixels of a detected edge, as a baseline.
-    """
-
-    view: str
-    points: int
-    median_px: float
-    within_1_px: float
-    within_2_px: float
-    chance_2_px: float
+from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, seen_in
+from colmap_edges.evaluation.metrics.statistics import Record, mean
 
 
 def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
@@ -76,41 +55,25 @@ def left_out_views(views: Sequence[View], every: int) -> list[View]:
     return list(views[every // 2 :: every])
 
 
-def unoccluded_pixels(points: FloatArray, view: View, caster: RayCaster | None) -> FloatArray:
-    """Projections (M, 2) of the points (N, 3) that are in the image and not occluded.
+def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 0) -> Record:
+    """Distances of reprojected edge points (N, 2) to the chain points (M, 2) detected there.
 
-    Points more than three pixels (at their depth) behind the mesh of `caster` are occluded.
+    Returns:
+        Name of the `view`, number of unoccluded `points`, their median distance `median_px`, shares
+        `within_1_px` and `within_2_px`, and as a baseline the share of random pixels within two
+        pixels, `chance_2_px`.
     """
-    pixels, depths = view.project(points)
-    seen = view.holds(pixels, depths)
-    if caster is not None and seen.any():
-        along = caster.cast(view.center, points[seen] - view.center)
-        seen[seen] = ~(along < 1 - 3 / view.focal_px)
-    return pixels[seen]
-
-
-def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 0) -> ViewErrors:
-    """Distances of reprojected edge points (N, 2) to the chain points (M, 2) detected there."""
     size = np.array([view.width, view.height])
     random = np.random.default_rng(seed).uniform(0, 1, (10_000, 2)) * size
-    distance, chance = (_distances(p, chains) for p in (pixels, random))
-    nan = float("nan")
-    shares = [float(np.mean(distance < d)) if len(distance) else nan for d in (1, 2)]
-    return ViewErrors(
-        view=view.name,
-        points=len(distance),
-        median_px=float(np.median(distance)) if len(distance) else nan,
-        within_1_px=shares[0],
-        within_2_px=shares[1],
-        chance_2_px=float(np.mean(chance < 2)),
-    )
-
-
-def _distances(pixels: FloatArray, chains: FloatArray) -> FloatArray:
-    if not len(chains):
-        return np.full(len(pixels), np.inf)
-    distance, _ = cKDTree(chains).query(pixels)
-    return np.asarray(distance, dtype=np.float64)
+    distance, chance = (cloud_to_cloud(p, chains) for p in (pixels, random))
+    return {
+        "view": view.name,
+        "points": len(distance),
+        "median_px": float(np.median(distance)) if len(distance) else float("nan"),
+        "within_1_px": mean(distance < 1),
+        "within_2_px": mean(distance < 2),
+        "chance_2_px": mean(chance < 2),
+    }
 
 
 def without_poses(model: Model, views: Sequence[View]) -> Any:
@@ -128,7 +91,7 @@ def left_out_view_errors(
     *,
     options: Any = None,
     pictures_path: Path | None = None,
-) -> list[ViewErrors]:
+) -> list[Record]:
     """Reconstruct edges without every `every`-th image and reproject them into those images.
 
     Occlusion is tested with a mesh of the used points and edges. With `pictures_path`, an overlay
@@ -162,10 +125,11 @@ def left_out_view_errors(
     for view in unused:
         image = read_image(view, image_path)
         chains = detect_chains(gray_of(image), options.detection, scale).points / scale
-        pixels = unoccluded_pixels(found.points, view, caster)
+        projected, _, seen = seen_in(view, found.points, caster)
+        pixels = projected[seen]
         errors.append(view_errors(pixels, view, chains))
         if pictures_path is not None:
-            distances = _distances(pixels, chains)
+            distances = cloud_to_cloud(pixels, chains)
             picture = pictures.draw_points(pictures.faint(image), pixels, distances, 3.0)
             pictures.write_png(pictures_path / pictures.file_name("held_out", view.name), picture)
     return errors

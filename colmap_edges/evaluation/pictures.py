@@ -17,7 +17,7 @@ from colmap_edges.evaluation.metrics.edges import view_window_errors
 from colmap_edges.images.files import encoded, gray_of, read_image
 from colmap_edges.runtime.output import write_whole
 
-_UNKNOWN, _MISSING = (48, 48, 48), (255, 0, 255)
+MAGENTA = (255, 0, 255)
 
 
 def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
@@ -28,8 +28,8 @@ def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
     known = np.isfinite(result.errors)
     level = np.clip(np.abs(np.where(known, result.errors, 0)) / largest, 0, 1) * 255
     picture = cv2.applyColorMap(level.astype(np.uint8), cv2.COLORMAP_TURBO)
-    picture[~known] = _MISSING
-    picture[result.reference <= 0] = _UNKNOWN
+    picture[~known] = MAGENTA
+    picture[result.reference <= 0] = (48, 48, 48)
     bar = np.tile(np.linspace(0, 255, picture.shape[1]).astype(np.uint8), (16, 1))
     legend = np.full((36, picture.shape[1], 3), 255, dtype=np.uint8)
     for text, x in ((f"0   {title}", 4), (f"{largest:.3g}", picture.shape[1] - 90)):
@@ -92,7 +92,7 @@ def draw_points(image: Picture, pixels: FloatArray, values: FloatArray, largest:
     known = np.isfinite(values)
     level = (np.clip(np.where(known, values, 0) / largest, 0, 1) * 255).astype(np.uint8)
     colours = cv2.applyColorMap(level.reshape(-1, 1), cv2.COLORMAP_TURBO).reshape(-1, 3)
-    colours[~known] = _MISSING
+    colours[~known] = MAGENTA
     radius = max(1, round(max(image.shape) / 1000))
     for (x, y), colour in zip(np.floor(pixels).astype(int), colours, strict=True):
         cv2.circle(canvas, (int(x), int(y)), radius, colour.tolist(), -1)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import colmap_edges
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import held_out, pictures, tables
-from colmap_edges.evaluation.metrics import depth, edges
-from colmap_edges.evaluation.protocols import scene
+from colmap_edges.evaluation import held_out, tables
+from colmap_edges.evaluation.edge_errors import evaluate_edges
+from colmap_edges.evaluation.mesh_errors import evaluate_mesh
 from colmap_edges.export.edges_json import load_edges
 from colmap_edges.export.meshes import MESH_FORMATS
 from colmap_edges.runtime.output import new_folder, write_whole
@@ -55,20 +53,16 @@ def run(
     if held_out_views and image_path is None:
         raise ColmapEdgesError("held-out views need the images; give --image_path")
     with new_folder(output, EVALUATION, overwrite) as folder:
-        record = figures(run_path, input_path, reference_path, curves_path, folder)
-        if image_path and reference_path and reference_path.is_dir():
-            draw_edge_points(run_path, input_path, reference_path, image_path, folder)
+        record = figures(run_path, input_path, reference_path, curves_path, image_path, folder)
         if held_out_views and image_path is not None:
-            errors = held_out.left_out_view_errors(
+            record["held_out_views"] = held_out.left_out_view_errors(
                 input_path, image_path, held_out_views, pictures_path=folder
             )
-            record["held_out_views"] = [asdict(error) for error in errors]
         text = tables.run_tables(record) + "\n"
         write_whole(folder / "evaluation.md", text.encode(), "tables")
         record["versions"] = {PROGRAM: colmap_edges.__version__}
         record["files"] = file_sizes(folder)
-        text = json.dumps(record, indent=2) + "\n"
-        write_whole(folder / EVALUATION.record, text.encode(), "figures")
+        tables.write_figures(folder / EVALUATION.record, record)
     return record
 
 
@@ -77,37 +71,29 @@ def figures(
     input_path: Path,
     reference_path: Path | None,
     curves_path: Path | None,
+    image_path: Path | None,
     pictures_path: Path,
 ) -> dict[str, Any]:
     """Figures of the mesh and edges of `run_path`; see `run`."""
     record: dict[str, Any] = {}
     has_depths = reference_path is not None and reference_path.is_dir()
     if reference_path is not None:
-        record["mesh"] = scene.evaluate_mesh(
+        record["mesh"] = evaluate_mesh(
             find_mesh(run_path), input_path, reference_path, pictures_path=pictures_path
         )
     else:
         record["held_out_points"] = held_out_points(run_path, input_path)
     if (run_path / "edges.ply").is_file():
-        record["edges"] = scene.evaluate_edges(
+        record["edges"] = evaluate_edges(
             run_path / "edges.ply",
             run_path / "sparse",
             input_path,
             reference_path=curves_path,
             reference_depth_path=reference_path if has_depths else None,
+            image_path=image_path,
+            pictures_path=pictures_path,
         )
     return record
-
-
-def draw_edge_points(
-    run_path: Path, input_path: Path, reference_path: Path, image_path: Path, folder: Path
-) -> None:
-    """Draw the run's edge points over the images with reference depth; see `pictures`."""
-    if (run_path / "sparse").is_dir():
-        model = load_model(run_path / "sparse")
-        points = edges.edge_points(model, load_model(input_path))
-        references = depth.load_reference_depths(reference_path, model)
-        pictures.write_edge_overlays(folder, points, references, image_path)
 
 
 def find_mesh(run_path: Path) -> Path:

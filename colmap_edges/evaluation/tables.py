@@ -1,90 +1,43 @@
-"""Markdown tables of evaluation records."""
+"""Records of an evaluation as Markdown tables and as JSON."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-# Headers of columns by keys of the records.
-ERRORS = {"mae": "MAE", "rmse": "RMSE", "sigma": "σ", "median": "median", "p90": "P90"}
-SHARES = {
-    "coverage": "coverage",
-    "right_0_5_percent": "right at 0.5 %",
-    "right_1_percent": "right at 1 %",
-    "right_2_percent": "right at 2 %",
-}
-NORMALS = {
-    "normals_median_deg": "normals: median °",
-    "normals_10_deg": "normals within 10°",
-    "normals_30_deg": "within 30°",
-}
-SCORES = {"threshold": "threshold", "precision": "precision", "recall": "recall", "f_score": "F"}
-CORNERS = {
-    **SCORES,
-    "threshold": "corners: threshold",
-    "result_corners": "found",
-    "reference_corners": "true",
-}
-DISTANCES = {
-    "accuracy": "accuracy (mean)",
-    "completeness": "completeness (mean)",
-    "spacing": "sample spacing",
-    "unit": "unit",
-}
-KINDS = {
-    "num_true": "true curves found",
-    "num_found": "curves",
-    "times_found": "times each is found",
-    "right_kind": "length of the right kind",
-    "right_radius": "radii within 1 %",
-    "median_radius_error": "median error of the radius",
-}
-TIMES_FOUND = {
-    "threshold": "threshold",
-    "result_length": "edges on true curves",
-    "found_length": "true curves found",
-    "times": "times each is found",
-}
-DEPTHS = {
-    "name": "relative depth error",
-    "count": "pairs",
-    "median": "median",
-    "p90": "P90",
-    "within_0_2_percent": "within 0.2 %",
-    "within_1_percent": "within 1 %",
-}
-REPROJECTION = {
-    "points": "edge points",
-    "observations_mean": "observations each",
-    "median": "reprojection median px",
-    "p95": "P95 px",
-    "within_1_px": "within 1 px",
-}
-LENGTHS = {
-    "count": "segments",
-    "total": "total length",
-    "median": "median",
-    "p95": "P95",
-    "longest": "longest",
-    "gross": "gross",
-    "gross_total": "gross length",
-}
-HELD_OUT_VIEWS = {
-    "view": "left-out image",
-    "points": "edge points",
-    "median_px": "median px",
-    "within_1_px": "within 1 px",
-    "within_2_px": "2 px",
-    "chance_2_px": "2 px by chance",
-}
-DTU = {
-    "accuracy": "accuracy",
-    "completeness": "completeness",
-    "overall": "overall",
-    "accuracy_median": "accuracy median",
-    "completeness_median": "completeness median",
-}
+from colmap_edges.runtime.output import write_whole
+
+# Columns of tables: keys of records, with their headers unless these are the same.
+SCORES = "threshold | precision | recall | f_score: F"
+
+
+def headers(columns: str) -> dict[str, str]:
+    """Headers by keys of a text such as `SCORES`."""
+    pairs = (column.split(": ", 1) for column in columns.split(" | "))
+    return {key: header[0] if header else key for key, *header in pairs}
+
+
+ERRORS = headers("mae: MAE | rmse: RMSE | sigma: σ | median | p90: P90")
+SHARES = headers(
+    "coverage | right_0_5_percent: right at 0.5 % | right_1_percent: right at 1 %"
+    " | right_2_percent: right at 2 %"
+)
+NORMALS = headers(
+    "normals_median_deg: normals: median ° | normals_10_deg: normals within 10°"
+    " | normals_30_deg: within 30°"
+)
+
+
+def write_figures(path: Path, record: dict[str, Any]) -> None:
+    """Write figures as JSON.
+
+    Raises:
+        ColmapEdgesError: The file cannot be written.
+    """
+    write_whole(path, f"{json.dumps(record, indent=2)}\n".encode(), "figures")
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -110,8 +63,9 @@ def cell(value: Any) -> str:
     return f"{value:.4g}"
 
 
-def table(columns: Mapping[str, str], records: Iterable[Mapping[str, Any]]) -> str:
-    """A table of records, with a column for each key."""
+def table(columns: Mapping[str, str] | str, records: Iterable[Mapping[str, Any]]) -> str:
+    """A table of records, with a column for each key of `columns`; see `headers`."""
+    columns = headers(columns) if isinstance(columns, str) else columns
     return markdown(
         [*columns.values()], [[record.get(key) for key in columns] for record in records]
     )
@@ -146,24 +100,54 @@ def edge_tables(record: dict[str, Any]) -> str:
     """Tables of the result of `scene.evaluate_edges`."""
     parts = []
     if curves := record.get("curves"):
-        parts += [table(SCORES, curves["scores"]), table(DISTANCES, [curves])]
+        parts.append(table(SCORES, curves["scores"]))
+        means = "accuracy: accuracy (mean) | completeness: completeness (mean)"
+        parts.append(table(f"{means} | spacing: sample spacing | unit", [curves]))
         if "recall_by_views" in curves:
             parts.append(_visible_curve_table(curves))
     if "kinds" in record:
-        parts.append(table(KINDS, [record["kinds"]]))
+        columns = (
+            "num_true: true curves found | num_found: curves | times_found: times each is found"
+            " | right_kind: length of the right kind | right_radius: radii within 1 %"
+            " | median_radius_error: median error of the radius"
+        )
+        parts.append(table(columns, [record["kinds"]]))
     if "times_found" in record:
-        parts.append(table(TIMES_FOUND, record["times_found"]))
+        columns = (
+            "threshold | result_length: edges on true curves | found_length: true curves found"
+            " | times: times each is found"
+        )
+        parts.append(table(columns, record["times_found"]))
     if corners := record.get("corners"):
-        parts.append(table(CORNERS, [corners | row for row in corners["scores"]]))
+        columns = f"{SCORES} | result_corners: found | reference_corners: true"
+        rows = [corners | row for row in corners["scores"]]
+        parts.append(table(f"threshold: corners: {columns}", rows))
     if "twins" in record:
         header = [f"parallel twin within {row['limit_px']:g} px" for row in record["twins"]]
         parts.append(markdown(header, [[row["share"] for row in record["twins"]]]))
+    return "\n\n".join([*parts, *_depth_and_length_tables(record)])
+
+
+def _depth_and_length_tables(record: dict[str, Any]) -> list[str]:
+    parts = []
     if depths := record.get("depth"):
+        columns = (
+            "name: relative depth error | count: pairs | median | p90: P90"
+            " | within_0_2_percent: within 0.2 % | within_1_percent: within 1 %"
+        )
         rows = [{"name": name} | of | of["relative"] for name, of in depths.items()]
-        parts.append(table(DEPTHS, rows))
+        parts.append(table(columns, rows))
     if errors := record.get("reprojection"):
-        parts.append(table(REPROJECTION, [errors | errors["distance_px"]]))
-    return "\n\n".join([*parts, table(LENGTHS, [record["lengths"]])])
+        columns = (
+            "points: edge points | observations_mean: observations each"
+            " | median: reprojection median px | p95: P95 px | within_1_px: within 1 px"
+        )
+        parts.append(table(columns, [errors | errors["distance_px"]]))
+    columns = (
+        "count: segments | total: total length | median | p95: P95 | longest | gross"
+        " | gross_total: gross length"
+    )
+    return [*parts, table(columns, [record["lengths"]])]
 
 
 def _visible_curve_table(errors: dict[str, Any]) -> str:
@@ -188,33 +172,12 @@ def paper_tables(results: dict[str, Any], baseline: str) -> str:
         results: By scene, by method.
         baseline: Method or peer to which the average variation refers.
     """
-    parts = ["# Errors of points and meshes", _TABLE_NOTE.format(baseline=baseline)]
-    parts += [_main_table(results, baseline)]
-    if any("all_points" in record for _, _, record in _records(results)):
-        parts += ["## Points counted as the paper's authors do", _ALL_POINTS_NOTE]
-        parts += [_all_points_table(results, baseline)]
-    if any("dtu" in record for _, _, record in _records(results)):
-        parts += ["## DTU's own distances (mm)", _dtu_table(results)]
-    notes = [
-        f"- {scene}: {note}"
-        for scene, _, record in _records(results)
-        for note in record.get("notes", ())
+    records = [
+        {"scene": scene, "label": f"{scene} ({entry['unit']})", "method": method} | record
+        for scene, entry in results.items()
+        for method, record in entry["methods"].items()
     ]
-    if notes:
-        parts += ["## Left empty", "\n".join(dict.fromkeys(notes))]
-    failures = [
-        f"- {scene}, {method}: {record['error']}"
-        for scene, method, record in _records(results)
-        if "error" in record
-    ]
-    if failures:
-        parts += ["## Failed", "\n".join(failures)]
-    return "\n\n".join(parts)
-
-
-_POINT_ERRORS = [*ERRORS][:4]
-_POINT_HEADER = ("scene", "method", "points", "points MAE", *[*ERRORS.values()][1:4])
-_TABLE_NOTE = """\
+    note = """\
 Points: distance to the reference cloud, or (reference depth only) depth error in the views
 that observe them, smallest in 5x5 pixels. Rows with edges or lines count the points on these
 alone, rows without them the SfM points. Mesh: depth error from the reference's cameras.
@@ -223,80 +186,62 @@ Right at 1 %: share of all reference pixels at which the mesh lies within 1 % of
 depth; holes are wrong. Normals within 10° likewise, of the pixels at which the reference has
 a normal; their median is that of the pixels with mesh.
 Average variation: mean change of an error against {baseline}, over all scenes that have both."""
-_ALL_POINTS_NOTE = "The SfM points are among the points of every row."
+    parts = ["# Errors of points and meshes", note.replace("{baseline}", baseline)]
+    parts += [_error_rows(records, baseline, "points", mesh=True)]
+    if any("all_points" in record for record in records):
+        parts += ["## Points counted as the paper's authors do"]
+        parts += ["The SfM points are among the points of every row."]
+        parts += [_error_rows(records, baseline, "all_points", mesh=False)]
+    if any("dtu" in record for record in records):
+        columns = (
+            "scene: scan | method | accuracy | completeness | overall"
+            " | accuracy_median: accuracy median | completeness_median: completeness median"
+        )
+        rows = [record | record["dtu"] for record in records if "dtu" in record]
+        parts += ["## DTU's own distances (mm)", table(columns, rows)]
+    notes = [f"- {r['scene']}: {note}" for r in records for note in r.get("notes", ())]
+    if notes:
+        parts += ["## Left empty", "\n".join(dict.fromkeys(notes))]
+    failures = [f"- {r['scene']}, {r['method']}: {r['error']}" for r in records if "error" in r]
+    if failures:
+        parts += ["## Failed", "\n".join(failures)]
+    return "\n\n".join(parts)
 
 
-def _records(results: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
-    return [
-        (scene, method, record)
-        for scene, entry in results.items()
-        for method, record in entry["methods"].items()
-    ]
-
-
-def _main_table(results: dict[str, Any], baseline: str) -> str:
-    shares = SHARES | NORMALS
-    header = (*_POINT_HEADER, "mesh MAE", *[*ERRORS.values()][1:], *shares.values(), "faces")
-    rows = [
-        _point_cells(results, scene, method, record["points"])
-        + [record.get("mesh", {}).get(name, math.nan) for name in (*ERRORS, *shares)]
-        + [record["faces"]]
-        for scene, method, record in _records(results)
-        if "error" not in record
-    ]
-    kinds = [("points", name) for name in _POINT_ERRORS] + [("mesh", name) for name in ERRORS]
-    empty = [""] * (len(shares) + 1)
-    variations = [[*row, *empty] for row in _variation_rows(results, baseline, kinds)]
-    return markdown(header, rows + variations)
-
-
-def _all_points_table(results: dict[str, Any], baseline: str) -> str:
-    rows = [
-        _point_cells(results, scene, method, record["all_points"])
-        for scene, method, record in _records(results)
-        if "all_points" in record
-    ]
-    kinds = [("all_points", name) for name in _POINT_ERRORS]
-    return markdown(_POINT_HEADER, rows + _variation_rows(results, baseline, kinds))
-
-
-def _point_cells(
-    results: dict[str, Any], scene: str, method: str, points: Mapping[str, Any]
-) -> list[Any]:
-    errors = [points.get(name, math.nan) for name in _POINT_ERRORS]
-    return [f"{scene} ({results[scene]['unit']})", method, points["count"], *errors]
-
-
-def _variation_rows(
-    results: dict[str, Any], baseline: str, kinds: Sequence[tuple[str, str]]
-) -> list[list[Any]]:
-    """Mean over scenes of each method's errors against the baseline's, in percent."""
-    methods = list(dict.fromkeys(method for _, method, _ in _records(results)))
+def _error_rows(records: list[dict[str, Any]], baseline: str, points: str, *, mesh: bool) -> str:
+    """A row for each scene and method, then each method's average variation."""
+    of_points, shares = [*ERRORS][:4], SHARES | NORMALS
+    header = ["scene", "method", "points", "points MAE", *[*ERRORS.values()][1:4]]
+    kinds = [(points, name) for name in of_points]
+    if mesh:
+        header += ["mesh MAE", *[*ERRORS.values()][1:], *shares.values(), "faces"]
+        kinds += [("mesh", name) for name in ERRORS]
     rows = []
-    for method in methods:
-        cells = [_variation(results, baseline, method, *kind) for kind in kinds]
+    for record in (record for record in records if points in record):
+        row = [record["label"], record["method"], record[points]["count"]]
+        row += [record.get(part, {}).get(name, math.nan) for part, name in kinds]
+        if mesh:
+            row += [record.get("mesh", {}).get(name, math.nan) for name in shares]
+            row += [record["faces"]]
+        rows.append(row)
+    empty = [""] * (len(header) - 3 - len(kinds))
+    for method in dict.fromkeys(record["method"] for record in records):
+        cells = [_variation(records, baseline, method, *kind) for kind in kinds]
         if method != baseline and any(cells):
-            rows.append(["**average variation**", method, "", *cells])
-    return rows
+            rows.append(["**average variation**", method, "", *cells, *empty])
+    return markdown(header, rows)
 
 
-def _variation(results: dict[str, Any], base: str, method: str, part: str, name: str) -> str:
-    changes = []
-    for entry in results.values():
-        before = entry["methods"].get(base, {}).get(part, {}).get(name)
-        after = entry["methods"].get(method, {}).get(part, {}).get(name)
-        if before and after is not None and math.isfinite(before) and math.isfinite(after):
-            changes.append(after / before - 1)
+def _variation(records: list[dict[str, Any]], base: str, method: str, part: str, name: str) -> str:
+    """Mean over scenes of a method's error against the baseline's, in percent."""
+    errors: dict[str, dict[str, float]] = {base: {}, method: {}}
+    for record in records:
+        error = record.get(part, {}).get(name)
+        if record["method"] in errors and error is not None and math.isfinite(error):
+            errors[record["method"]][record["scene"]] = error
+    both = [s for s, error in errors[base].items() if error and s in errors[method]]
+    changes = [errors[method][scene] / errors[base][scene] - 1 for scene in both]
     return f"{100 * sum(changes) / len(changes):+.1f} %" if changes else ""
-
-
-def _dtu_table(results: dict[str, Any]) -> str:
-    rows = [
-        {"scan": scene, "method": method} | record["dtu"]
-        for scene, method, record in _records(results)
-        if "dtu" in record
-    ]
-    return table({"scan": "scan", "method": "method"} | DTU, rows)
 
 
 def run_tables(record: dict[str, Any]) -> str:
@@ -314,5 +259,9 @@ def run_tables(record: dict[str, Any]) -> str:
     if "edges" in record:
         parts.append(edge_tables(record["edges"]))
     if "held_out_views" in record:
-        parts.append(table(HELD_OUT_VIEWS, record["held_out_views"]))
+        columns = (
+            "view: left-out image | points: edge points | median_px: median px"
+            " | within_1_px: within 1 px | within_2_px: 2 px | chance_2_px: 2 px by chance"
+        )
+        parts.append(table(columns, record["held_out_views"]))
     return "\n\n".join(parts)

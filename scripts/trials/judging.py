@@ -140,10 +140,5 @@ def edge_figures(found: Curves, curves_path: Path) -> dict[str, Any] | None:
     wanted = sample(seen, limit / 5) if len(seen.segments) else curves[:0]
     to_true, to_found = (clouds.cloud_to_cloud(*p) for p in ((edges, curves), (wanted, edges)))
     score = clouds.scores(to_true, to_found, [limit])[0]
-    times = times_found(found, true, [THRESHOLD], size)[0].times if len(edges) else None
-    return {
-        "precision": score.precision,
-        "recall": score.recall,
-        "f_score": score.f_score,
-        "times": times,
-    }
+    times = times_found(found, true, [THRESHOLD], size)[0]["times"] if len(edges) else None
+    return {name: score[name] for name in ("precision", "recall", "f_score")} | {"times": times}

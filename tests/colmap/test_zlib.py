@@ -26,7 +26,7 @@ for seed in range(20):
     data = io.BytesIO()
     np.savez_compressed(data, a=np.random.default_rng(seed).bytes(1_000_000))
 """
-IMPORTS = ("colmap_edges", "colmap_edges.colmap.model", "colmap_edges.colmap.triangulation")
+IMPORTS = ("colmap_edges", "colmap_edges.colmap.model", "colmap_edges.evaluation.triangulation")
 IMPORTS += ("colmap_edges.evaluation.metrics.poses", "colmap_edges.cli.main")
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 from project import ROOT
 
-from colmap_edges.colmap.triangulation import triangulate
-from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.evaluation.layouts import dtu
+from colmap_edges.evaluation.triangulation import triangulate
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,10 @@ from colmap_edges.colmap.model import frames_of_views, load_model, model_from_re
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import benchmark, held_out, scenes, tables
 from colmap_edges.evaluation import run as evaluation
+from colmap_edges.evaluation.layouts.scans import scan_scenes
+from colmap_edges.evaluation.mesh_errors import evaluate_mesh, measure
 from colmap_edges.evaluation.metrics import clouds, depth
-from colmap_edges.evaluation.metrics.raycasting import RayCaster
-from colmap_edges.evaluation.protocols import scene
+from colmap_edges.evaluation.metrics.raycasting import RayCaster, seen_in
 from colmap_edges.evaluation.readers.curves import load_curves
 from colmap_edges.export.edges_json import load_edges
 from colmap_edges.options import DetectionOptions, PipelineOptions
@@ -42,9 +43,9 @@ def test_sphere_against_its_sampling():
     expected = [np.linalg.norm(directions * 10 - p, axis=1).min() for p in directions[:50] * 12]
     np.testing.assert_allclose(nearest, expected)
     far, near = clouds.scores(distances, distances, [2.5, 1.5])
-    assert (far.precision, far.recall, far.f_score) == (1, 1, 1)
-    assert near.f_score == 0
-    assert clouds.score(1.0, 0.5, 1.0).f_score == pytest.approx(2 / 3)
+    assert (far["precision"], far["recall"], far["f_score"]) == (1, 1, 1)
+    assert near["f_score"] == 0
+    assert clouds.score(1.0, 0.5, 1.0)["f_score"] == pytest.approx(2 / 3)
 
 
 def test_depth_of_a_cloud_excludes_occluded_points(sparse):
@@ -71,7 +72,7 @@ def test_mesh_shifted_by_one_mm_against_the_cloud(sparse):
     points = miniature.surface_points() * [1, 1, 0]
     view = model.views[3]
     reference = scenes.Reference(depths=[depth.cloud_depth(points, view)], points=points)
-    record = benchmark.measure(mesh, model, reference, None)
+    record = measure(mesh, model, reference, None)
     # Along the optical axis a millimetre of height is less, by the angle of ray and axis.
     truth = reference.depths[0]
     rays = np.linalg.inv(miniature.CALIBRATION) @ np.array([160, 120, 1.0])
@@ -87,8 +88,8 @@ def test_a_reference_mesh_judges_points_by_its_surface(sparse, tmp_path):
     corners = np.array([(-200, -200, 0.0), (200, -200, 0), (200, 200, 0), (-200, 200, 0)])
     truth = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
     truth.export(tmp_path / "truth.ply")
-    reference = scenes.file_reference(tmp_path / "truth.ply")(model)
-    record = benchmark.measure(truth, model, reference, tmp_path)
+    reference = scenes.reference_of(tmp_path / "truth.ply", (), model)
+    record = measure(truth, model, reference, tmp_path)
     expected = np.abs(model.points3D_xyz[:, 2])
     assert record["points"]["mae"] == pytest.approx(expected.mean(), rel=1e-5)
     assert record["mesh"]["rmse"] < 1e-4
@@ -114,56 +115,57 @@ def test_reprojected_edges_in_an_unused_view(sparse):
     corners = [(x, y, miniature.HEIGHT) for x, y in ((-12, -12), (12, -12), (12, 12), (-12, 12))]
     caster = RayCaster(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)]))
     chains = view.project(np.repeat(border, 4, axis=0))[0] + [0, 1.5]
-    pixels = held_out.unoccluded_pixels(np.concatenate([border, hidden]), view, caster)
+    pixels, _, seen = seen_in(view, np.concatenate([border, hidden]), caster)
+    pixels = pixels[seen]
     np.testing.assert_allclose(pixels, view.project(border)[0])
     errors = held_out.view_errors(pixels, view, chains)
-    assert errors.points == 50
-    assert errors.median_px == pytest.approx(1.5, abs=0.2)
-    assert (errors.within_1_px, errors.within_2_px) == (0, 1)
-    assert errors.chance_2_px < 0.05
+    assert errors["points"] == 50
+    assert errors["median_px"] == pytest.approx(1.5, abs=0.2)
+    assert (errors["within_1_px"], errors["within_2_px"]) == (0, 1)
+    assert errors["chance_2_px"] < 0.05
 
 
 def fake_scene(tmp_path, name, problem=""):
-    return scenes.Scene(
-        name=name,
-        image_path=tmp_path,
-        load_reference=scenes.file_reference(None),
-        problem=problem,
-    )
+    return scenes.Scene(name=name, image_path=tmp_path, problem=problem)
 
 
-def test_reference_is_read_once_for_all_methods(tmp_path, monkeypatch):
+def unprepared(scene, folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    return scene
+
+
+def test_reference_is_read_once_for_all_methods(sparse, tmp_path, monkeypatch):
     read = []
 
-    def evaluate(scene, *_):
-        assert scene.load_reference(None) is scene.load_reference(None)
+    def evaluate(inputs, method, run_path, peer):
+        assert inputs.reference is read[0]
         return {"faces": 7, "points": {"count": 3}}
 
     def load(model):
-        read.append(model)
-        return scenes.Reference()
+        read.append(scenes.Reference())
+        return read[-1]
 
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     (tmp_path / "a").mkdir()
-    scene = replace(fake_scene(tmp_path, "a"), load_reference=load)
+    scene = replace(fake_scene(tmp_path, "a"), sparse_path=sparse, load_reference=load)
     results = benchmark.run([scene], tmp_path, ("SfM", "edges"))
-    assert len(results["a"]["methods"]) == 2
+    assert [row["faces"] for row in results["a"]["methods"].values()] == [7, 7]
     assert len(read) == 1
 
 
 def test_finished_scans_are_not_redone_and_failures_stay_alone(tmp_path, monkeypatch):
     calls = []
 
-    def evaluate(scene, method, folder, run_path):
+    def evaluate(scene, method, run_path, peer):
         calls.append((scene.name, method))
         if scene.name == "b":
             raise RuntimeError("broken\nscan")
-        folder.mkdir(parents=True, exist_ok=True)
         size = 2.0 if method == "SfM" else 1.0
         errors = {name: size for name in ("mae", "rmse", "sigma", "median", "p90")}
         mesh = errors | {"coverage": 0.9, "right_1_percent": 0.7}
         return {"faces": 7, "points": {"count": 3} | errors, "mesh": mesh}
 
+    monkeypatch.setattr(benchmark, "prepared", unprepared)
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
     listed = [fake_scene(tmp_path, name) for name in "abc"]
     lines = []
@@ -227,30 +229,32 @@ def test_unknown_baselines_and_methods_are_named(tmp_path):
 
 
 def test_results_from_other_images_are_not_read_again(root, tmp_path, monkeypatch):
-    def evaluate(scene, method, folder, run_path):
+    def evaluate(scene, method, run_path, peer):
         return {"faces": len(scene.posed), "points": {"count": 3}}
 
+    monkeypatch.setattr(benchmark, "prepared", unprepared)
     monkeypatch.setattr(benchmark, "evaluate_method", evaluate)
-    benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
+    benchmark.run(scan_scenes(root, [6]), tmp_path, ("SfM",))
     before = (tmp_path / "evaluation.json").read_text()
-    benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
+    benchmark.run(scan_scenes(root, [6]), tmp_path, ("SfM",))
     for choice in ({"light": "3_r5000"}, {"positions": frozenset([1, 2, 3])}):
-        others = scenes.dtu_scenes(root, [6], **choice)
+        others = scan_scenes(root, [6], **choice)
         with pytest.raises(ColmapEdgesError, match="holds results of other images"):
             benchmark.run(others, tmp_path, ("SfM",))
     assert (tmp_path / "evaluation.json").read_text() == before
 
 
 def test_the_papers_way_is_a_method():
-    options = benchmark.pipeline_options(benchmark.METHODS["paper"])
-    assert (options.tracing.method, options.meshing.method) == ("paper", "manifold")
-    assert options.use_edges
-    assert benchmark.pipeline_options(benchmark.METHODS["faces"]) == PipelineOptions()
-    edges = benchmark.pipeline_options(benchmark.METHODS["edges"])
-    assert edges == PipelineOptions(use_faces=False)
-    alone = benchmark.pipeline_options(benchmark.METHODS["SfM-paper"])
-    assert not alone.use_edges
-    assert alone.meshing == options.meshing
+    options = benchmark.methods()
+    assert (options["paper"].tracing.method, options["paper"].meshing.method) == (
+        *("paper", "manifold"),
+    )
+    assert options["paper"].use_edges
+    assert options["faces"] == PipelineOptions()
+    assert options["edges"] == PipelineOptions(use_faces=False)
+    assert not options["SfM-paper"].use_edges
+    assert options["SfM-paper"].meshing == options["paper"].meshing
+    assert options["COLMAP-like"].meshing.quality_weight == 1
 
 
 def test_points_are_counted_alone_and_with_the_sfm_points(sparse):
@@ -259,14 +263,14 @@ def test_points_are_counted_alone_and_with_the_sfm_points(sparse):
     cloud = miniature.surface_points()
     reference = scenes.Reference(points=cloud)
     mesh = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
-    record = benchmark.measure(mesh, left, reference, None, sfm_points=used)
+    record = measure(mesh, left, reference, None, sfm_points=used)
     errors = clouds.cloud_to_cloud(left.points3D_xyz, cloud)
     assert record["points"]["count"] == len(left.points3D_xyz)
     assert record["points"]["mae"] == pytest.approx(errors.mean())
     errors = clouds.cloud_to_cloud(model.points3D_xyz, cloud)
     assert record["all_points"]["count"] == len(model.points3D_xyz)
     assert record["all_points"]["mae"] == pytest.approx(errors.mean())
-    record = benchmark.measure(mesh, model, reference, None)
+    record = measure(mesh, model, reference, None)
     assert record["all_points"] == record["points"]
 
 
@@ -274,18 +278,16 @@ def test_a_scene_with_a_problem_names_it(tmp_path):
     scene = fake_scene(tmp_path, "x", problem="no such scan")
     results = benchmark.run([scene], tmp_path / "out", ("SfM",))
     assert results["x"]["methods"]["SfM"] == {"error": "no such scan"}
-    missing = scenes.dtu_scenes(tmp_path, [6])
+    missing = scan_scenes(tmp_path, [6])
     assert "Calibration" in missing[0].problem
 
 
-def test_peers_are_named_on_the_command_line():
-    entries = scenes.parse_peers(["LIMAP=/a/{scan}"])
-    assert entries == {"LIMAP": "/a/{scan}"}
-    assert scenes.peers_of(entries, scene="DTU-006", scan=6) == {"LIMAP": Path("/a/6")}
+def test_paths_of_peers_name_the_scene(tmp_path):
+    scene = replace(fake_scene(tmp_path, "DTU-006"), scan="6")
+    assert scene.peers({"LIMAP": "/a/{scan}"}) == {"LIMAP": Path("/a/6")}
+    assert scene.peers({"LIMAP": "/a/{scene}"}) == {"LIMAP": Path("/a/DTU-006")}
     with pytest.raises(ColmapEdgesError, match=r"unknown placeholder; use \{scene\}"):
-        scenes.peers_of(entries, scene="fountain")
-    with pytest.raises(ColmapEdgesError, match="NAME=PATH"):
-        scenes.parse_peers(["/a"])
+        fake_scene(tmp_path, "fountain").peers({"LIMAP": "/a/{scan}"})
 
 
 def test_numbers_in_tables():
@@ -296,7 +298,7 @@ def test_numbers_in_tables():
 
 @pytest.mark.usefixtures("mesher")
 def test_from_dtu_images_to_the_table(root, tmp_path):
-    results = benchmark.run(scenes.dtu_scenes(root, [6]), tmp_path, ("SfM",))
+    results = benchmark.run(scan_scenes(root, [6]), tmp_path, ("SfM",))
     record = results["DTU-006"]["methods"]["SfM"]
     assert "error" not in record
     assert record["mesh"]["median"] < 0.1
@@ -319,7 +321,7 @@ def test_figures_without_plane_or_mask_are_computed(
     root, sparse, tmp_path, missing, measured, note
 ):
     shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns(f"{missing}*.mat"))
-    (scene,) = scenes.dtu_scenes(tmp_path / "data", [6])
+    (scene,) = scan_scenes(tmp_path / "data", [6])
     scene = replace(scene, sparse_path=sparse)
     results = benchmark.run([scene], tmp_path / "out", ("SfM",))
     record = results["DTU-006"]["methods"]["SfM"]
@@ -336,7 +338,7 @@ def test_figures_without_plane_or_mask_are_computed(
 def test_missing_reference_is_an_error_before_meshing(root, sparse, tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "mesh_own", lambda *_: pytest.fail("meshed"))
     shutil.copytree(root, tmp_path / "data", ignore=shutil.ignore_patterns("Points"))
-    (scene,) = scenes.dtu_scenes(tmp_path / "data", [6])
+    (scene,) = scan_scenes(tmp_path / "data", [6])
     results = benchmark.run([replace(scene, sparse_path=sparse)], tmp_path / "out", ("SfM",))
     assert "stl006_total.ply" in results["DTU-006"]["methods"]["SfM"]["error"]
 
@@ -384,7 +386,7 @@ def test_edges_are_found_in_an_image_left_out(root, sparse, monkeypatch):
     before = numbers_of(model.reconstruction)
     monkeypatch.setattr(held_out, "load_model", lambda _: model)
     [view] = held_out.left_out_view_errors(sparse, images, 9, options=options)
-    assert view.within_2_px > 0.8 > 2 * view.chance_2_px
+    assert view["within_2_px"] > 0.8 > 2 * view["chance_2_px"]
     assert numbers_of(model.reconstruction) == before
 
 
@@ -465,7 +467,7 @@ def test_meshes_of_all_formats_are_judged_alike(root, sparse, run_path, tmp_path
     load_mesh(run_path / "mesh.ply").export(tmp_path / "run" / f"mesh{suffix}")
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     found = evaluation.run(tmp_path / "run", sparse, reference)["mesh"]
-    expected = scene.evaluate_mesh(run_path / "mesh.ply", sparse, reference)
+    expected = evaluate_mesh(run_path / "mesh.ply", sparse, reference)
     assert found["faces"] == expected["faces"]
     assert found["accuracy"]["mae"] == pytest.approx(expected["accuracy"]["mae"], rel=0.05)
     assert found["completeness"]["mae"] == pytest.approx(expected["completeness"]["mae"], rel=1e-4)
@@ -481,7 +483,7 @@ def test_edges_are_drawn_over_images_that_have_a_depth(root, sparse, run_path, t
                for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]  # fmt: skip
     faces = [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)]
     view = load_model(sparse).views[4]
-    truth = depth.render_depth(RayCaster(np.array(corners), np.array(faces)), view)
+    truth = depth.render_reference(RayCaster(np.array(corners), np.array(faces)), view).depth
     np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
     images = root / "Rectified" / "scan6"
     record = evaluation.run(tmp_path / "run", sparse, tmp_path / "depths", image_path=images)

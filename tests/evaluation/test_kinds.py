@@ -8,7 +8,6 @@ from curve_edges import arc, edges_of, frame, segment
 
 from colmap_edges.core.curves3d import ARC, CIRCLE, LINE, SPLINE, Curves3D
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.kinds import TrueCurves, compare_kinds, true_curves
 
 
@@ -37,31 +36,31 @@ def made():
 
 def test_all_is_right(made):
     errors = compare_kinds(*made, 0.01)
-    assert (errors.num_true, errors.num_found, errors.times_found) == (3, 3, 1.0)
-    assert errors.right_kind == errors.right_radius == errors.on_true == 1
-    assert errors.median_radius_error < 0.002
+    assert (errors["num_true"], errors["num_found"], errors["times_found"]) == (3, 3, 1.0)
+    assert errors["right_kind"] == errors["right_radius"] == errors["on_true"] == 1
+    assert errors["median_radius_error"] < 0.002
 
 
 def test_wrong_kinds_and_radii_are_counted_by_length(made):
     curves, true = made
     wrong = replace(true, kinds=np.array([LINE, SPLINE, CIRCLE]))
     errors = compare_kinds(curves, wrong, 0.01)
-    assert errors.right_kind == pytest.approx(1 - 2 / (4 + 2 * np.pi), abs=0.01)
+    assert errors["right_kind"] == pytest.approx(1 - 2 / (4 + 2 * np.pi), abs=0.01)
     smaller = replace(true, radii=true.radii * 0.98)
-    assert compare_kinds(curves, smaller, 0.01).right_radius == 0
+    assert compare_kinds(curves, smaller, 0.01)["right_radius"] == 0
     arcs = replace(true, kinds=np.array([LINE, LINE, ARC]))  # counts for the circle
-    assert compare_kinds(curves, arcs, 0.01).right_kind == 1
+    assert compare_kinds(curves, arcs, 0.01)["right_kind"] == 1
 
 
 def test_doubled_and_false_curves(made):
     curves, true = made
     twice = Curves3D.concatenated([curves, curves])
-    assert compare_kinds(twice, true, 0.01).times_found == 2
+    assert compare_kinds(twice, true, 0.01)["times_found"] == 2
     frames = curves.frames.copy()
     frames[0, 0] += (0, 0, 90)
     errors = compare_kinds(replace(curves, frames=frames), true, 0.01)
-    assert errors.num_true == errors.num_found == 2
-    assert errors.on_true == pytest.approx((2 + 2 * np.pi) / (4 + 2 * np.pi), abs=0.01)
+    assert errors["num_true"] == errors["num_found"] == 2
+    assert errors["on_true"] == pytest.approx((2 + 2 * np.pi) / (4 + 2 * np.pi), abs=0.01)
 
 
 def test_reference_with_kinds_is_read(tmp_path):
@@ -72,7 +71,6 @@ def test_reference_with_kinds_is_read(tmp_path):
     arrays |= {"curves": np.array([0, 1]), "kinds": np.array([0, 0]), "radii": np.ones((2, 2))}
     np.savez(tmp_path / "kinds.npz", **arrays)
     true = true_curves(tmp_path / "kinds.npz", 0.1)
+    np.savez(tmp_path / "none.npz", **{**arrays, "edges": np.zeros((0, 2), int)})
+    assert true_curves(tmp_path / "none.npz", 0.1) is None
     assert len(true.points) == 20 and true.curves.tolist() == [0] * 10 + [1] * 10
-    nothing = replace(true, points=np.zeros((0, 3)), curves=np.zeros(0, np.int64))
-    with pytest.raises(ColmapEdgesError, match="no curve"):
-        compare_kinds(Curves3D.none(), nothing, 0.1)

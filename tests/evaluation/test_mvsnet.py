@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from colmap_edges.colmap.model import model_from_reconstruction
-from colmap_edges.colmap.triangulation import triangulate
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation import scenes
-from colmap_edges.evaluation.protocols import dtu, mvsnet
+from colmap_edges.evaluation.layouts import dtu, mvsnet
+from colmap_edges.evaluation.layouts.scans import scan_scene
+from colmap_edges.evaluation.triangulation import triangulate
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_images_of_full_size_come_first_with_their_own_cameras(root, tmp_path, n
 
 
 def test_depth_maps_fit_the_images(root, model):
-    references = mvsnet.load_depths(root, 6, model)
+    references = mvsnet.reference_of(root, 6, model).depths
     assert [reference.view.name for reference in references] == [v.name for v in model.views]
     for reference, (rotation, translation) in zip(references, miniature.poses(), strict=True):
         assert reference.scale == 0.25
@@ -65,11 +65,11 @@ def test_depth_maps_fit_the_images(root, model):
 
 
 def test_reference_is_the_depth_maps_or_the_official_data(root, model):
-    reference = scenes.dtu_scene(root, 6).load_reference(model)
+    reference = scan_scene(root, 6).load_reference(model)
     assert len(reference.depths) == 6
     assert reference.points is None
     assert reference.notes == []
-    official = scenes.dtu_scene(root, 6, reference_root=root.parent / "official")
+    official = scan_scene(root, 6, reference_root=root.parent / "official")
     reference = official.load_reference(model)
     assert len(reference.points) == len(miniature.surface_points())
     assert reference.dtu.mask is not None
@@ -77,7 +77,7 @@ def test_reference_is_the_depth_maps_or_the_official_data(root, model):
 
 def test_without_depth_maps_a_note_says_so(root, model, tmp_path):
     shutil.copytree(root, tmp_path / "dtu", ignore=shutil.ignore_patterns("Depths"))
-    reference = scenes.dtu_scene(tmp_path / "dtu", 6).load_reference(model)
+    reference = scan_scene(tmp_path / "dtu", 6).load_reference(model)
     assert reference.notes == ["This scan has neither Points nor Depths: no errors are measured."]
 
 
@@ -102,7 +102,7 @@ def test_damaged_files_are_named(root, model, tmp_path, relative, content, messa
     path = tmp_path / "dtu" / relative
     path.unlink() if content is None else path.write_bytes(content)
     with pytest.raises(ColmapEdgesError, match=message):
-        scenes.dtu_scene(tmp_path / "dtu", 6).load_reference(model)
+        scan_scene(tmp_path / "dtu", 6).load_reference(model)
 
 
 def test_cameras_of_other_images_are_refused(root, tmp_path):

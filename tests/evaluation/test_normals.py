@@ -80,7 +80,7 @@ def test_normals_of_depth_are_those_of_the_mesh(view):
 
 
 def test_normals_of_depth_have_none_across_steps_and_creases(view):
-    wall, ramp = (depth.render_depth(plane(tilt), view) for tilt in (0, 60))
+    wall, ramp = (depth.render_reference(plane(tilt), view).depth for tilt in (0, 60))
     for right in (wall / 2, ramp):
         joint = np.where(np.arange(WIDTH) < 40, wall, right)
         found = depth.ReferenceDepth(view=view, depth=joint, scale=1.0).normals
@@ -107,7 +107,7 @@ def test_rounded_depths_give_normals_over_more_pixels(view):
 
 
 def test_noisy_depth_and_clouds_have_no_normals(view):
-    rendered = depth.render_depth(plane(0), view)
+    rendered = depth.render_reference(plane(0), view).depth
     noise = 1 + 0.005 * np.random.default_rng(0).standard_normal(rendered.shape)
     noisy = depth.ReferenceDepth(view=view, depth=np.float32(rendered * noise), scale=1.0)
     cloud = depth.cloud_depth(np.random.default_rng(0).uniform(-20, 20, (500, 3)) + 60, view)

@@ -9,7 +9,7 @@ import pytest
 
 from colmap_edges.colmap.model import model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.protocols import strecha
+from colmap_edges.evaluation.layouts import strecha
 from colmap_edges.evaluation.readers.curves import read_curves
 from colmap_edges.export import peers
 

@@ -31,7 +31,7 @@ def write_line3dpp(sparse, path):
 
 def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path):
     write_line3dpp(sparse, tmp_path / "lines_6.txt")
-    command = ("evaluate_dtu.py", "--input_path", root, "--output_path", tmp_path / "out")
+    command = ("evaluate.py", "dtu", "--input_path", root, "--output_path", tmp_path / "out")
     command += ("--scans", 6, "--scans", 23, "--methods", "SfM", "--methods", "edges")
     command += ("--peers", f"Line3D++={tmp_path}/lines_{{scan}}.txt")
     done = run_script(*command)
@@ -53,14 +53,15 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
     images = root / "Rectified" / "scan6"
     scene = tmp_path / "toy-P7"
     model = ("--image_path", images, "--input_path", sparse, "--output_path", scene / "images")
-    run_script("export_layout.py", "--layout", "strecha", *model)
+    run_script("evaluate.py", "layout", "--layout", "strecha", *model)
     (scene / "gt_dense_cameras").mkdir()
     for path in (scene / "images").glob("*.camera"):
         path.rename(scene / "gt_dense_cameras" / path.name)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     write_line3dpp(sparse, tmp_path / "lines_DTU-006.txt")
-    command = ("paper_tables.py", "--strecha", scene, reference, "--dtu", root)
+    command = ("evaluate.py", "scenes", "--strecha", scene, reference, "--dtu", root)
     command += ("--light", "3_r5000", "--positions", "1-6")
+    command += ("--methods", "SfM", "--methods", "paper", "--methods", "edges")
     command += ("--peers", f"Line3D++={tmp_path}/lines_{{scene}}.txt")
     command += ("--baseline", "Line3D++", "--output_path", tmp_path / "out")
     done = run_script(*command)
@@ -92,10 +93,10 @@ def test_paper_tables_over_strecha_and_dtu_with_a_peer_of_one_scene(root, sparse
 def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout, script):
     images = root / "Rectified" / "scan6"
     paths = ("--image_path", images, "--input_path", sparse, "--output_path", tmp_path / "scan6")
-    run_script("export_layout.py", "--layout", layout, *paths)
+    run_script("evaluate.py", "layout", "--layout", layout, *paths)
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
     name = "--input_path" if layout == "neus" else "--image_path"
-    command = (f"evaluate_{script}.py", name, tmp_path / "scan6", "--methods", "SfM")
+    command = ("evaluate.py", script, name, tmp_path / "scan6", "--methods", "SfM")
     run_script(*command, "--reference_path", reference, "--output_path", tmp_path / "out")
     (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
     assert entry["methods"]["SfM"]["mesh"]["median"] < 0.1
@@ -108,7 +109,7 @@ def test_other_layouts_give_the_same_mesh_errors(root, sparse, tmp_path, layout,
 
 def test_mvsnets_layout_is_measured_by_its_depth_maps(tmp_path):
     root = miniature.write_mvsnet(tmp_path / "dtu")
-    command = ("evaluate_dtu.py", "--input_path", root, "--output_path", tmp_path / "out")
+    command = ("evaluate.py", "dtu", "--input_path", root, "--output_path", tmp_path / "out")
     run_script(*command, "--methods", "SfM", "--positions", "1-5")
     (entry,) = json.loads((tmp_path / "out" / "evaluation.json").read_text()).values()
     record = entry["methods"]["SfM"]
@@ -124,8 +125,8 @@ def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
     """The start is true; whatever adjusts it moves it by little."""
     images = root / "Rectified" / "scan6"
     model = ("--image_path", images, "--input_path", sparse)
-    run_script("export_layout.py", "--layout", "strecha", *model, "--output_path", tmp_path)
-    done = run_script("evaluate_poses.py", "--camera_path", tmp_path, *model)
+    run_script("evaluate.py", "layout", "--layout", "strecha", *model, "--output_path", tmp_path)
+    done = run_script("evaluate.py", "poses", "--camera_path", tmp_path, *model)
     rows = [line.split(" | ") for line in done.stdout.splitlines()[2:]]
     assert [row[3] for row in rows] == [
         *("start", "SfM points (COLMAP)", "SfM points (COLMAP, Cauchy)", "SfM and edge points")
@@ -134,7 +135,7 @@ def test_poses_of_a_model_against_its_own_cameras(root, sparse, tmp_path):
     assert centres[0] < 1e-9
     assert max(centres) < 0.5
     done = run_script(
-        "evaluate_poses.py", "--camera_path", tmp_path, "--image_path", images, code=2
+        "evaluate.py", "poses", "--camera_path", tmp_path, "--image_path", images, code=2
     )
     assert "--camera_path needs --image_path and --input_path" in done.stderr
 
@@ -150,10 +151,17 @@ def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
     surface = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)], process=False)
     surface.export(tmp_path / "surface.ply")
     view = load_model(sparse).views[0]
-    truth = depth.render_depth(RayCaster(surface.vertices, surface.faces), view)
+    truth = depth.render_reference(RayCaster(surface.vertices, surface.faces), view).depth
     (tmp_path / "depths").mkdir()
     np.savez(tmp_path / "depths" / "a.npz", depth=truth, scale=1.0, image_name=view.name)
-    command = ("evaluate_edges.py", "--edges_path", tmp_path / "lines.txt", "--sparse_path", sparse)
+    command = (
+        "evaluate.py",
+        "edges",
+        "--edges_path",
+        tmp_path / "lines.txt",
+        "--sparse_path",
+        sparse,
+    )
     command += ("--input_path", sparse, "--reference_path", tmp_path / "curves.npz")
     command += ("--surface_path", tmp_path / "surface.ply")
     command += ("--reference_depth_path", tmp_path / "depths", "--output_path", tmp_path / "e.json")
@@ -170,15 +178,18 @@ def test_lines_of_a_peer_against_curves_surface_and_depth(sparse, tmp_path):
 
 
 def test_bad_input_is_one_line(tmp_path):
+    output = ("--output_path", tmp_path / "out")
     for command in (
-        ("evaluate_dtu.py", "--input_path", tmp_path, "--output_path", tmp_path / "out"),
-        ("evaluate_strecha.py", "--image_path", tmp_path, "--output_path", tmp_path / "out"),
-        ("paper_tables.py", "--dtu", tmp_path, "--output_path", tmp_path / "out"),
-        ("paper_tables.py", "--strecha", tmp_path, tmp_path, "--output_path", tmp_path / "out"),
+        ("dtu", "--input_path", tmp_path),
+        ("strecha", "--image_path", tmp_path),
+        ("scenes", "--dtu", tmp_path),
+        ("scenes", "--strecha", tmp_path, tmp_path),
     ):
-        done = run_script(*command, code=1)
+        done = run_script("evaluate.py", *command, *output, code=1)
         assert done.stderr.startswith("error: ")
         assert done.stderr.count("\n") == 1
-    done = run_script("paper_tables.py", "--output_path", tmp_path / "out", code=2)
-    assert "give --strecha, --dtu or both" in done.stderr
+    command = ("evaluate.py", "scenes", *output)
+    assert "NAME=PATH" in run_script(*command, "--peers", "/a", code=2).stderr
+    done = run_script(*command, code=2)
+    assert "give --scene, --strecha or --dtu" in done.stderr
     assert not (tmp_path / "out").exists()

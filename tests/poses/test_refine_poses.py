@@ -76,15 +76,8 @@ def random_motions(count, turn, shift, seed=1):
 
 
 def truth_of(model):
-    camera = model.views[0].camera
-    poses = {v.name: np.column_stack([v.rotation, v.translation]).tolist() for v in model.views}
-    return TrueCameras(
-        model=camera.model.name,
-        width=camera.width,
-        height=camera.height,
-        params=list(camera.params),
-        cam_from_world=poses,
-    )
+    poses = {v.name: np.column_stack([v.rotation, v.translation]) for v in model.views}
+    return TrueCameras(camera=model.views[0].camera, cam_from_world=poses)
 
 
 def off(model, edges, turn=0.002, shift=0.01, seed=1):

@@ -151,7 +151,7 @@ def test_files_of_users_are_written_in_one_way():
         "edges2d.graphs",  # temporary files
         "colmap.appending",  # to files that pycolmap wrote to a new folder
         "colmap.text_files",  # temporary files
-        "colmap.triangulation",  # temporary files
+        "evaluation.triangulation",  # temporary files
         "colmap.writing",  # pycolmap writes to a new folder
     }
     writing = re.compile(r"""\.write_(text|bytes)\(|open\(.*["'][rwax]b?\+?b?["']\)|\.export\(""")

@@ -17,8 +17,8 @@ from colmap_edges.cli import main as cli
 from colmap_edges.cli.flags import load_toml
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import ColmapEdgesError, NotAFileError
+from colmap_edges.evaluation.layouts import dtu, strecha
 from colmap_edges.evaluation.metrics import poses, raycasting
-from colmap_edges.evaluation.protocols import dtu, strecha
 from colmap_edges.evaluation.readers import arrays
 from colmap_edges.evaluation.readers.curves import load_curves, read_curves
 from colmap_edges.export import ply

@@ -20,7 +20,7 @@ def test_two_settings_on_a_city(tmp_path):
     output = tmp_path / "result.json"
     setting = "--ChainDepth.sample_step_points 4"
     done = run_script(
-        *("benchmark.py", "--synthetic", "6", "--points_per_view", "100", "--runs", "1"),
+        *("benchmark.py", "run", "--synthetic", "6", "--points_per_view", "100", "--runs", "1"),
         *("--setting", setting, "--output_path", output),
     )
     records = json.loads(output.read_text())["scenes"]
@@ -42,13 +42,13 @@ def test_two_settings_on_a_city(tmp_path):
 
 
 def test_missing_scene_is_an_error(tmp_path):
-    done = run_script("benchmark.py", "--data_path", tmp_path, "--scene", "none", code=1)
+    done = run_script("benchmark.py", "run", "--data_path", tmp_path, "--scene", "none", code=1)
     assert done.stderr.strip().splitlines()[-1].startswith("error: ")
 
 
 def test_unknown_flag_is_an_error():
     flags = ("--flags", "--no_such_flag 1")
-    done = run_script("benchmark.py", "--synthetic", "4", "--runs", "1", *flags, code=1)
+    done = run_script("benchmark.py", "run", "--synthetic", "4", "--runs", "1", *flags, code=1)
     assert "no_such_flag" in done.stderr
 
 
@@ -57,7 +57,7 @@ def test_mesher_on_a_made_up_scene():
     arguments = ("--num_points", 2000, "--num_cameras", 16, "--rays_per_point", 3)
     printed = []
     for threads in (1, 2):
-        done = run_script("benchmark_mesher.py", *arguments, "--num_threads", threads)
+        done = run_script("benchmark.py", "mesher", *arguments, "--num_threads", threads)
         printed.append(dict(line.split() for line in done.stdout.splitlines()[1:-2]))
     one, two = printed
     assert one["rays"] == "6000"
@@ -67,7 +67,7 @@ def test_mesher_on_a_made_up_scene():
 
 
 def test_neighbours_of_views_without_points():
-    done = run_script("benchmark_neighbors.py", "--num_views", 60)
+    done = run_script("benchmark.py", "neighbors", "--num_views", 60)
     found = float(done.stdout.splitlines()[-1].split()[0])
     assert 3 < found < 40
 
@@ -90,7 +90,7 @@ def test_city_is_reconstructed(tmp_path):
 
 def test_a_city_on_a_cluster():
     pytest.importorskip("distributed")
-    done = run_script("benchmark_cluster.py", "--num_views", 5, "--workers", 1)
+    done = run_script("benchmark.py", "cluster", "--num_views", 5, "--workers", 1)
     head, _, alone, one = done.stdout.strip().splitlines()[-4:]
     names, alone, one = (
         [cell.strip() for cell in row.split("|")[1:-1]] for row in (head, alone, one)

@@ -12,10 +12,10 @@ import trimesh
 from project import ROOT, run_script
 
 from colmap_edges.colmap.model import load_model
-from colmap_edges.colmap.triangulation import triangulate
+from colmap_edges.evaluation.layouts import dtu
 from colmap_edges.evaluation.metrics import depth
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
-from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.evaluation.triangulation import triangulate
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -48,7 +48,7 @@ def write_truth(folder, views):
     depths.mkdir()
     caster = RayCaster(surface.vertices, surface.faces)
     for view in views:
-        truth = depth.render_depth(caster, view)
+        truth = depth.render_reference(caster, view).depth
         path = depths / f"{Path(view.name).stem}.npz"
         np.savez(path, depth=truth, scale=1.0, image_name=view.name)
 
@@ -66,10 +66,10 @@ def test_tables_of_the_scenes_that_are_there(data, tmp_path):
     for head in ("### fountain-P11", "### The demo scene", "### fountain, against reference depth"):
         assert head in kept
     assert not any("scan24" in head or "chair" in head for head in kept)
-    for script in ("evaluate_scenes.py", "evaluate_strecha.py", "evaluate_edges.py"):
-        assert f"scripts/{script} --" in text
+    for command in ("scenes", "strecha", "edges"):
+        assert f"scripts/evaluate.py {command} --" in text
     # Commands are as a reader would type them.
-    assert "    scripts/evaluate_edges.py --edges_path $OUT/demo/demo/edges/edges.ply" in text
+    assert "    scripts/evaluate.py edges --edges_path $OUT/demo/demo/edges/edges.ply" in text
     assert str(data) not in text and str(tmp_path) not in text
     for table, scenes_in_it in (("m", ["fountain", "fountain-thin"]), ("demo", ["demo"])):
         record = json.loads((tmp_path / table / "evaluation.json").read_text())

@@ -16,8 +16,8 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.layouts import dtu, neus, strecha
 from colmap_edges.evaluation.metrics import depth, raycasting
-from colmap_edges.evaluation.protocols import dtu, strecha
 from colmap_edges.evaluation.readers import curves
 from colmap_edges.export import peers
 from colmap_edges.export.edges_json import load_edges
@@ -92,7 +92,7 @@ def read_dtu(folder: Path) -> None:
 
 
 def read_repackaged_dtu(folder: Path) -> None:
-    dtu.repackaged_images(folder)
+    neus.posed_images(folder)
 
 
 def read_strecha(folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,27 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """Precision, recall and their harmonic mean at a distance threshold.
-
-    Attributes:
-        threshold: Distance in the unit of the points, NaN where each point has its own.
-        precision: Share of the result within the threshold of the reference.
-        recall: Share of the reference within the threshold of the result.
-        f_score: 2 precision recall / (precision + recall).
-    """
-
-    threshold: float
-    precision: float
-    recall: float
-    f_score: float
+from colmap_edges.evaluation.metrics.statistics import Record
 
 
 def cloud_to_cloud(points: FloatArray, reference: FloatArray) -> FloatArray:
-    """Distance (N,) from each of `points` (N, 3) to the nearest of `reference` (M, 3).
+    """Distance (N,) from each of `points` (N, k) to the nearest of `reference` (M, k).
 
     CloudCompare's C2C without a local model. Infinite when the reference is empty.
     """
@@ -63,16 +46,21 @@ def shares_below(distances: FloatArray, thresholds: Sequence[float]) -> list[flo
     return [float(np.mean(distances < t)) if len(distances) else 0.0 for t in thresholds]
 
 
-def score(threshold: float, precision: float, recall: float) -> Score:
-    """The score of a known precision and recall."""
+def score(threshold: float, precision: float, recall: float) -> Record:
+    """`threshold`, `precision`, `recall` and their harmonic mean `f_score`."""
     total = precision + recall
     f_score = 2 * precision * recall / total if total > 0 else 0.0
-    return Score(threshold=threshold, precision=precision, recall=recall, f_score=f_score)
+    return {
+        "threshold": threshold,
+        "precision": precision,
+        "recall": recall,
+        "f_score": f_score,
+    }
 
 
 def scores(
     to_reference: FloatArray, to_result: FloatArray, thresholds: Sequence[float]
-) -> list[Score]:
+) -> list[Record]:
     """Scores of distances result -> reference (N,) and reference -> result (M,) at thresholds.
 
     Tanks and Temples' definition, with the thresholds as its tau.

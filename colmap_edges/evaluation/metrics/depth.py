@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import minimum_filter
@@ -19,10 +17,8 @@ from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.normals import angles_deg, normal_shares, normals_of_depth
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
-from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summarize
+from colmap_edges.evaluation.metrics.statistics import Record, mean, summarize
 from colmap_edges.evaluation.readers.arrays import read_arrays
-
-logger = logging.getLogger(__name__)
 
 RIGHT_WITHIN = {"right_0_5_percent": 0.005, "right_1_percent": 0.01, "right_2_percent": 0.02}
 
@@ -73,7 +69,6 @@ class DepthErrors:
         name: Name of the view.
         errors: (H, W) in world units, NaN where either is unknown.
         reference: (H, W) depths, 0 where unknown.
-        coverage: Share of the reference's known pixels at which the mesh is hit.
         angles_deg: (N,) angles between the normals of mesh and reference at the N pixels at which
             the reference has a normal, NaN where the mesh is not hit; None if it has none.
     """
@@ -81,7 +76,6 @@ class DepthErrors:
     name: str
     errors: FloatArray
     reference: Float32Array
-    coverage: float
     angles_deg: FloatArray | None = None
 
     @property
@@ -89,22 +83,21 @@ class DepthErrors:
         """Which pixels (H, W) have a reference depth."""
         return (self.reference > 0) & np.isfinite(self.reference)
 
-    def statistics(self) -> ErrorStatistics:
-        """Statistics of the known errors."""
-        return summarize(self.errors[np.isfinite(self.errors)])
-
-    def record(self) -> dict[str, float]:
+    def record(self) -> Record:
         """Statistics of the known errors and shares of the reference's pixels; see `pool`."""
         return pool([self])
+
+
+def pixel_centers(shape: tuple[int, ...]) -> FloatArray:
+    """(H * W, 2) centres of the pixels of a map (H, W), row by row."""
+    return np.asarray(np.indices(shape).reshape(2, -1)[::-1].T + 0.5, np.float64)
 
 
 def measured_pixels(reference: ReferenceDepth) -> FloatArray:
     """Image coordinates (H * W, 2) of the values of a depth map, row by row."""
     if reference.pixels is not None:
         return reference.pixels.reshape(-1, 2)
-    rows, columns = np.indices(reference.depth.shape)
-    centres = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64) + 0.5
-    return centres / reference.scale
+    return pixel_centers(reference.depth.shape) / reference.scale
 
 
 def load_reference_depths(folder: Path, model: Model) -> list[ReferenceDepth]:
@@ -148,31 +141,22 @@ def read_depth(path: Path) -> tuple[Float32Array, float, str]:
     return depth, scale, name
 
 
-def render_depth(caster: RayCaster, view: View, scale: float = 1.0) -> Float32Array:
-    """Depth map (H, W) of the mesh of `caster` in `view`, 0 where it is not hit."""
-    return render_reference(caster, view, scale).depth
+def render_reference(
+    caster: RayCaster, view: View, scale: float = 1.0, max_size_px: int = 1600
+) -> ReferenceDepth:
+    """Depths (0 where it is not hit) and normals of the mesh of `caster` in `view`.
 
-
-def render_reference(caster: RayCaster, view: View, scale: float = 1.0) -> ReferenceDepth:
-    """Depths and normals of the mesh of `caster` in `view`."""
+    The longer side of the maps is at most `max_size_px`.
+    """
+    scale = min(scale, max_size_px / max(view.width, view.height))
     shape = (max(1, round(view.height * scale)), max(1, round(view.width * scale)))
-    empty = ReferenceDepth(view=view, depth=np.zeros(shape, dtype=np.float32), scale=scale)
-    depth, normals = caster.hits(view.center, view.rays(measured_pixels(empty)))
-    return replace(
-        empty,
+    depth, normals = caster.hits(view.center, view.rays(pixel_centers(shape) / scale))
+    return ReferenceDepth(
+        view=view,
         depth=np.nan_to_num(depth, nan=0.0).astype(np.float32).reshape(shape),
+        scale=scale,
         surface_normals=normals.reshape(*shape, 3),
     )
-
-
-def render_references(
-    caster: RayCaster, views: Sequence[View], max_size_px: int = 1600
-) -> list[ReferenceDepth]:
-    """Depth maps of a reference mesh in `views`, the longer side at most `max_size_px`."""
-    return [
-        render_reference(caster, view, min(1.0, max_size_px / max(view.width, view.height)))
-        for view in views
-    ]
 
 
 def cloud_depth(points: FloatArray, view: View) -> ReferenceDepth:
@@ -228,35 +212,23 @@ def depth_errors(caster: RayCaster, reference: ReferenceDepth) -> DepthErrors:
     if truth is not None:
         has_normal = np.isfinite(truth[known][:, 0])
         angles = angles_deg(normals[has_normal], truth[known][has_normal])
-    answered = int(np.isfinite(errors).sum())
-    coverage = answered / len(rays) if len(rays) else float("nan")
-    logger.debug("%s: %d of %d pixels hit", reference.view.name, answered, len(rays))
-    return DepthErrors(
-        name=reference.view.name,
-        errors=errors,
-        reference=reference.depth,
-        coverage=coverage,
-        angles_deg=angles,
-    )
+    name = reference.view.name
+    return DepthErrors(name=name, errors=errors, reference=reference.depth, angles_deg=angles)
 
 
-def pool(results: Sequence[DepthErrors]) -> dict[str, float]:
+def pool(results: Sequence[DepthErrors]) -> Record:
     """Statistics of the errors and shares of right pixels, over all pixels of all views together.
 
     See `pixel_shares` and, where a reference has normals, `normal_shares`.
     """
-    errors = [result.errors[result.known] for result in results]
-    depths = [result.reference[result.known] for result in results]
+    errors = np.concatenate([*(result.errors[result.known] for result in results), []])
+    depths = np.concatenate([*(result.reference[result.known] for result in results), []])
     angles = [result.angles_deg for result in results if result.angles_deg is not None]
-    record = _summary(np.concatenate([*errors, []]), np.concatenate([*depths, []]))
+    record = summarize(errors[np.isfinite(errors)]) | pixel_shares(errors, depths)
     return record | (normal_shares(np.concatenate(angles)) if angles else {})
 
 
-def _summary(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
-    return asdict(summarize(errors[np.isfinite(errors)])) | pixel_shares(errors, depths)
-
-
-def pixel_shares(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
+def pixel_shares(errors: FloatArray, depths: FloatArray) -> Record:
     """Shares of all pixels at which the mesh is hit, and at which it is right.
 
     Pixels without mesh count as wrong, so that errors cannot be reduced at the cost of coverage.
@@ -269,38 +241,28 @@ def pixel_shares(errors: FloatArray, depths: FloatArray) -> dict[str, float]:
         `coverage`, and by the names of `RIGHT_WITHIN` the shares of pixels at which the mesh lies
         within that share of the pixel's own depth; all NaN without a pixel.
     """
-    names = ("coverage", *RIGHT_WITHIN)
-    if not len(errors):
-        return dict.fromkeys(names, float("nan"))
     relative = np.where(np.isfinite(errors), np.abs(errors), np.inf) / depths
-    right = [float(np.mean(relative <= limit)) for limit in RIGHT_WITHIN.values()]
-    return dict(zip(names, [float(np.isfinite(errors).mean()), *right], strict=True))
+    right = {name: mean(relative <= limit) for name, limit in RIGHT_WITHIN.items()}
+    return {"coverage": mean(np.isfinite(errors))} | right
 
 
-def observation_depth_errors(caster: RayCaster, model: Model) -> tuple[FloatArray, FloatArray]:
-    """Depth of a mesh at the observations of points it was not made from (held-out points).
+def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, Record]:
+    """Errors of a mesh's depth at the observations of points it was not made from (held-out ones).
 
     Returns:
-        Signed errors mesh - point along the optical axis in world units (T,), NaN where the mesh
-        is not hit; depths of the points (T,).
+        Statistics of the errors mesh - point along the optical axis where the mesh is hit,
+        `absolute` (world units) and `relative` to the points' depths, each with `pixel_shares`.
     """
     points = model.points3D_xyz[model.track_points]
-    errors = np.full(len(points), np.nan)
-    depths = np.full(len(points), np.nan)
+    errors, depths = np.full((2, len(points)), np.nan)
     for view, seen in views_with_rows(model.views, model.track_views):
         if not len(seen):
             continue
         depths[seen] = view.cam_from_world(points[seen])[:, 2]
         errors[seen] = caster.depth_at(view, model.track_points2D[seen]) - depths[seen]
-    return errors, depths
-
-
-def observation_depth_statistics(caster: RayCaster, model: Model) -> dict[str, dict[str, Any]]:
-    """Statistics of `observation_depth_errors`, absolute and relative to the points' depths."""
-    errors, depths = observation_depth_errors(caster, model)
     known = np.isfinite(errors)
     shares = pixel_shares(errors, depths)
     return {
-        "absolute": asdict(summarize(errors[known])) | shares,
-        "relative": asdict(summarize(errors[known] / depths[known])) | shares,
+        "absolute": summarize(errors[known]) | shares,
+        "relative": summarize(errors[known] / depths[known]) | shares,
     }

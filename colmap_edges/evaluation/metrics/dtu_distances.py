@@ -15,10 +15,9 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
+from colmap_edges.evaluation.metrics.statistics import Record, mean
 
-THINNING_MM = 0.2
 MAX_DISTANCE_MM = 20.0
-_BLOCK_MM = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,31 +51,8 @@ class DtuReference:
     plane: FloatArray | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class DtuErrors:
-    """The benchmark's figures in mm, over distances below 20 mm; None if not computable.
-
-    Accuracy needs the mask. Completeness needs the plane and the box of the mask.
-
-    Attributes:
-        accuracy: Mean distance of the result inside the mask to the reference.
-        completeness: Mean distance of the reference above the plane to the result.
-        overall: Mean of the two.
-        accuracy_median: Median of the first.
-        completeness_median: Median of the second.
-        points: Points of the result after thinning and inside the mask.
-    """
-
-    accuracy: float | None = None
-    completeness: float | None = None
-    overall: float | None = None
-    accuracy_median: float | None = None
-    completeness_median: float | None = None
-    points: int | None = None
-
-
 def sample_mesh(
-    mesh: trimesh.Trimesh, spacing: float = THINNING_MM, seed: int = 0, max_points: int = 20_000_000
+    mesh: trimesh.Trimesh, spacing: float = 0.2, seed: int = 0, max_points: int = 20_000_000
 ) -> FloatArray:
     """Points on a mesh, denser than one per `spacing`.
 
@@ -95,61 +71,41 @@ def sample_mesh(
     return np.concatenate([np.asarray(mesh.vertices), np.asarray(points)])
 
 
-def thin(
-    points: FloatArray, distance: float = THINNING_MM, seed: int = 0, chunk_size: int = 200_000
-) -> FloatArray:
-    """Drop points in random order until none is within `distance` of another.
-
-    Equivalent to visiting the points in that order and keeping each without a kept neighbour.
-    `chunk_size` affects only memory.
-    """
+def thin(points: FloatArray, distance: float = 0.2, seed: int = 0) -> FloatArray:
+    """Keep, in random order, each of the points (N, 3) without a kept one within `distance`."""
     shuffled = points[np.random.default_rng(seed).permutation(len(points))]
-    kept = np.empty((0, 3))
-    for chunk in np.array_split(shuffled, max(1, len(shuffled) // chunk_size)):
-        if len(kept):
-            chunk = chunk[cloud_to_cloud(chunk, kept) > distance]
-        kept = np.concatenate([kept, chunk[_first_of_each(chunk, distance)]])
-    return kept
+    tree, kept = cKDTree(shuffled), np.ones(len(shuffled), dtype=bool)
+    for index in range(len(shuffled)):
+        if kept[index]:
+            kept[tree.query_ball_point(shuffled[index], distance)] = False
+            kept[index] = True
+    return np.asarray(shuffled[kept])
 
 
-def _first_of_each(points: FloatArray, distance: float) -> BoolArray:
-    """(N,) whether points have no kept point before them within `distance`."""
-    keep = np.ones(len(points), dtype=bool)
-    if len(points) < 2:
-        return keep
-    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
-    pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]  # each pair is (i, j) with i < j
-    starts = np.searchsorted(pairs[:, 0], np.arange(len(points) + 1))
-    for index in np.unique(pairs[:, 0]):
-        if keep[index]:
-            keep[pairs[starts[index] : starts[index + 1], 1]] = False
-    return keep
+def evaluate_points(points: FloatArray, reference: DtuReference) -> Record:
+    """The benchmark's figures of thinned `points` (N, 3) in mm, over distances below 20 mm.
 
-
-def evaluate_points(points: FloatArray, reference: DtuReference) -> DtuErrors:
-    """Accuracy and completeness of thinned `points` (N, 3), as far as the reference allows."""
+    Returns:
+        Mean distance `accuracy` of the points inside the mask to the reference, and their number
+        `points`; nothing without a mask. With a plane, mean distance `completeness` of the
+        reference above it to the points, and the mean `overall` of the two. Also the medians
+        `accuracy_median` and `completeness_median`.
+    """
     if reference.mask is None:
-        return DtuErrors()
+        return {}
     inside = points[in_mask(points, reference.mask)]
-    accuracy = _mean_and_median(cloud_to_cloud(inside, reference.points))
+    record = _near("accuracy", cloud_to_cloud(inside, reference.points)) | {"points": len(inside)}
     if reference.plane is None:
-        return DtuErrors(accuracy=accuracy[0], accuracy_median=accuracy[1], points=len(inside))
+        return record
     above = reference.points[above_plane(reference.points, reference.plane, reference.mask.box)]
-    completeness = _mean_and_median(cloud_to_cloud(above, points))
-    return DtuErrors(
-        accuracy=accuracy[0],
-        completeness=completeness[0],
-        overall=(accuracy[0] + completeness[0]) / 2,
-        accuracy_median=accuracy[1],
-        completeness_median=completeness[1],
-        points=len(inside),
-    )
+    record |= _near("completeness", cloud_to_cloud(above, points))
+    return record | {"overall": (record["accuracy"] + record["completeness"]) / 2}
 
 
-def _mean_and_median(distances: FloatArray) -> tuple[float, float]:
-    """Of the distances below 20 mm; NaN when there are none."""
+def _near(name: str, distances: FloatArray) -> Record:
+    """Mean and median of the distances below 20 mm; NaN when there are none."""
     near = distances[distances < MAX_DISTANCE_MM]
-    return (float(near.mean()), float(np.median(near))) if len(near) else (np.nan, np.nan)
+    return {name: mean(near), f"{name}_median": float(np.median(near)) if len(near) else np.nan}
 
 
 def in_mask(points: FloatArray, mask: ObservedMask) -> BoolArray:
@@ -163,23 +119,19 @@ def in_mask(points: FloatArray, mask: ObservedMask) -> BoolArray:
 def above_plane(points: FloatArray, plane: FloatArray, box: FloatArray) -> BoolArray:
     """Which points (N, 3) are above the table and in the 60 mm blocks that cover the box."""
     low, high = box
-    end = low + (np.floor((high - low) / _BLOCK_MM) + 1) * _BLOCK_MM
+    end = low + (np.floor((high - low) / 60.0) + 1) * 60.0
     above = points @ plane[:3] + plane[3] > 0
     return np.asarray(above & ((points >= low) & (points < end)).all(axis=1))
 
 
-def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0) -> DtuErrors:
-    """Accuracy and completeness of a mesh: sampled in the mask's box and thinned to 0.2 mm.
-
-    Without a mask no figure can be computed.
-    """
+def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0) -> Record:
+    """`evaluate_points` of a mesh, sampled in the mask's box and thinned to 0.2 mm."""
     if reference.mask is None:
-        return DtuErrors()
-    low = reference.mask.box[0] - MAX_DISTANCE_MM
-    high = reference.mask.box[1] + MAX_DISTANCE_MM
-    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+        return {}
+    low, high = reference.mask.box + MAX_DISTANCE_MM * np.array([[-1], [1]])
+    corners = mesh.vertices[mesh.faces]
     near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
-    cropped = trimesh.Trimesh(mesh.vertices, np.asarray(mesh.faces)[near], process=False)
+    cropped = trimesh.Trimesh(mesh.vertices, mesh.faces[near], process=False)
     samples = sample_mesh(cropped, seed=seed)
     samples = samples[((samples >= low) & (samples <= high)).all(axis=1)]
     return evaluate_points(thin(samples, seed=seed), reference)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,51 +13,15 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, end_points, unit
 from colmap_edges.core.view import View
-from colmap_edges.evaluation.metrics.clouds import Score, cloud_to_cloud, scores
+from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
 from colmap_edges.evaluation.metrics.curves import sample, sample_segments
+from colmap_edges.evaluation.metrics.statistics import Record
 from colmap_edges.evaluation.readers.curves import Curves
-
-MIN_CORNER_DEG = 20.0  # minimum turn between curves that form a corner
-MAX_TWIN_ANGLE_DEG = 15.0  # maximum angle between parallel edges
-WELD_RATIO = 1e-4  # distance, relative to the reference's size, within which true points are merged
-END_POINTS = 4  # number of points at an edge's end that determine its direction
-# Distance along an edge, in twin distances, below which its own points are no twins.
-FOLD_RATIO = 4.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class TimesFound:
-    """The number of times that true edges are found.
-
-    Attributes:
-        threshold: Distance within which edges and true curves match.
-        result_length: Length of the edges within the threshold of the true curves.
-        found_length: Length of the true curves within the threshold of the edges.
-        times: The former over the latter; 1 if each true edge is found once.
-    """
-
-    threshold: float
-    result_length: float
-    found_length: float
-    times: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class TwinShare:
-    """The share of the edges' length with a parallel twin.
-
-    Attributes:
-        limit_px: Largest distance of a twin, in pixels of the nearest view that observes the edge.
-        share: Share of the length with another parallel edge within that distance.
-    """
-
-    limit_px: float
-    share: float
 
 
 def times_found(
     result: Curves, reference: Curves, thresholds: Sequence[float], unit: float = 1.0
-) -> list[TimesFound]:
+) -> list[Record]:
     """The number of times that true edges are found, at every threshold.
 
     Args:
@@ -66,21 +29,23 @@ def times_found(
         reference: True curves; samples without segments stand for their median spacing each.
         thresholds: Distances in the unit of the comparison.
         unit: World units of that unit.
+
+    Returns:
+        For each `threshold`, the lengths of the edges near true curves (`result_length`) and of
+        the true curves near edges (`found_length`), and their ratio `times`: 1 if each true edge
+        is found once.
     """
     spacing = unit * min(thresholds) / 5
     found, true = sample(result, spacing), sample(reference, spacing)
     found_weights, true_weights = (sample_lengths(c, spacing) for c in (result, reference))
     to_true, to_found = cloud_to_cloud(found, true), cloud_to_cloud(true, found)
-    rows = []
+    rows: list[Record] = []
     for threshold in thresholds:
         on_curves = float(found_weights[to_true < threshold * unit].sum())
         length = float(true_weights[to_found < threshold * unit].sum())
         times = on_curves / length if length > 0 else float("nan")
-        rows.append(
-            TimesFound(
-                threshold=threshold, result_length=on_curves, found_length=length, times=times
-            )
-        )
+        row = {"threshold": threshold, "times": times}
+        rows.append(row | {"result_length": on_curves, "found_length": length})
     return rows
 
 
@@ -101,7 +66,7 @@ def sample_lengths(curves: Curves, spacing: float) -> FloatArray:
 
 def twin_shares(
     result: Curves, pixel_sizes: FloatArray, limits_px: Sequence[float] = (0.5, 3.0, 6.0)
-) -> list[TwinShare]:
+) -> list[Record]:
     """Share of length with a parallel twin: another edge, or another stretch of the same edge.
 
     Consecutive edges are no twins: the foot of the perpendicular must be on the other edge.
@@ -110,17 +75,20 @@ def twin_shares(
         result: Reconstructed curves; those that share points are one edge.
         pixel_sizes: (P,) length of a pixel at each point in the nearest view that observes it.
         limits_px: Distances up to which edges are twins.
+
+    Returns:
+        The `share` within each `limit_px`.
     """
     sizes = pixel_sizes[result.segments].mean(axis=1)
     points, owner, weights = sample_segments(result, sizes)
     if not len(owner):
-        return [TwinShare(limit_px=limit, share=0.0) for limit in limits_px]
+        return [{"limit_px": limit, "share": 0.0} for limit in limits_px]
     tangents = unit(np.diff(result.points[result.segments[owner]], axis=1)[:, 0])
     nearest = nearest_twins(
         points, tangents, weights, edges_of(result)[owner], sizes[owner], max(limits_px)
     )
     return [
-        TwinShare(limit_px=limit, share=float(weights[nearest <= limit].sum() / weights.sum()))
+        {"limit_px": limit, "share": float(weights[nearest <= limit].sum() / weights.sum())}
         for limit in limits_px
     ]
 
@@ -144,6 +112,9 @@ def nearest_twins(
 ) -> FloatArray:
     """(N,) distance in pixels from each sample to the nearest parallel other edge; inf without.
 
+    Parallel is within 15 degrees. Points of the same edge less than four times `limit_px` apart
+    along it are no other edge.
+
     Args:
         points: (N, 3) samples along edges, in order.
         tangents: (N, 3) unit directions there.
@@ -154,14 +125,14 @@ def nearest_twins(
     """
     nearest = np.full(len(points), np.inf)
     tree, along = cKDTree(points), np.cumsum(weights)
-    cosine = np.cos(np.radians(MAX_TWIN_ANGLE_DEG))
+    cosine = np.cos(np.radians(15.0))
     step = 20_000  # samples per batch, to limit memory
     for first in range(0, len(points), step):
         rows = np.arange(first, min(first + step, len(points)))
         found = tree.query_ball_point(points[rows], (limit_px + 1) * sizes[rows])
         a = np.repeat(rows, [len(row) for row in found])
         b = np.concatenate([np.asarray(row, np.int64) for row in found])
-        apart = np.abs(along[a] - along[b]) > FOLD_RATIO * limit_px * sizes[a]
+        apart = np.abs(along[a] - along[b]) > 4 * limit_px * sizes[a]
         keep = (edges[a] != edges[b]) | apart
         a, b = a[keep], b[keep]
         offset = points[a] - points[b]
@@ -189,9 +160,12 @@ def observed_pixel_sizes(edges: Edges3D, views: Sequence[View]) -> FloatArray:
 
 
 def true_corners(reference: Curves) -> FloatArray:
-    """(C, 3) corners of true curves: junctions of three or more, and sharp bends."""
+    """(C, 3) corners of true curves: junctions of three or more, and sharp bends.
+
+    Points within a ten thousandth of the reference's size of each other are one.
+    """
     size = float(np.ptp(reference.points, axis=0).max()) if len(reference.points) else 0.0
-    points, segments = welded(reference, WELD_RATIO * size)
+    points, segments = welded(reference, 1e-4 * size)
     chords = points[segments[:, 1]] - points[segments[:, 0]]
     chords /= np.linalg.norm(chords, axis=1, keepdims=True)
     return points[bent(np.concatenate(segments.T), np.concatenate([chords, -chords]), len(points))]
@@ -199,6 +173,8 @@ def true_corners(reference: Curves) -> FloatArray:
 
 def bent(places: IntArray, directions: FloatArray, count: int) -> IntArray:
     """Indices of the places, of `count`, at which two or more curves meet at an angle.
+
+    Two curves do if they turn there by at least 20 degrees.
 
     Args:
         places: (M,) place at which a curve ends.
@@ -208,7 +184,7 @@ def bent(places: IntArray, directions: FloatArray, count: int) -> IntArray:
     degrees = np.bincount(places, minlength=count)
     sums = np.column_stack([np.bincount(places, d, count) for d in directions.T])
     # The sum of two unit vectors at an angle of 180 degrees minus the turn is 2 sin(turn / 2).
-    turned = np.linalg.norm(sums, axis=1) >= 2 * np.sin(np.radians(MIN_CORNER_DEG) / 2)
+    turned = np.linalg.norm(sums, axis=1) >= 2 * np.sin(np.radians(20.0) / 2)
     return np.flatnonzero((degrees > 2) | ((degrees == 2) & turned))
 
 
@@ -246,9 +222,10 @@ def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
 
     Directions are of parabolas through the last points, since chords of small circles also turn.
     """
-    tips, inner = end_points(edges.edge_offsets, END_POINTS)
+    reach = 4  # points from the end to the last one that is used
+    tips, inner = end_points(edges.edge_offsets, reach)
     points, middle = edges.points, (tips + inner) // 2
-    curved = (np.abs(tips - inner) == END_POINTS)[:, None]
+    curved = (np.abs(tips - inner) == reach)[:, None]
     chords = points[inner] - points[tips]
     inward = np.where(curved, 4 * (points[middle] - points[tips]) - chords, chords)
     return tips, unit(inward)
@@ -256,7 +233,7 @@ def inward_directions(edges: Edges3D) -> tuple[IntArray, FloatArray]:
 
 def compare_corners(
     found: FloatArray, true: FloatArray, thresholds: Sequence[float]
-) -> list[Score]:
+) -> list[Record]:
     """Precision and recall of (N, 3) corners against (M, 3) true ones, in world units.
 
     Each true corner is found once: of several corners nearest to the same one, only one counts.

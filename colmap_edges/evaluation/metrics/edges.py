@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,67 +13,8 @@ from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import track_residuals
 from colmap_edges.evaluation.metrics.depth import ReferenceDepth
-from colmap_edges.evaluation.metrics.statistics import ErrorStatistics, summarize
+from colmap_edges.evaluation.metrics.statistics import Record, mean, summarize
 from colmap_edges.evaluation.readers.curves import Curves
-
-GROSS_SEGMENT_RATIO = 20.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class PointDepthErrors:
-    """Depth errors of 3D points relative to the reference, in the views that observe them.
-
-    Attributes:
-        relative: Statistics of |depth - reference| / reference, the smallest in a 5x5 window.
-        within_0_2_percent: Share of errors below 0.002.
-        within_1_percent: Share of errors below 0.01.
-    """
-
-    relative: ErrorStatistics
-    within_0_2_percent: float
-    within_1_percent: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReprojectionErrors:
-    """Distances in pixels from projected points to their own observations (in-sample).
-
-    Attributes:
-        distance_px: Statistics over observations.
-        within_1_px: Share of observations within one pixel.
-        points: Number of points.
-        observations_mean: Mean number of observations per point.
-        observations_median: Median of the same.
-    """
-
-    distance_px: ErrorStatistics
-    within_1_px: float
-    points: int
-    observations_mean: float
-    observations_median: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class SegmentLengths:
-    """Lengths of the segments of an edge graph, in world units.
-
-    Attributes:
-        count: Number of segments.
-        total: Sum of all lengths.
-        median: Median length.
-        p95: 95th percentile of the lengths.
-        longest: Largest length.
-        gross: Number of segments longer than 20 medians.
-        gross_total: Sum of their lengths.
-    """
-
-    count: int
-    total: float
-    median: float
-    p95: float
-    longest: float
-    gross: int
-    gross_total: float
 
 
 def depth_window_errors(
@@ -135,53 +76,55 @@ def _smallest_error(
     return best
 
 
-def summarize_depth(errors: FloatArray) -> PointDepthErrors:
-    """Statistics and shares of the errors of `depth_window_errors`."""
-    nan = float("nan")
-    return PointDepthErrors(
-        relative=summarize(errors),
-        within_0_2_percent=float(np.mean(errors < 0.002)) if len(errors) else nan,
-        within_1_percent=float(np.mean(errors < 0.01)) if len(errors) else nan,
-    )
+def summarize_depth(errors: FloatArray) -> Record:
+    """Statistics of relative errors of `depth_window_errors`, and shares of the small ones."""
+    return {
+        "relative": summarize(errors),
+        "within_0_2_percent": mean(errors < 0.002),
+        "within_1_percent": mean(errors < 0.01),
+    }
 
 
-def reprojection_errors(model: Model) -> ReprojectionErrors:
-    """Distances of a model's points to their observations, and how many those are.
+def reprojection_errors(model: Model) -> Record:
+    """Distances in pixels of projected points to their own observations (in-sample).
 
     Points behind a camera that observes them have an infinite distance.
+
+    Returns:
+        Statistics `distance_px` over observations, the share of those `within_1_px`, the number of
+        `points`, and `observations_mean` and `observations_median` of a point.
     """
     points = model.points3D_xyz[model.track_points]
     residuals = track_residuals(model.views, points, model.track_views, model.track_points2D)
-    distance = np.nan_to_num(residuals, nan=np.inf)
     counts = np.diff(model.track_offsets)
-    nan = float("nan")
-    return ReprojectionErrors(
-        distance_px=summarize(distance[np.isfinite(distance)]),
-        within_1_px=float(np.mean(distance < 1)) if len(distance) else nan,
-        points=len(model.points3D_xyz),
-        observations_mean=float(counts.mean()) if len(counts) else nan,
-        observations_median=float(np.median(counts)) if len(counts) else nan,
-    )
+    return {
+        "distance_px": summarize(residuals[np.isfinite(residuals)]),
+        "within_1_px": mean(residuals < 1),
+        "points": len(model.points3D_xyz),
+        "observations_mean": mean(counts),
+        "observations_median": float(np.median(counts)) if len(counts) else float("nan"),
+    }
 
 
-def segment_lengths(curves: Curves) -> SegmentLengths:
-    """Lengths of the segments of `curves`; gross ones are longer than 20 medians."""
+def segment_lengths(curves: Curves) -> Record:
+    """Lengths of the segments of `curves` in world units; `gross` ones are longer than 20 medians.
+
+    Returns:
+        Their number `count`, the sum `total`, `median`, 95th percentile `p95` and the `longest`
+        length, the number of `gross` ones and the sum `gross_total` of their lengths.
+    """
     lengths = curves.lengths()
-    if not len(lengths):
-        return SegmentLengths(
-            count=0, total=0.0, median=0.0, p95=0.0, longest=0.0, gross=0, gross_total=0.0
-        )
-    median, p95 = (float(q) for q in np.percentile(lengths, (50, 95)))
-    gross = lengths > GROSS_SEGMENT_RATIO * median
-    return SegmentLengths(
-        count=len(lengths),
-        total=float(lengths.sum()),
-        median=median,
-        p95=p95,
-        longest=float(lengths.max()),
-        gross=int(gross.sum()),
-        gross_total=float(lengths[gross].sum()),
-    )
+    median, p95 = (float(q) for q in np.percentile(lengths if len(lengths) else 0.0, (50, 95)))
+    gross = lengths > 20 * median
+    return {
+        "count": len(lengths),
+        "total": float(lengths.sum()),
+        "median": median,
+        "p95": p95,
+        "longest": float(lengths.max(initial=0.0)),
+        "gross": int(gross.sum()),
+        "gross_total": float(lengths[gross].sum()),
+    }
 
 
 def edge_points(model: Model, input_model: Model) -> Model:

@@ -10,17 +10,13 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import ARC, ELLIPTIC_ARC, LINE, SPLINE, Curves3D
-from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.curves import sample_segments
+from colmap_edges.evaluation.metrics.statistics import Record
 from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import Curves
 
 # An arc is right if the true curve is a circle: gaps are not errors of kind.
 FAMILIES = np.array([LINE, ARC, ARC, ELLIPTIC_ARC, ELLIPTIC_ARC, SPLINE])
-SAMPLES = 5  # samples per threshold
-# Minimum share of a curve's samples on the true curve with which radii are compared.
-MIN_SHARE = 0.5
-MAX_RADIUS_ERROR = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,32 +36,6 @@ class TrueCurves:
     radii: FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
-class KindErrors:
-    """Errors of kinds and radii.
-
-    Attributes:
-        num_true: Number of true curves found, with at least one sample of the result on them.
-        num_found: Number of curves of the result on true curves; arcs that are stated to be one
-            curve count once.
-        times_found: Their ratio.
-        right_kind: Share of the result's length, as far as it lies on true curves, whose kind is
-            that of the true curve; arcs count for circles.
-        right_radius: Share of the length of circles and ellipses and their arcs, of the right
-            kind, whose radii are within 1 %.
-        median_radius_error: Median of their relative errors of the radius by length.
-        on_true: Share of the result's length within the threshold of a true curve.
-    """
-
-    num_true: int
-    num_found: int
-    times_found: float
-    right_kind: float
-    right_radius: float
-    median_radius_error: float
-    on_true: float
-
-
 def true_curves(path: Path, spacing: float) -> TrueCurves | None:
     """Read true curves of an .npz with `points`, `edges`, `curves`, `kinds` and `radii`.
 
@@ -74,12 +44,14 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
         spacing: largest distance between samples along a curve.
 
     Returns:
-        The curves; None if the file does not hold their kinds.
+        The curves; None if the file holds none, or not their kinds.
     """
     data = read_arrays(path) if path.suffix == ".npz" else {}
     if not {"points", "edges", "curves", "kinds", "radii"} <= set(data):
         return None
     samples = sample_segments(Curves(points=data["points"], segments=data["edges"]), spacing)
+    if not len(samples.points):
+        return None
     return TrueCurves(
         points=samples.points,
         curves=data["curves"][samples.segments],
@@ -88,20 +60,25 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
     )
 
 
-def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindErrors:
+def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> Record:
     """Compare kinds and radii of curves with the true curves nearest to their samples.
 
     Args:
         result: Curves as fitted.
-        true: Samples of the true curves, closer than the threshold.
-        threshold: Distance within which a sample lies on a true curve, world units.
+        true: Samples of the true curves, at least one, closer than the threshold.
+        threshold: Distance within which a sample lies on a true curve, world units; there are five
+            samples of the result in it.
 
-    Raises:
-        ColmapEdgesError: There is no true curve.
+    Returns:
+        The number `num_true` of true curves with at least one sample of the result on them; that
+        of the result's curves on true ones, `num_found` (arcs that are stated to be one curve
+        count once), and their ratio `times_found`. The share `on_true` of the result's length
+        within the threshold of a true curve; the share of that length whose kind is that of the
+        true curve (`right_kind`; arcs count for circles). The share of the length of round curves
+        of the right kind whose radii are within 1 % (`right_radius`), and the median by length of
+        their relative errors of the radius (`median_radius_error`).
     """
-    if not len(true.points):
-        raise ColmapEdgesError("the reference holds no curve")
-    points, owners = result.sampled(threshold / SAMPLES)
+    points, owners = result.sampled(threshold / 5)
     counts = np.bincount(owners, minlength=result.num_curves)
     weights = result.lengths()[owners] / counts[owners]
     distances, nearest = cKDTree(true.points).query(points)
@@ -113,16 +90,15 @@ def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> KindE
     on_true = np.bincount(owners[near], minlength=result.num_curves) > counts / 2
     num_found = len(np.unique(result.wholes[on_true]))
     total = max(float(weights[near].sum()), 1e-300)
-    within = errors <= MAX_RADIUS_ERROR
-    return KindErrors(
-        num_true=num_true,
-        num_found=num_found,
-        times_found=num_found / max(num_true, 1),
-        right_kind=float((weights * right)[near].sum() / total),
-        right_radius=float(lengths[within].sum() / max(lengths.sum(), 1e-300)),
-        median_radius_error=weighted_median(errors, lengths),
-        on_true=float(total / max(weights.sum(), 1e-300)),
-    )
+    return {
+        "num_true": num_true,
+        "num_found": num_found,
+        "times_found": num_found / max(num_true, 1),
+        "right_kind": float((weights * right)[near].sum() / total),
+        "right_radius": float(lengths[errors <= 0.01].sum() / max(lengths.sum(), 1e-300)),
+        "median_radius_error": weighted_median(errors, lengths),
+        "on_true": float(total / max(weights.sum(), 1e-300)),
+    }
 
 
 def radius_errors(
@@ -131,6 +107,7 @@ def radius_errors(
     """Largest relative errors of the radii of round curves of the right kind, and their lengths.
 
     Samples belong to the (n,) curves `owners`, lie on the true curves `of`, and represent lengths.
+    Curves with less than half of their samples on the true curve are left out.
     """
     lengths = np.bincount(owners, weights, result.num_curves)
     errors, kept = [], []
@@ -140,7 +117,7 @@ def radius_errors(
         shares = np.bincount(of[rows], weights[rows])
         best = int(np.argmax(shares))
         same = FAMILIES[result.kinds[curve]] == FAMILIES[true.kinds[best]]
-        if same and shares[best] >= MIN_SHARE * lengths[curve]:
+        if same and shares[best] >= 0.5 * lengths[curve]:
             errors.append(np.abs(result.radii[curve] / true.radii[best] - 1).max())
             kept.append(lengths[curve])
     return np.array(errors), np.array(kept)

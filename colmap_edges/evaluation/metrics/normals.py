@@ -6,16 +6,9 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.polylines import unit
+from colmap_edges.evaluation.metrics.statistics import Record, mean
 
 NORMALS_WITHIN = {"normals_10_deg": 10.0, "normals_30_deg": 30.0}
-NAMES = ("normals_median_deg", *NORMALS_WITHIN)
-STEPS = (1, 2, 4, 8, 16)  # distances in pixels between the depths of which normals are differences
-# Largest angle between a normal of a depth map and those of the four corners around its pixel, well
-# below the smallest angle told apart. Creases, depth steps, noise and rounded depths exceed it.
-AGREEMENT_DEG = 2.0
-# Least share of a depth map's pixels with such a normal. Where fewer have one, depth is too noisy,
-# and the pixels left would be a choice of the flattest.
-MIN_KNOWN = 0.5
 
 
 def angles_deg(normals: FloatArray, reference: FloatArray) -> FloatArray:
@@ -29,7 +22,8 @@ def normals_of_depth(points: FloatArray, center: FloatArray) -> FloatArray | Non
 
     Each pixel and two others, one in its row and one in its column, span a plane. Where the surface
     is smooth, the four such planes agree. The pixels are so far apart that most normals are known:
-    neighbours, unless depths are rounded.
+    neighbours, unless depths are rounded. Where fewer than half of the pixels have a normal, the
+    depth is noisy, and the pixels left would be a choice of the flattest.
 
     Args:
         points: (H, W, 3) positions of the pixels in the world, NaN where depth is unknown.
@@ -39,8 +33,8 @@ def normals_of_depth(points: FloatArray, center: FloatArray) -> FloatArray | Non
         (H, W, 3) unit vectors towards the camera, NaN where the four planes differ; None if
         too few pixels have one, since the depth is noisy.
     """
-    best, most = None, MIN_KNOWN * np.isfinite(points[..., 0]).sum()
-    for step in STEPS:
+    best, most = None, 0.5 * np.isfinite(points[..., 0]).sum()
+    for step in (1, 2, 4, 8, 16):
         if 2 * step >= min(points.shape[:2]):
             break
         normals = differences(points, step)
@@ -54,7 +48,11 @@ def normals_of_depth(points: FloatArray, center: FloatArray) -> FloatArray | Non
 
 
 def differences(points: FloatArray, step: int) -> FloatArray:
-    """Normals (H, W, 3) of differences of points (H, W, 3) `step` pixels apart, of either side."""
+    """Normals (H, W, 3) of differences of points (H, W, 3) `step` pixels apart, of either side.
+
+    NaN where the normals at the four corners around a pixel are more than 2 degrees, well below the
+    smallest angle told apart, off their mean: at creases, depth steps, noise and rounded depths.
+    """
     normals = np.full_like(points, np.nan)
     inner = slice(step, -step)
     across = points[inner, step:] - points[inner, :-step]
@@ -63,25 +61,22 @@ def differences(points: FloatArray, step: int) -> FloatArray:
     with np.errstate(invalid="ignore"):
         middle = unit(np.cross(rows[0] + rows[1], columns[0] + columns[1]))
         corners = [unit(np.cross(a, b)) for a in rows for b in columns]
-        agree = np.all([angles_deg(c, middle) <= AGREEMENT_DEG for c in corners], axis=0)
+        agree = np.all([angles_deg(c, middle) <= 2.0 for c in corners], axis=0)
     normals[inner, inner] = np.where(agree[..., None], middle, np.nan)
     return normals
 
 
-def normal_shares(angles: FloatArray) -> dict[str, float]:
+def normal_shares(angles: FloatArray) -> Record:
     """The median angle, and shares of all pixels whose normal is right.
 
     Args:
         angles: (N,) degrees at the pixels with a true normal, NaN where the mesh is not hit.
 
     Returns:
-        By `NAMES`: the median where the mesh is hit, and the shares of all pixels within each
-        angle, where pixels without mesh count as wrong; NaN without a pixel.
+        `normals_median_deg` where the mesh is hit, and by the names of `NORMALS_WITHIN` the shares
+        of all pixels within each angle; pixels without mesh count as wrong. NaN without a pixel.
     """
-    if not len(angles):
-        return dict.fromkeys(NAMES, float("nan"))
     hit = angles[np.isfinite(angles)]
     median = float(np.median(hit)) if len(hit) else float("nan")
-    wrong = np.where(np.isfinite(angles), angles, np.inf)
-    right = [float(np.mean(wrong <= limit)) for limit in NORMALS_WITHIN.values()]
-    return dict(zip(NAMES, [median, *right], strict=True))
+    right = {name: mean(angles <= limit) for name, limit in NORMALS_WITHIN.items()}
+    return {"normals_median_deg": median} | right

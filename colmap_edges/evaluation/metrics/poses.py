@@ -16,14 +16,16 @@ from colmap_edges.runtime.input_files import read_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class TruePoses:
-    """The true poses of a scene.
+class TrueCameras:
+    """The true poses of a scene and, where it is known, the camera that all images share.
 
     Attributes:
         cam_from_world: (3, 4) pose by name of image.
+        camera: The pycolmap.Camera, or None.
     """
 
     cam_from_world: dict[str, Any]
+    camera: Any = None
 
     def pose(self, name: str) -> Any:
         """The pycolmap.Rigid3d of an image.
@@ -36,32 +38,18 @@ class TruePoses:
         return pycolmap.Rigid3d(np.array(self.cam_from_world[name]))
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrueCameras(TruePoses):
-    """The true camera of a scene, shared by all images, and the true poses.
-
-    Attributes:
-        model: COLMAP's name of the camera model.
-        width: in pixels.
-        height: in pixels.
-        params: the camera's parameters in COLMAP's order.
-    """
-
-    model: str
-    width: int
-    height: int
-    params: list[float]
-
-
 def load_true_cameras(path: Path) -> TrueCameras:
-    """Read `true_cameras.json`.
+    """Read `true_cameras.json`: model, width, height and params of the camera, and poses.
 
     Raises:
         ColmapEdgesError: if it is not such a file.
     """
     try:
-        return TrueCameras(**json.loads(read_text(path)))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
+        data = json.loads(read_text(path))
+        values = {name: data[name] for name in ("model", "width", "height", "params")}
+        camera = pycolmap.Camera(camera_id=1, **values)
+        return TrueCameras(cam_from_world=data["cam_from_world"], camera=camera)
+    except (KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
         raise ColmapEdgesError(f"{path} holds no true cameras ({error})") from error
 
 
@@ -71,7 +59,7 @@ def images_of(reconstruction: Any) -> list[Any]:
     return sorted(posed, key=lambda image: image.name)
 
 
-def pose_errors(reconstruction: Any, truth: TruePoses) -> tuple[float, float]:
+def pose_errors(reconstruction: Any, truth: TrueCameras) -> tuple[float, float]:
     """Errors of the poses after the similarity that fits their centres to the true ones best.
 
     Returns:
@@ -106,14 +94,7 @@ def at_true_cameras(reconstruction: Any, truth: TrueCameras, names: list[str] | 
         names: images to keep; all when not given.
     """
     result = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(
-        camera_id=1,
-        model=truth.model,
-        width=truth.width,
-        height=truth.height,
-        params=truth.params,
-    )
-    result.add_camera_with_trivial_rig(camera)
+    result.add_camera_with_trivial_rig(truth.camera)
     images = [i for i in images_of(reconstruction) if names is None or i.name in names]
     for image in images:
         points2D = [pycolmap.Point2D(point.xy) for point in image.points2D]

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 
@@ -129,3 +129,19 @@ class RayCaster:
     def depth_at(self, view: View, pixels: FloatArray) -> FloatArray:
         """Depths (N,) along the optical axis of `view` at `pixels` (N, 2); NaN off the mesh."""
         return self.cast(view.center, view.rays(pixels))
+
+
+def seen_in(
+    view: View, points: FloatArray, caster: RayCaster | None
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Projections (N, 2) of `points` (N, 3), their depths (N,), and which the view sees (N,).
+
+    A point is seen if it is inside the image and no surface is hit more than three pixels' length
+    (at the point's depth) in front of it; the tolerance allows for the surface's own triangles.
+    """
+    pixels, depths = view.project(points)
+    seen = view.holds(pixels, depths)
+    if caster is not None and seen.any():
+        along = caster.cast(view.center, points[seen] - view.center)
+        seen[seen] = ~(along < 1 - 3 / view.focal_px)
+    return pixels, depths, seen

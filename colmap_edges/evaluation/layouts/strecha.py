@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from colmap_edges.colmap.triangulation import PosedImage, posed_image
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.metrics.poses import TruePoses
+from colmap_edges.evaluation.metrics.poses import TrueCameras
+from colmap_edges.evaluation.scenes import Scene, reference_of
+from colmap_edges.evaluation.triangulation import PosedImage, posed_image
 from colmap_edges.runtime.input_files import read_text
 
 
@@ -34,6 +36,29 @@ def find_folders(folder: Path) -> tuple[Path, Path]:
     raise ColmapEdgesError(f"{folder} holds no NAME.camera, and no folder in it does")
 
 
+def images_scene(
+    image_path: Path, reference_path: Path | None, *, name: str, camera_path: Path | None = None
+) -> Scene:
+    """Images with Strecha's .camera files.
+
+    Args:
+        image_path: Folder of the images, and of K.txt if there is one.
+        reference_path: See `scenes.reference_of`.
+        name: Name of the scene.
+        camera_path: Folder of NAME.camera; default: that of the images.
+
+    Raises:
+        ColmapEdgesError: No image has a camera, or one cannot be read.
+    """
+    return Scene(
+        name=name,
+        image_path=image_path,
+        posed=posed_images(image_path, camera_path),
+        load_reference=partial(reference_of, reference_path, ()),
+        unit="m",
+    )
+
+
 def posed_images(image_path: Path, camera_path: Path | None = None) -> list[PosedImage]:
     """Images with a NAME.camera file in the same folder or in `camera_path`.
 
@@ -52,7 +77,7 @@ def posed_images(image_path: Path, camera_path: Path | None = None) -> list[Pose
     return images
 
 
-def load_true_poses(camera_path: Path) -> TruePoses:
+def load_true_poses(camera_path: Path) -> TrueCameras:
     """The poses of a folder's NAME.camera files.
 
     Raises:
@@ -63,7 +88,7 @@ def load_true_poses(camera_path: Path) -> TruePoses:
         raise ColmapEdgesError(f"{camera_path} holds no NAME.camera")
     cameras = {path.stem: read_camera(path, np.eye(3)) for path in paths}
     poses = {name: np.column_stack([turn, shift]) for name, (_, turn, shift) in cameras.items()}
-    return TruePoses(cam_from_world=poses)
+    return TrueCameras(cam_from_world=poses)
 
 
 def read_calibration(path: Path) -> FloatArray | None:

@@ -10,41 +10,36 @@ position i + 1. All lengths in millimetres.
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.colmap.triangulation import PosedImage, posed_image
 from colmap_edges.core.arrays import Float32Array, FloatArray
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.layouts import dtu
 from colmap_edges.evaluation.metrics.depth import ReferenceDepth
-from colmap_edges.evaluation.protocols import dtu
+from colmap_edges.evaluation.scenes import Reference
+from colmap_edges.evaluation.triangulation import PosedImage, posed_image
 from colmap_edges.images.files import read_picture
 from colmap_edges.runtime.input_files import read_bytes, read_text
 
-# Scale factor from the pixels of Cameras/train to those of the crops.
-CROP_OVER_CAMERA = 4.0
-# Pixels of depth_visual_NNNN.png darker than this have no depth (as in MVSNet's training code).
-_MIN_VISUAL = 10
 
-
-@dataclass(frozen=True, kw_only=True)
-class Layout:
+class Layout(NamedTuple):
     """Paths of a scan's images, and of the cameras and depth maps of their size.
 
     Attributes:
-        image_path: Folder of the images.
-        camera_path: Folder of NNNNNNNN_cam.txt.
+        images: Folder of the images.
+        cameras: Folder of NNNNNNNN_cam.txt.
+        depths: Folder of depth_map_NNNN.pfm, which may be missing.
         pixel_factor: Scale factor from the cameras' pixels to the images'.
-        depth_path: Folder of depth_map_NNNN.pfm, which may be missing.
     """
 
-    image_path: Path
-    camera_path: Path
+    images: Path
+    cameras: Path
+    depths: Path
     pixel_factor: float
-    depth_path: Path
 
 
 def is_layout(root: Path) -> bool:
@@ -60,26 +55,17 @@ def find_layout(root: Path, scan: int) -> Layout:
     Raises:
         ColmapEdgesError: There are none.
     """
+    cameras = root / "Cameras"
     for name in ("Rectified_raw", "Rectified"):
         full = root / name / f"scan{scan}"
         if full.is_dir():
-            return Layout(
-                image_path=full,
-                camera_path=root / "Cameras",
-                pixel_factor=1.0,
-                depth_path=root / "Depths_raw" / f"scan{scan}",
-            )
+            return Layout(full, cameras, root / "Depths_raw" / full.name, 1.0)
     crops = root / "Rectified" / f"scan{scan}_train"
     if not crops.is_dir():
         raise ColmapEdgesError(
             f"{root} holds no Rectified/scan{scan}_train or Rectified/scan{scan}"
         )
-    return Layout(
-        image_path=crops,
-        camera_path=root / "Cameras" / "train",
-        pixel_factor=CROP_OVER_CAMERA,
-        depth_path=root / "Depths" / f"scan{scan}_train",
-    )
+    return Layout(crops, cameras / "train", root / "Depths" / crops.name, 4.0)
 
 
 def posed_images(
@@ -92,8 +78,8 @@ def posed_images(
     """
     layout = find_layout(root, scan)
     images = []
-    for position, path in dtu.choose_images(layout.image_path, light, positions).items():
-        camera_path = layout.camera_path / f"{position - 1:08d}_cam.txt"
+    for position, path in dtu.choose_images(layout.images, light, positions).items():
+        camera_path = layout.cameras / f"{position - 1:08d}_cam.txt"
         if not camera_path.is_file():
             raise ColmapEdgesError(f"{camera_path} is missing; it calibrates {path.name}")
         calibration, rotation, translation = read_camera(camera_path)
@@ -101,7 +87,7 @@ def posed_images(
         image = posed_image(path, calibration, rotation, translation)
         check_size(image, camera_path)
         images.append(image)
-    return layout.image_path, images
+    return layout.images, images
 
 
 def check_size(image: PosedImage, camera_path: Path) -> None:
@@ -146,22 +132,22 @@ def read_camera(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
     return calibration, rotation, pose[:3, 3]
 
 
-def load_depths(root: Path, scan: int, model: Model) -> list[ReferenceDepth]:
-    """Depth maps of the scan's images that are in `model`; none where the release holds none.
+def reference_of(root: Path, scan: int, model: Model) -> Reference:
+    """The depth maps of the scan's images that are in `model`; a note where there are none.
 
     Raises:
         ColmapEdgesError: A file is damaged.
     """
-    folder = find_layout(root, scan).depth_path
-    references = []
+    folder, depths = find_layout(root, scan).depths, []
     for view in model.views:
         index = int(PurePath(view.name).stem.split("_")[1]) - 1
         path = folder / f"depth_map_{index:04d}.pfm"
         if path.is_file():
             depth = _without_background(read_pfm(path), folder / f"depth_visual_{index:04d}.png")
             scale = depth.shape[1] / view.width
-            references.append(ReferenceDepth(view=view, depth=depth, scale=scale))
-    return references
+            depths.append(ReferenceDepth(view=view, depth=depth, scale=scale))
+    missing = "This scan has neither Points nor Depths: no errors are measured."
+    return Reference(depths=depths, notes=[] if depths else [missing])
 
 
 def _without_background(depth: Float32Array, visual_path: Path) -> Float32Array:
@@ -170,7 +156,7 @@ def _without_background(depth: Float32Array, visual_path: Path) -> Float32Array:
         visual = read_picture(visual_path).max(axis=2)
         if visual.shape != depth.shape:
             raise ColmapEdgesError(f"{visual_path} has another size than its depth map")
-        known &= visual > _MIN_VISUAL
+        known &= visual > 10  # as in MVSNet's training code
     return np.where(known, depth, np.float32(0))
 
 

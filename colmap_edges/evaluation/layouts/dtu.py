@@ -1,4 +1,4 @@
-"""DTU: images, poses and references in the official layout and in the NeuS/IDR repackaging.
+"""DTU: images, poses and references in the official layout.
 
 Reference: Jensen, Dahl, Vogiatzis, Tola, Aanaes, Large scale multi-view stereopsis evaluation,
 CVPR 2014. All lengths in millimetres.
@@ -10,28 +10,25 @@ import re
 from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
 from scipy.linalg import rq
 
-from colmap_edges.colmap.triangulation import PosedImage, posed_image
+from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics import depth, dtu_distances
 from colmap_edges.evaluation.metrics.dtu_distances import DtuReference, ObservedMask
-from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import columns
+from colmap_edges.evaluation.scenes import Reference
+from colmap_edges.evaluation.triangulation import PosedImage, posed_image
 from colmap_edges.export.ply import read_ply
 from colmap_edges.runtime.input_files import open_file, read_text
 
-PAPER_SCANS = (6, 23, 28, 37, 98, 118)
 PARTS = ("", "SampleSet/MVS Data", "MVS Data")
 EVERY_POSITION = range(1, 1000)
-
-
-def is_repackaged(folder: Path) -> bool:
-    """Whether `folder` has the NeuS/IDR layout: image/ and cameras*.npz."""
-    return (folder / "image").is_dir() and bool(list(folder.glob("cameras*.npz")))
 
 
 def decompose_projection(projection: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -160,33 +157,6 @@ def choose_images(
     return dict(sorted(chosen.items()))
 
 
-def repackaged_images(folder: Path) -> tuple[Path, list[PosedImage]]:
-    """Images and poses of a NeuS/IDR folder: image/NNN.png, world_mat_N of cameras*.npz.
-
-    World coordinates are those of world_mat (millimetres), not the unit sphere.
-
-    Raises:
-        ColmapEdgesError: Images or matrices are missing, or their numbers differ.
-    """
-    cameras = sorted(folder.glob("cameras*.npz"))
-    paths = sorted(p for p in (folder / "image").iterdir() if p.suffix in (".png", ".jpg"))
-    if not cameras or not paths:
-        raise ColmapEdgesError(f"{folder} holds no cameras*.npz or no image/*.png")
-    # cameras.npz and cameras_sphere.npz hold the same world_mat.
-    data = read_arrays(cameras[0])
-    matrices = []
-    for i in range(len(paths)):
-        matrix = data.get(f"world_mat_{i}", np.empty(0))
-        if matrix.ndim != 2 or min(matrix.shape) < 3 or matrix.shape[1] < 4:
-            raise ColmapEdgesError(f"{cameras[0]} holds no matrix world_mat_{i}")
-        matrices.append(matrix[:3, :4].astype(np.float64))
-    images = [
-        posed_image(path, *decompose_projection(matrix))
-        for path, matrix in zip(paths, matrices, strict=True)
-    ]
-    return folder / "image", images
-
-
 def find(root: Path, relative: str) -> Path:
     """`relative` below `root`, or below the SampleSet in it.
 
@@ -204,14 +174,16 @@ def find_optional(root: Path, relative: str) -> Path | None:
     return next((root / p / relative for p in PARTS if (root / p / relative).exists()), None)
 
 
-def load_points(path: Path) -> FloatArray:
-    """Vertices (N, 3) of a PLY.
+def reference_of(root: Path, scan: int, model: Model) -> Reference:
+    """DTU's data: cloud, its depth from the central camera, mask and plane if there.
 
     Raises:
-        ColmapEdgesError: The file is not a PLY with x, y, z.
+        ColmapEdgesError: The cloud is missing, or a file holds something else.
     """
-    vertices = read_ply(path).get("vertex")
-    return columns(vertices, ("x", "y", "z"), path).astype(np.float64)
+    data = load_reference(root, scan)
+    depths = [depth.cloud_depth(data.points, depth.central_view(model))]
+    notes = dtu_distances.missing_data_notes(data)
+    return Reference(depths=depths, points=data.points, dtu=data, notes=notes)
 
 
 def load_reference(root: Path, scan: int) -> DtuReference:
@@ -220,7 +192,8 @@ def load_reference(root: Path, scan: int) -> DtuReference:
     Raises:
         ColmapEdgesError: The cloud is missing, or a file holds something else.
     """
-    points = load_points(find(root, f"Points/stl/stl{scan:03d}_total.ply"))
+    path = find(root, f"Points/stl/stl{scan:03d}_total.ply")
+    points = columns(read_ply(path).get("vertex"), ("x", "y", "z"), path).astype(np.float64)
     mask_path = find_optional(root, f"ObsMask/ObsMask{scan}_10.mat")
     plane_path = find_optional(root, f"ObsMask/Plane{scan}.mat")
     return DtuReference(
@@ -236,16 +209,16 @@ def read_mask(path: Path) -> ObservedMask:
     Raises:
         ColmapEdgesError: The file holds something else.
     """
-    with _matlab_errors(path), open_file(path) as file:
-        data = loadmat(file)
+    with reading_matlab(path) as data:
         mask = ObservedMask(
             cells=data["ObsMask"].astype(bool),
             box=data["BB"].astype(np.float64).reshape(2, 3),
             resolution=float(np.squeeze(data["Res"])),
         )
-    finite = np.isfinite(mask.box).all()
-    if mask.cells.ndim != 3 or not finite or not 0 < mask.resolution < np.inf:
-        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+        if mask.cells.ndim != 3 or not np.isfinite(mask.box).all():
+            raise ValueError("absurd values")
+        if not 0 < mask.resolution < np.inf:
+            raise ValueError(f"cells of {mask.resolution} mm")
     return mask
 
 
@@ -255,17 +228,19 @@ def read_plane(path: Path) -> FloatArray:
     Raises:
         ColmapEdgesError: The file holds something else.
     """
-    with _matlab_errors(path), open_file(path) as file:
-        plane: FloatArray = loadmat(file)["P"].astype(np.float64).reshape(4)
-    if not np.isfinite(plane).all():
-        raise ColmapEdgesError(f"{path} is not DTU's: absurd values")
+    with reading_matlab(path) as data:
+        plane: FloatArray = data["P"].astype(np.float64).reshape(4)
+        if not np.isfinite(plane).all():
+            raise ValueError("absurd values")
     return plane
 
 
 @contextmanager
-def _matlab_errors(path: Path) -> Iterator[None]:
+def reading_matlab(path: Path) -> Iterator[dict[str, Any]]:
+    """The arrays of a .mat; any error within becomes one that names the file."""
     try:
-        yield
+        with open_file(path) as file:
+            yield loadmat(file)
     except Exception as error:  # the exceptions of SciPy's reader are not documented
         reason = " ".join(str(error).split())[:200]
         raise ColmapEdgesError(f"{path} is not DTU's: {reason}") from error
@@ -284,7 +259,8 @@ def scan_numbers(root: Path) -> Sequence[int]:
         if (root / part / name).is_dir()
     ]
     names = {folder.name for place in places for folder in place.iterdir() if folder.is_dir()}
-    found = [scan for scan in PAPER_SCANS if names & {f"scan{scan}", f"scan{scan}_train"}]
+    paper = (6, 23, 28, 37, 98, 118)
+    found = [scan for scan in paper if names & {f"scan{scan}", f"scan{scan}_train"}]
     if not found:
-        raise ColmapEdgesError(f"{root} holds none of the scans {PAPER_SCANS}; give --scans")
+        raise ColmapEdgesError(f"{root} holds none of the scans {paper}; give --scans")
     return found

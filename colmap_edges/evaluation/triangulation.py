@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from scipy.spatial.distance import cdist
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import ColmapEdgesError
@@ -93,14 +94,14 @@ def triangulate(
         )
     pycolmap.set_random_seed(random_seed)
     output_path.mkdir(parents=True, exist_ok=True)
+    posed = posed_reconstruction(images)
     with tempfile.TemporaryDirectory() as scratch, quiet_colmap():
         database_path = Path(scratch) / "database.db"
-        extract(images, image_path, database_path, num_threads)
-        match(images, database_path, Path(scratch) / "pairs.txt", num_neighbors, num_threads)
+        write_database(posed, database_path)
+        match(images, image_path, database_path, num_neighbors, num_threads)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = num_threads
         options.random_seed = random_seed
-        posed = posed_reconstruction(images, database_path)
         return pycolmap.triangulate_points(
             posed, database_path, image_path, output_path, options=options
         )
@@ -117,42 +118,59 @@ def quiet_colmap() -> Iterator[None]:
         pycolmap.logging.minloglevel = before
 
 
-def extract(
-    images: Sequence[PosedImage], image_path: Path, database_path: Path, num_threads: int = -1
-) -> None:
-    """Write SIFT features to a new database whose cameras are those of `images`."""
-    extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads = num_threads
-    extraction.use_gpu = False
-    pycolmap.extract_features(
-        database_path,
-        image_path,
-        image_names=[image.name for image in images],
-        camera_mode=pycolmap.CameraMode.PER_IMAGE,
-        extraction_options=extraction,
-        device=pycolmap.Device.cpu,
-    )
-    with pycolmap.Database.open(database_path) as database:
-        for image in images:
-            stored = database.read_image_with_name(image.name)
-            database.update_camera(pinhole(image, stored.camera_id))
+def posed_reconstruction(images: Sequence[PosedImage]) -> Any:
+    """A reconstruction of the images with a PINHOLE camera each, without points."""
+    reconstruction = pycolmap.Reconstruction()
+    for number, image in enumerate(images, start=1):
+        k = image.calibration
+        camera = pycolmap.Camera(
+            camera_id=number,
+            model="PINHOLE",
+            width=image.width,
+            height=image.height,
+            params=[k[0, 0], k[1, 1], k[0, 2], k[1, 2]],
+        )
+        reconstruction.add_camera_with_trivial_rig(camera)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(image.rotation), image.translation)
+        reconstruction.add_image_with_trivial_frame(
+            pycolmap.Image(name=image.name, camera_id=number, image_id=number), pose
+        )
+    return reconstruction
+
+
+def write_database(reconstruction: Any, path: Path) -> None:
+    """Write a new database of the cameras and images of a reconstruction."""
+    with pycolmap.Database.open(path) as database:
+        for kind in ("camera", "rig", "frame", "image"):
+            write = getattr(database, f"write_{kind}")
+            for record in getattr(reconstruction, f"{kind}s").values():
+                write(record, True)  # with its own id
 
 
 def match(
     images: Sequence[PosedImage],
+    image_path: Path,
     database_path: Path,
-    pairs_path: Path,
     num_neighbors: int,
-    num_threads: int = -1,
+    num_threads: int,
 ) -> None:
-    """Match each image with its nearest neighbours."""
-    rows = [f"{images[a].name} {images[b].name}" for a, b in neighbor_pairs(images, num_neighbors)]
-    pairs_path.write_text("\n".join(rows) + "\n")
+    """Find SIFT features of the images of a database, and match those of nearest neighbours."""
+    extraction = pycolmap.FeatureExtractionOptions()
     matching = pycolmap.FeatureMatchingOptions()
-    matching.num_threads = num_threads
-    matching.use_gpu = False
+    for options in (extraction, matching):
+        options.num_threads = num_threads
+        options.use_gpu = False
+    pycolmap.extract_features(
+        database_path,
+        image_path,
+        image_names=[image.name for image in images],
+        extraction_options=extraction,
+        device=pycolmap.Device.cpu,
+    )
     pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = str(pairs_path)
+    pairing.match_list_path = str(database_path.with_name("pairs.txt"))
+    rows = [f"{images[a].name} {images[b].name}" for a, b in neighbor_pairs(images, num_neighbors)]
+    Path(pairing.match_list_path).write_text("\n".join(rows) + "\n")
     pycolmap.match_image_pairs(
         database_path,
         matching_options=matching,
@@ -164,40 +182,8 @@ def match(
 def neighbor_pairs(images: Sequence[PosedImage], num_neighbors: int) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of images at least one of which is a nearest neighbour of the other."""
     centers = np.array([image.center for image in images])
-    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
-    np.fill_diagonal(distances, np.inf)
-    nearest = np.argsort(distances, axis=1, kind="stable")[:, :num_neighbors]
-    pairs = {
-        (min(a, int(b)), max(a, int(b)))
-        for a, row in enumerate(nearest)
-        for b in row
-        if np.isfinite(distances[a, b])
-    }
+    distances = cdist(centers, centers)
+    np.fill_diagonal(distances, -1.0)  # first of its own neighbours
+    nearest = np.argsort(distances, axis=1, kind="stable")[:, 1 : num_neighbors + 1]
+    pairs = {(min(a, b), max(a, b)) for a, row in enumerate(nearest.tolist()) for b in row}
     return sorted(pairs)
-
-
-def pinhole(image: PosedImage, camera_id: int) -> Any:
-    """The PINHOLE camera of an image."""
-    k = image.calibration
-    return pycolmap.Camera(
-        camera_id=camera_id,
-        model="PINHOLE",
-        width=image.width,
-        height=image.height,
-        params=[k[0, 0], k[1, 1], k[0, 2], k[1, 2]],
-    )
-
-
-def posed_reconstruction(images: Sequence[PosedImage], database_path: Path) -> Any:
-    """A reconstruction without points, with the ids of the database."""
-    reconstruction = pycolmap.Reconstruction()
-    with pycolmap.Database.open(database_path) as database:
-        stored = {image.name: database.read_image_with_name(image.name) for image in images}
-    for image in sorted(images, key=lambda image: stored[image.name].image_id):
-        ids = stored[image.name]
-        reconstruction.add_camera_with_trivial_rig(pinhole(image, ids.camera_id))
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(image.rotation), image.translation)
-        reconstruction.add_image_with_trivial_frame(
-            pycolmap.Image(name=image.name, camera_id=ids.camera_id, image_id=ids.image_id), pose
-        )
-    return reconstruction

@@ -1,0 +1,1 @@
+"""Layouts of data sets, converted to scenes: one module a layout."""

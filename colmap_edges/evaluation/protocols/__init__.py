@@ -1,1 +1,0 @@
-"""Data and protocols of benchmarks: DTU, Strecha, scenes with any reference."""
