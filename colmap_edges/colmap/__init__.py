@@ -1,1 +1,1 @@
-"""COLMAP models: reading, validation, writing, workspaces, triangulation."""
+"""COLMAP models: reading, validation, writing, workspaces."""
