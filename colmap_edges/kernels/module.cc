@@ -6,7 +6,6 @@ NB_MODULE(_kernels, m) {
   colmap_edges::BindCommon(m);
   colmap_edges::BindImage(m);
   colmap_edges::BindChains(m);
-  colmap_edges::BindEnclosure(m);
   colmap_edges::BindFaces(m);
   colmap_edges::BindFaceHypotheses(m);
   colmap_edges::BindFaintLines(m);

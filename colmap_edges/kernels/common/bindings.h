@@ -8,7 +8,6 @@ namespace colmap_edges {
 void BindCommon(nanobind::module_& m);
 void BindImage(nanobind::module_& m);
 void BindChains(nanobind::module_& m);
-void BindEnclosure(nanobind::module_& m);
 void BindFaces(nanobind::module_& m);
 void BindFaceHypotheses(nanobind::module_& m);
 void BindFaintLines(nanobind::module_& m);

@@ -9,6 +9,7 @@
 
 #include "common/arrays.h"
 #include "common/parallel.h"
+#include "faces/enclosure.h"
 #include "faces/labelling.h"
 
 namespace colmap_edges {
@@ -17,6 +18,9 @@ namespace {
 using namespace nb::literals;
 using Pairs = InArray<int32_t, nb::shape<-1, 2>>;
 using Table = InArray<float, nb::ndim<2>>;
+using Bytes = InArray<uint8_t, nb::ndim<1>>;
+using Bytes2D = InArray<uint8_t, nb::ndim<2>>;
+using Labels2D = InArray<int32_t, nb::ndim<2>>;
 
 std::vector<NodePair> ToPairs(const Pairs& edges, int64_t num_nodes) {
   std::vector<NodePair> pairs(edges.shape(0));
@@ -112,6 +116,42 @@ nb::tuple RestrictedArrays(Table costs, Table depths, Pairs edges, Doubles weigh
   return ToArrays(Restricted(problem, ToInts(nodes), ToInts(labels)));
 }
 
+EnclosureOptions ToOptions(const Pairs& directions, int max_open, double min_share) {
+  EnclosureOptions options{{}, max_open, min_share};
+  for (size_t i = 0; i < directions.shape(0); ++i) {
+    Require(directions(i, 0) != 0 || directions(i, 1) != 0, "directions must not be 0");
+    options.directions.push_back({directions(i, 0), directions(i, 1)});
+  }
+  return options;
+}
+
+OutArray<uint8_t> EnclosedCellsArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
+                                     Bytes2D inside, Pairs directions, int max_open) {
+  const size_t rows = shown.shape(0), columns = shown.shape(1);
+  Require(touched.shape(0) == rows && touched.shape(1) == columns && inside.shape(0) == rows &&
+              inside.shape(1) == columns,
+          "grids differ in shape");
+  for (size_t i = 0; i < shown.size(); ++i)
+    Require(shown.data()[i] < int64_t(touched.shape(2)), "labels hold an unknown plane");
+  const CellGrid grid{int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
+                      shown.data(),     touched.data(), inside.data()};
+  return ToArray(EnclosedCells(grid, ToOptions(directions, max_open, 0)), {rows, columns});
+}
+
+OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
+                                   Bytes2D enclosed, double min_share) {
+  const size_t rows = shown.shape(0), columns = shown.shape(1);
+  Require(touched.shape(0) == rows && touched.shape(1) == columns && enclosed.shape(0) == rows &&
+              enclosed.shape(1) == columns,
+          "grids differ in shape");
+  for (size_t i = 0; i < shown.size(); ++i)
+    Require(shown.data()[i] < int64_t(touched.shape(2)), "labels hold an unknown plane");
+  const CellGrid grid{int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
+                      shown.data(),     touched.data(), nullptr};
+  const std::vector<uint8_t> given(enclosed.data(), enclosed.data() + enclosed.size());
+  return ToArray(WholePieces(grid, given, min_share), {rows, columns});
+}
+
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
 
 class BoundFaceScene {
@@ -193,13 +233,7 @@ class BoundFaceScene {
   }
 
   nb::tuple Support(Ints all, double tolerance, int num_threads) {
-    ViewLabels labels;
-    size_t first = 0;
-    for (const FaceView& view : scene_.views) {
-      Require(first + view.num_cells() <= all.size(), "labels are missing");
-      labels.emplace_back(all.data() + first, all.data() + first + view.num_cells());
-      first += view.num_cells();
-    }
+    const ViewLabels labels = ByView(all);
     std::vector<double> points;
     std::vector<int32_t> rows, views;
     std::vector<int64_t> offsets{0};
@@ -231,7 +265,43 @@ class BoundFaceScene {
                           ToArray(std::move(views), {total}));
   }
 
+  OutArray<int64_t> CountEnclosing(Ints all, Bytes plain, Points3D points, Ints planes,
+                                   Longs offsets, Ints views, Pairs steps, int max_open,
+                                   double min_share, int num_threads) {
+    const ViewLabels labels = ByView(all);
+    Require(plain.size() == all.size(), "labels and plain cells differ in number");
+    std::vector<const uint8_t*> plain_cells{plain.data()};
+    for (const auto& of_view : labels) plain_cells.push_back(plain_cells.back() + of_view.size());
+    const size_t count = points.shape(0);
+    Require(planes.size() == count, "samples differ in number");
+    CheckOffsets(offsets, count, views.size());
+    CheckViews(views, scene_.views.size());
+    const PlaneSamples samples{points.data(), planes.data(), offsets.data(), views.data(),
+                               int64_t(count)};
+    const EnclosureOptions options = ToOptions(steps, max_open, min_share);
+    std::vector<int64_t> counts;
+    {
+      nb::gil_scoped_release release;
+      counts =
+          colmap_edges::CountEnclosing(scene_, labels, plain_cells, samples, options, num_threads);
+    }
+    return ToArray(std::move(counts), {count});
+  }
+
  private:
+  ViewLabels ByView(const Ints& all) const {
+    ViewLabels labels;
+    size_t first = 0;
+    for (const FaceView& view : scene_.views) {
+      Require(first + view.num_cells() <= all.size(), "labels are missing");
+      labels.emplace_back(all.data() + first, all.data() + first + view.num_cells());
+      first += view.num_cells();
+    }
+    for (size_t i = 0; i < all.size(); ++i)
+      Require(all(i) < int64_t(scene_.planes.size()), "labels hold an unknown plane");
+    return labels;
+  }
+
   static constexpr size_t kViewsAtOnce = 64;  // whose support is held twice
 
   Grays grays_;  // kept alive
@@ -250,6 +320,11 @@ void BindFaces(nb::module_& m) {
         "num_blocks"_a, "Costs, depths, edges and weights of blocks of nodes with one label each.");
   m.def("restricted", &RestrictedArrays, "costs"_a, "depths"_a, "edges"_a, "weights"_a, "nodes"_a,
         "labels"_a, "The same of some nodes, while the others keep their labels.");
+  m.def("enclosed_cells", &EnclosedCellsArray, "shown"_a, "touched"_a, "inside"_a, "directions"_a,
+        "max_open"_a,
+        "(h, w) uint8 whether going straight on within a cell's label meets its plane's points.");
+  m.def("whole_pieces", &WholePiecesArray, "shown"_a, "touched"_a, "enclosed"_a, "min_share"_a,
+        "(h, w) uint8 cells that are enclosed, and all of pieces most of whose cells are.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
       .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
                     Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,
@@ -262,7 +337,11 @@ void BindFaces(nb::module_& m) {
            "max_sweeps"_a, "num_threads"_a, "Labels of the cells of all views; -1 is no plane.")
       .def("support", &BoundFaceScene::Support, "labels"_a, "tolerance"_a, "num_threads"_a,
            "Points of labelled cells; view, cell, plane, views that agree, that see through, that "
-           "are hidden from; the agreeing views in rows.");
+           "are hidden from; the agreeing views in rows.")
+      .def("count_enclosing", &BoundFaceScene::CountEnclosing, "labels"_a, "plain"_a, "points"_a,
+           "planes"_a, "offsets"_a, "views"_a, "steps"_a, "max_open"_a, "min_share"_a,
+           "num_threads"_a,
+           "(S,) number of agreeing views that show a sample in an enclosed cell of its plane.");
 }
 
 }  // namespace colmap_edges

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "common/parallel.h"
-#include "faces/grids.h"
+#include "faces/labelling.h"
 
 namespace colmap_edges {
 
@@ -29,6 +29,8 @@ struct CellGrid {
   const uint8_t* inside;   // (num_cells) where a way that leaves the picture meets points, too
 
   int32_t num_cells() const { return columns * rows; }
+  // Whether points of its own plane are observed in a cell.
+  bool IsTouched(int32_t cell) const { return touched[int64_t(cell) * num_planes + labels[cell]]; }
 };
 
 // Whether steps in one direction meet points of a cell's plane before they leave the plane.
@@ -71,15 +73,19 @@ inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureO
   return enclosed;
 }
 
-// Cells that are enclosed, and all of pieces with a minimum share of such cells. A piece is a
-// connected part of the cells of one plane: a wall that goes on to the end of the picture is
-// believed, a strip of edges that spreads over a backdrop is not.
+// Cells that are enclosed or hold points of their plane, and all of pieces with a minimum share of
+// enclosed cells. A piece is a connected part of the cells of one plane without points: a wall that
+// goes on to the end of the picture is believed, what lies beyond the outline of a part is not.
 inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<uint8_t>& enclosed,
                                         double min_share) {
   std::vector<uint8_t> held = enclosed, seen(grid.num_cells(), false);
+  for (int32_t cell = 0; cell < grid.num_cells(); ++cell) {
+    seen[cell] = grid.labels[cell] < 0 || grid.IsTouched(cell);
+    held[cell] |= grid.labels[cell] >= 0 && grid.IsTouched(cell);
+  }
   std::vector<int32_t> piece;
   for (int32_t start = 0; start < grid.num_cells(); ++start) {
-    if (seen[start] || grid.labels[start] < 0) continue;
+    if (seen[start]) continue;
     piece.assign(1, start), seen[start] = true;
     int64_t inner = 0;
     for (size_t k = 0; k < piece.size(); ++k) {
@@ -125,42 +131,36 @@ inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
   }
 }
 
-// What is known of all views.
-struct EnclosureScene {
-  std::vector<FaceView> views;
-  std::vector<const int32_t*> labels;          // of each view's cells
-  std::vector<std::vector<int32_t>> observed;  // points that each view observes
-  std::vector<Plane> planes;
-  std::vector<Extent> extents;  // of the planes
-  FacePoints points;
-
-  // The cells of a view that are enclosed, or of a whole piece.
-  std::vector<uint8_t> HeldCells(int32_t v, const EnclosureOptions& options) const {
-    const FaceView& view = views[v];
-    const size_t count = planes.size();
-    std::vector<uint8_t> touched(view.num_cells() * count, false);
-    for (const int32_t i : observed[v]) {
-      Vec2 pixel;
-      double depth;
-      if (!view.Project(points.points[i], &pixel, &depth)) continue;
-      uint8_t* cell = &touched[view.CellAt(pixel) * count];
-      for (int64_t j = points.plane_offsets[i]; j < points.plane_offsets[i + 1]; ++j)
-        cell[points.planes[j]] = true;
-    }
-    TouchWherePlanesMeet(view, labels[v], planes, &touched);
-    std::vector<uint8_t> inside(view.num_cells(), false);
-    for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
-      const int32_t label = labels[v][cell];
-      if (label < 0) continue;
-      const Vec3 ray = view.RayOfCell(cell);
-      const double depth = planes[label].DepthAlong(view.pose.center, ray);
-      inside[cell] = depth > 0 && extents[label].Holds(view.pose.center + depth * ray);
-    }
-    const CellGrid grid{view.columns, view.rows,      int32_t(count),
-                        labels[v],    touched.data(), inside.data()};
-    return WholePieces(grid, EnclosedCells(grid, options), options.min_share);
+// The cells of a view that are enclosed, or of a whole piece. `plain`: whether each cell may show
+// the backdrop, on which planes end at the outline of their points.
+inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const int32_t* labels,
+                                      const uint8_t* plain, const EnclosureOptions& options) {
+  const FaceView& view = scene.views[v];
+  const size_t count = scene.planes.size();
+  std::vector<uint8_t> touched(view.num_cells() * count, false);
+  for (const ObservedPoint& sight : scene.sights(v)) {
+    uint8_t* cell = &touched[sight.cell * count];
+    const FacePoints& points = scene.points;
+    for (int64_t j = points.plane_offsets[sight.point]; j < points.plane_offsets[sight.point + 1];
+         ++j)
+      cell[points.planes[j]] = true;
   }
-};
+  TouchWherePlanesMeet(view, labels, scene.planes, &touched);
+  std::vector<uint8_t> inside(view.num_cells(), false);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    const int32_t label = labels[cell];
+    if (label < 0) continue;
+    const Vec3 ray = view.RayOfCell(cell);
+    const double depth = scene.planes[label].DepthAlong(view.pose.center, ray);
+    inside[cell] = depth > 0 && scene.extents[label].Holds(view.pose.center + depth * ray);
+  }
+  const CellGrid grid{view.columns, view.rows,      int32_t(count),
+                      labels,       touched.data(), inside.data()};
+  std::vector<uint8_t> held = WholePieces(grid, EnclosedCells(grid, options), options.min_share);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+    held[cell] = held[cell] && (inside[cell] || !plain[cell]);
+  return held;
+}
 
 // Places on planes, and the views that agree on them.
 struct PlaneSamples {
@@ -172,11 +172,14 @@ struct PlaneSamples {
 };
 
 // Number of the agreeing views of each sample that show it in a held cell of its plane.
-inline std::vector<int64_t> CountEnclosing(const EnclosureScene& scene, const PlaneSamples& samples,
+inline std::vector<int64_t> CountEnclosing(const FaceScene& scene, const ViewLabels& labels,
+                                           const std::vector<const uint8_t*>& plain,
+                                           const PlaneSamples& samples,
                                            const EnclosureOptions& options, int num_threads) {
   std::vector<std::vector<uint8_t>> held(scene.views.size());
-  ParallelFor(int64_t(held.size()), num_threads,
-              [&](int64_t v, int) { held[v] = scene.HeldCells(int32_t(v), options); });
+  ParallelFor(int64_t(held.size()), num_threads, [&](int64_t v, int) {
+    held[v] = HeldCells(scene, int32_t(v), labels[v].data(), plain[v], options);
+  });
   std::vector<int64_t> counts(samples.count, 0);
   ParallelBlocks(samples.count, num_threads, 4096, [&](int64_t s) {
     const Vec3 point{samples.points[3 * s], samples.points[3 * s + 1], samples.points[3 * s + 2]};
@@ -186,7 +189,7 @@ inline std::vector<int64_t> CountEnclosing(const EnclosureScene& scene, const Pl
       double depth;
       if (!scene.views[v].Project(point, &pixel, &depth)) continue;
       const int32_t cell = scene.views[v].CellAt(pixel);
-      counts[s] += held[v][cell] && scene.labels[v][cell] == samples.planes[s];
+      counts[s] += held[v][cell] && labels[v][cell] == samples.planes[s];
     }
   });
   return counts;

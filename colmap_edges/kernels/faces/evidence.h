@@ -89,6 +89,8 @@ class FaceScene {
     inverse_depths_.assign(views.size(), {});
   }
 
+  // The observed points of a view that lie in its picture.
+  const std::vector<ObservedPoint>& sights(int32_t v) const { return sights_[v]; }
   // The planes on which at least `min_cells` cells of a view have as many observed points as on
   // any.
   std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;

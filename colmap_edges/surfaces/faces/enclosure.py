@@ -7,17 +7,13 @@ contradicts them. Between its observed points a plane probably continues; beyond
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Int32Array
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.decision import Samples
-from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import Grid
-from colmap_edges.surfaces.faces.hypotheses import Planes
-from colmap_edges.surfaces.faces.labelling import extents_of, observed_points, planes_of_points
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 
 # Steps (columns, rows) of 16 directions, sorted by angle.
 DIRECTIONS = (
@@ -28,44 +24,31 @@ DIRECTIONS = (
 MAX_OPEN = len(DIRECTIONS) // 2 - 1
 # minimum share of enclosed cells of a piece, or of agreeing views at a position
 ENCLOSED_SHARE = 1 / 2
+# Minimum share of a picture's border that shows the backdrop if there is one: 0.4 to 1 around
+# objects, 0.3 of the sky, 0.1 in rooms.
+MIN_BACKDROP = 0.3
+BACKDROP_LEVELS = 2  # maximum deviation of the backdrop from its most frequent gray
 
 
 def are_enclosed(
+    scene: Any,
     samples: Samples,
     labels: Int32Array,
-    model: Model,
     grids: Sequence[Grid],
-    evidence: Evidence,
-    planes: Planes,
     num_threads: int = 1,
 ) -> BoolArray:
     """(S,) whether most of the agreeing views show a place on a piece between what is observed.
 
     Args:
+        scene: of `make_scene`.
         samples: places that labelled cells see.
         labels: of the cells of all views.
-        model: gives the V views.
-        grids: (V,) their small pictures.
-        evidence: points, and who observes them.
-        planes: of the labels.
+        grids: (V,) the views' small pictures.
         num_threads: threads; the result does not depend on them.
     """
-    num_views = len(model.views)
-    plane_offsets, plane_rows = planes_of_points(evidence, planes)
-    counts = _kernels.count_enclosing(
-        np.array([view.rotation for view in model.views]),
-        np.array([view.translation for view in model.views]),
-        np.array([grid.focal_px for grid in grids]),
-        np.array([grid.principal for grid in grids]),
-        np.array([grid.shape for grid in grids], np.int32),
+    counts = scene.count_enclosing(
         labels,
-        planes.normals,
-        planes.offsets,
-        evidence.points,
-        plane_offsets,
-        plane_rows,
-        *observed_points(evidence, num_views),
-        *extents_of(evidence, planes, plane_offsets, plane_rows),
+        np.concatenate([shows_backdrop(grid).ravel() for grid in grids]).astype(np.uint8),
         samples.points,
         np.ascontiguousarray(samples.planes),
         samples.offsets,
@@ -77,3 +60,21 @@ def are_enclosed(
     )
     most: BoolArray = counts >= ENCLOSED_SHARE * np.diff(samples.offsets)
     return most
+
+
+def shows_backdrop(grid: Grid) -> BoolArray:
+    """(rows, columns) whether cells show the gray of which much of the picture's border is.
+
+    Surfaces are rarely of one gray along the border of a picture, as a backdrop or the sky is.
+    """
+    gray = grid.gray.astype(np.int64)
+    border = np.concatenate([gray[0], gray[-1], gray[:, 0], gray[:, -1]])
+    window = np.ones(2 * BACKDROP_LEVELS + 1, np.int64)
+    counts = np.convolve(np.bincount(border, minlength=256), window, "same")
+    rows, columns = grid.shape
+    if counts.max() < MIN_BACKDROP * len(border):
+        return np.zeros((rows, columns), bool)
+    near = np.abs(gray - counts.argmax()) <= BACKDROP_LEVELS
+    cells = near.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
+    shown: BoolArray = cells >= 1 / 4
+    return shown

@@ -171,7 +171,7 @@ def label_scene(
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
     believed = are_believed(samples) & within(bodies, samples.points)
-    believed &= are_enclosed(samples, labels, model, pictures, evidence, planes, num_threads)
+    believed &= are_enclosed(scene, samples, labels, pictures, num_threads)
     return LabelledScene(
         planes=planes, labels=labels, samples=samples, accepted=np.flatnonzero(believed)
     )

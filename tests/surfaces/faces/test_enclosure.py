@@ -15,10 +15,12 @@ from colmap_edges.surfaces.faces.enclosure import (
     ENCLOSED_SHARE,
     MAX_OPEN,
     are_enclosed,
+    shows_backdrop,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, blank_grid
+from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
+from colmap_edges.surfaces.faces.labelling import make_scene
 
 
 def enclosed_cells(shown, touched, inside):
@@ -94,28 +96,67 @@ def test_the_end_of_the_picture_encloses_where_the_plane_is_known_to_go_on():
     assert enclosed_cells(shown, touched, inside)[8:12, 10:20].all()
 
 
+def held_cells(shown, touched, enclosed):
+    return _kernels.whole_pieces(
+        shown, touched.astype(np.uint8), enclosed.astype(np.uint8), ENCLOSED_SHARE
+    ).astype(bool)
+
+
 def test_pieces_are_believed_as_most_of_their_cells_are():
     shown = np.array([[0, 0, 0, 1, 1, -1, 0, 0, 0]], np.int32)
     enclosed = np.array([[1, 1, 0, 0, 1, 0, 1, 0, 0]], bool)
-    held = _kernels.whole_pieces(shown, enclosed.astype(np.uint8), ENCLOSED_SHARE)
+    held = held_cells(shown, np.zeros((1, 9, 2), bool), enclosed)
     assert held.tolist() == [[1, 1, 1, 1, 1, 0, 1, 0, 0]]
+
+
+def test_what_lies_beyond_the_points_of_a_piece_is_another_piece():
+    shown = np.zeros((1, 9), np.int32)
+    touched = np.zeros((1, 9, 1), bool)
+    touched[0, 6] = True
+    enclosed = np.array([[1, 1, 1, 1, 0, 0, 0, 0, 0]], bool)
+    assert held_cells(shown, touched, enclosed).tolist() == [[1] * 7 + [0] * 2]
 
 
 def test_pieces_are_connected_along_sides():
     rng = np.random.default_rng(2)
     shown = rng.integers(-1, 2, (12, 15)).astype(np.int32)
+    touched = rng.random((*shown.shape, 2)) < 0.1
     enclosed = (rng.random(shown.shape) < 0.4) & (shown >= 0)
     expected = enclosed.copy()
     for plane in (0, 1):
-        pieces, count = ndimage.label(shown == plane)
+        expected |= (shown == plane) & touched[..., plane]
+        pieces, count = ndimage.label((shown == plane) & ~touched[..., plane])
         for piece in range(1, count + 1):
             expected |= (pieces == piece) & (enclosed[pieces == piece].mean() >= ENCLOSED_SHARE)
-    held = _kernels.whole_pieces(shown, enclosed.astype(np.uint8), ENCLOSED_SHARE)
-    assert np.array_equal(held, expected)
+    assert np.array_equal(held_cells(shown, touched, enclosed), expected)
 
 
-@pytest.mark.parametrize(("depth_of_wall", "enclosed"), [(4.0, True), (8.0, False)])
-def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
+def picture_of(levels):
+    """A small picture (240, 320) of gray levels."""
+    return Grid(gray=levels.astype(np.uint8), focal_px=200.0, principal=np.array([160.0, 120.0]))
+
+
+def test_a_backdrop_is_where_much_of_the_border_is_of_one_gray():
+    """A part crosses the border; the backdrop is as noisy as photographs are."""
+    rng = np.random.default_rng(3)
+    levels = 40 + rng.normal(0, 0.7, (240, 320))
+    levels[80:, 100:200] = np.linspace(90, 200, 100)
+    shown = shows_backdrop(picture_of(levels))
+    assert shown.shape == (60, 80)
+    assert shown[:, :24].all()
+    assert not shown[21:, 26:49].any()
+
+
+def test_walls_of_changing_gray_are_no_backdrop():
+    rows, columns = np.mgrid[:240, :320]
+    assert not shows_backdrop(picture_of(90 + rows / 6 + columns / 4)).any()
+
+
+@pytest.mark.parametrize(
+    ("depth_of_wall", "backdrop", "enclosed"),
+    [(4, False, True), (8, False, False), (4, True, False)],
+)
+def test_a_floor_ends_where_it_meets_a_wall_or_a_backdrop(depth_of_wall, backdrop, enclosed):
     """The floor has a line of points next to the view, and a wall is shown from a depth of 4 on."""
     view = View(
         image_id=1,
@@ -126,7 +167,8 @@ def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
         rotation=np.eye(3),
         translation=np.zeros(3),
     )
-    grid = blank_grid(view)
+    rows, columns = np.mgrid[:240, :320]
+    grid = blank_grid(view) if backdrop else picture_of(columns / 2 + rows / 3)
     labels = np.zeros(np.array(grid.gray.shape) // CELL_PX, np.int32)
     below = np.arange(len(labels)) + 0.5 - grid.principal[1] / CELL_PX
     labels[below < grid.focal_px / CELL_PX / 4] = 1
@@ -142,7 +184,7 @@ def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
         offsets=np.arange(count + 1),
         views=np.zeros(count, np.int32),
     )
-    planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1, depth_of_wall]))
+    planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall]))
     one = np.ones(1, np.int32)
     samples = Samples(
         points=np.array([[0.1, 1, 2.7]]),
@@ -156,6 +198,6 @@ def test_a_floor_ends_where_it_meets_a_wall(depth_of_wall, enclosed):
         offsets=np.array([0, 1]),
         views=0 * one,
     )
-    model = SimpleNamespace(views=(view,))
-    found = are_enclosed(samples, labels.ravel(), model, [grid], evidence, planes)
+    scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, planes, 1)
+    found = are_enclosed(scene, samples, labels.ravel(), [grid])
     assert found.tolist() == [enclosed]
