@@ -131,8 +131,8 @@ inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
   }
 }
 
-// The cells of a view that are enclosed, or of a whole piece. `plain`: whether each cell may show
-// the backdrop, on which planes end at the outline of their points.
+// The cells of a view that are enclosed, or of a whole piece; `plain`: those of the backdrop, on
+// which there are no faces.
 inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const int32_t* labels,
                                       const uint8_t* plain, const EnclosureOptions& options) {
   const FaceView& view = scene.views[v];
@@ -157,8 +157,7 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
   const CellGrid grid{view.columns, view.rows,      int32_t(count),
                       labels,       touched.data(), inside.data()};
   std::vector<uint8_t> held = WholePieces(grid, EnclosedCells(grid, options), options.min_share);
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell)
-    held[cell] = held[cell] && (inside[cell] || !plain[cell]);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) held[cell] = held[cell] && !plain[cell];
   return held;
 }
 

@@ -25,9 +25,10 @@ MAX_OPEN = len(DIRECTIONS) // 2 - 1
 # minimum share of enclosed cells of a piece, or of agreeing views at a position
 ENCLOSED_SHARE = 1 / 2
 # Minimum share of a picture's border that shows the backdrop if there is one: 0.4 to 1 around
-# objects, 0.3 of the sky, 0.1 in rooms.
-MIN_BACKDROP = 0.3
+# objects, 0.2 to 0.35 of the sky, 0.1 in rooms.
+MIN_BACKDROP = 0.35
 BACKDROP_LEVELS = 2  # maximum deviation of the backdrop from its most frequent gray
+MIN_SHOWN = 1 / 4  # minimum share of a cell that shows it
 
 
 def are_enclosed(
@@ -76,5 +77,5 @@ def shows_backdrop(grid: Grid) -> BoolArray:
         return np.zeros((rows, columns), bool)
     near = np.abs(gray - counts.argmax()) <= BACKDROP_LEVELS
     cells = near.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
-    shown: BoolArray = cells >= 1 / 4
-    return shown
+    most: BoolArray = cells >= MIN_SHOWN
+    return most
