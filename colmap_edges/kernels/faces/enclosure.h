@@ -131,8 +131,8 @@ inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
   }
 }
 
-// The cells of a view that are enclosed, or of a whole piece; `plain`: those of the backdrop, on
-// which there are no faces.
+// The cells of a view that are enclosed, or of a whole piece. `plain`: whether each cell may show
+// the backdrop, on which only cells between points of their plane are held.
 inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const int32_t* labels,
                                       const uint8_t* plain, const EnclosureOptions& options) {
   const FaceView& view = scene.views[v];
@@ -156,8 +156,11 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
   }
   const CellGrid grid{view.columns, view.rows,      int32_t(count),
                       labels,       touched.data(), inside.data()};
-  std::vector<uint8_t> held = WholePieces(grid, EnclosedCells(grid, options), options.min_share);
-  for (int32_t cell = 0; cell < view.num_cells(); ++cell) held[cell] = held[cell] && !plain[cell];
+  const std::vector<uint8_t> enclosed = EnclosedCells(grid, options);
+  std::vector<uint8_t> held = WholePieces(grid, enclosed, options.min_share);
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+    if (held[cell] && plain[cell])
+      held[cell] = enclosed[cell] && inside[cell] && !grid.IsTouched(cell);
   return held;
 }
 
