@@ -6,11 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from demo_scene.bodies import Body, arc, box, prism
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
-from zoo.objects import SEGMENTS, parts
-from zoo.stage import Array, Material, Place, Random, Stage, blotches, colour, sun
+from zoo.camera import Place
+from zoo.geometry import Array, Body, Random
+from zoo.light import Stage, sun
+from zoo.materials import Material, blotches, colour
+from zoo.objects import SEGMENTS
+from zoo.solids import arc, box, cylinder, parts, prism, unite_all
 
 SKIES = ("plain", "gradient", "cloudy")
 FLOOR = 2.9  # height of a storey, metres
@@ -105,11 +108,8 @@ def walls(random: Random, house: House) -> Iterator[Body]:
     levels = [top - 0.12, *(FLOOR * i + 0.15 for i in range(1, house.floors))]
     for i, z in enumerate(levels[: random.integers(1, len(levels) + 1)]):
         reach = out if i == 0 else out / 2
-        yield Body(
-            name="house",
-            material="trim",
-            solid=box((-half - reach, half + reach), (-reach, house.depth), (z, z + 0.18)),
-        )
+        ledge = box((-half - reach, half + reach), (-reach, house.depth), (z, z + 0.18))
+        yield Body("house", "trim", ledge)
 
 
 def cells(house: House) -> Iterator[tuple[float, float, bool]]:
@@ -138,11 +138,10 @@ def upright(shape: Array, front: float, back: float) -> Manifold:
 
 def holes(house: House) -> Manifold:
     """What windows and door take from the walls."""
-    cut = [
+    return unite_all(
         upright(outline(house, door), -1, house.recess).translate((x, 0, z))
         for x, z, door in cells(house)
-    ]
-    return Manifold.batch_boolean(cut, OpType.Add)
+    )
 
 
 def openings(house: House) -> Iterator[Body]:
@@ -154,16 +153,16 @@ def openings(house: House) -> Iterator[Body]:
         frame = whole - upright(outline(house, door, 0.06), -1, 1)
         if door:
             leaf = upright(outline(house, door, 0.04), back - 0.03, back + 0.04)
-            yield Body(name="door", material="door", solid=leaf.translate((x, 0, z)))
+            yield Body("door", "door", leaf.translate((x, 0, z)))
         else:
             width, height = house.window
             bars = box((-0.03, 0.03), (back - 0.06, back), (0, height - 0.02))
             bars += box((-width / 2, width / 2), (back - 0.055, back), (0.55, 0.6))
             sill = box((-width / 2 - 0.1, width / 2 + 0.1), (-0.09, 0.05), (-0.09, -0.01))
             frame += bars ^ upright(outline(house, door, 0.02), -1, 1)
-            yield Body(name="pane", material="glass", solid=pane.translate((x, 0, z)))
-            yield Body(name="sill", material="trim", solid=sill.translate((x, 0, z)))
-        yield Body(name="frame", material="frame", solid=frame.translate((x, 0, z)))
+            yield Body("pane", "glass", pane.translate((x, 0, z)))
+            yield Body("sill", "trim", sill.translate((x, 0, z)))
+        yield Body("frame", "frame", frame.translate((x, 0, z)))
 
 
 def roof(random: Random, house: House) -> Iterator[Body]:
@@ -173,25 +172,23 @@ def roof(random: Random, house: House) -> Iterator[Body]:
     length = house.depth if house.gable_in_front else house.width
     half = span / 2 + over
     ridge = half * house.pitch
-    tiles = prism(np.array([(-half, 0), (half, 0), (0, ridge)]), length + 2 * over)
-    tiles -= prism(np.array([(-half, -0.3), (half, -0.3), (0, ridge - 0.3)]), 99)
-    attic = prism(np.array([(-half, -0.2), (half, -0.2), (0, ridge - 0.2)]), length)
+    tiles = prism([(-half, 0), (half, 0), (0, ridge)], length + 2 * over)
+    tiles -= prism([(-half, -0.3), (half, -0.3), (0, ridge - 0.3)], 99)
+    attic = prism([(-half, -0.2), (half, -0.2), (0, ridge - 0.2)], length)
     attic ^= box((-span / 2, span / 2), (-0.2, 99), (-1, 99))
     for name, material, solid, front in (
         ("roof", "roof", tiles, over), ("house", "wall", attic, 0.0),
     ):  # fmt: skip
         upright = solid.rotate((90, 0, 0)).translate((0, length / 2 + front, 0))
         turned = upright if house.gable_in_front else upright.rotate((0, 0, 90))
-        yield Body(name=name, material=material, solid=turned.translate((0, house.depth / 2, top)))
+        yield Body(name, material, turned.translate((0, house.depth / 2, top)))
     for _ in range(house.chimneys):
         x = random.uniform(-0.4, 0.4) * house.width
         y = random.uniform(0.25, 0.45) * house.depth
         chimney = box((x - 0.3, x + 0.3), (y - 0.3, y + 0.3), (top, top + 1.05 * ridge + 0.6))
         if random.random() < 0.3:
-            chimney = Manifold.cylinder(
-                1.05 * ridge + 0.6, 0.3, circular_segments=SEGMENTS
-            ).translate((x, y, top))
-        yield Body(name="chimney", material="base", solid=chimney)
+            chimney = cylinder(1.05 * ridge + 0.6, 0.3, SEGMENTS).translate((x, y, top))
+        yield Body("chimney", "base", chimney)
 
 
 def heaven(random: Random, sky: str) -> Callable[[Array], Array]:

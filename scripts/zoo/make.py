@@ -5,30 +5,29 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
-from demo_scene.cameras import TrueCamera
-from demo_scene.geometry import Surface, unite, write_surface
 from scipy.spatial.transform import Rotation
 
-from zoo import cad, facades, rooms, tabletop
-from zoo.camera import PATHS, Grid, draw_camera, draw_views, moved
-from zoo.points import disturb, find_tracks, triangulated, write_model
-from zoo.render import Caster, Lit, Sensor, exposed, illuminate, relit, see, write_image
-from zoo.stage import Array, Random, Stage
-from zoo.truth import TrueCurves, as_arrays, contrasts_in, find_curves, shown
+from zoo import FAMILIES, cad, facades, rooms, tabletop
+from zoo.camera import PATHS, Grid, View, draw_camera, draw_views, write_cameras
+from zoo.casting import Caster
+from zoo.geometry import Array, Random, unite
+from zoo.light import LampLit, Stage, illuminate
+from zoo.points import disturb, find_tracks, model_of, triangulated
+from zoo.render import Sensor, see, typical_light, write_image
+from zoo.truth import TrueCurves, contrasts_in, find_curves, shown, write_truth
 
-MAKERS = {
-    "rooms": rooms.make,
-    "facades": facades.make,
-    "cad": cad.make,
-    "smooth": tabletop.smooth,
-    "clutter": tabletop.clutter,
-}
-FAMILIES = tuple(MAKERS)
-SIZE = (640, 480)  # pixels
-SPACING_PX = 1.5  # of the segments of curves, in the typical view
+MAKERS = dict(
+    zip(
+        FAMILIES,
+        (rooms.make, facades.make, cad.make, tabletop.smooth, tabletop.clutter),
+        strict=True,
+    )
+)
+BRIGHT = 0.75  # light, of 1 at white, that typical bright pixels are exposed to
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +97,7 @@ def make_scene(
     seed: int,
     folder: Path,
     *,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] | None = None,
     num_views: int | None = None,
 ) -> None:
     """Write a scene: images/, sparse/, surface.ply, curves.npz, true_cameras.json, scene.json.
@@ -109,68 +108,68 @@ def make_scene(
         family: One of `FAMILIES`.
         seed: Of everything that is random.
         folder: Where to write; created.
-        size: Of the images, pixels.
+        size: Of the images, pixels; default: 640x480.
         num_views: Number of views; default: drawn.
     """
     random = np.random.default_rng([seed, FAMILIES.index(family)])
     settings = draw_settings(random, num_views)
     stage = MAKERS[family](random)
-    camera = draw_camera(random, size, wide=bool(stage.place.spots))
+    camera = draw_camera(random, size or (640, 480), wide=bool(stage.place.spots))
     surface = unite(stage.bodies)
-    cameras = free_views(random, stage, settings, camera, Caster(surface))
-    distance = typical_distance(stage, cameras)
-    spacing = SPACING_PX * distance / camera.focal_length_x
-    curves = find_curves(surface, stage.bodies, cameras, camera, spacing)
+    views = free_views(random, stage, settings, camera, Caster(surface))
+    centers = np.array([view.centre() for view in views])
+    distance = float(np.median(np.linalg.norm(centers - stage.place.middle, axis=1)))
+    spacing = 1.5 * distance / camera.focal_length_x  # 1.5 pixels in the typical view
+    curves = find_curves(surface, stage.bodies, views, camera, spacing)
     lit = illuminate(stage, surface, camera)
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    contrasts = write_images(random, lit, settings, cameras, camera, folder / "images", curves)
+    contrasts = write_images(random, lit, settings, views, camera, folder / "images", curves)
     curves = shown(curves, contrasts, float(np.hypot(settings.noise, settings.shot_noise)))
-    tracks = find_tracks(
-        random, lit, curves, cameras, camera, settings.num_points, settings.point_noise_px
-    )
+    count, noise_px = settings.num_points, settings.point_noise_px
+    tracks = find_tracks(random, lit, curves, views, camera, count, noise_px)
     world = draw_world(random, settings)
     error = settings.pose_error_px / camera.focal_length_x
-    found = [disturb(random, view, error, distance) for view in cameras]
+    found = [disturb(random, view, error, distance) for view in views]
     points = place(world, triangulated(tracks, found, camera))
-    model = write_model(tracks, points, [moved(view, *world) for view in found], camera)
+    model = model_of(tracks, points, [view.moved(*world) for view in found], camera)
     (folder / "sparse").mkdir(exist_ok=True)
     model.write_binary(folder / "sparse")
-    cameras = [moved(view, *world) for view in cameras]
-    write_truth(folder, world, surface, curves, stage, cameras)
-    write_records(folder, settings, stage, camera, cameras, family, seed)
+    views = [view.moved(*world) for view in views]
+    placed = replace(surface, vertices=place(world, surface.vertices))
+    curves = replace(curves, points=place(world, curves.points), radii=world[0] * curves.radii)
+    names = np.array([view.name for view in views])
+    write_truth(folder, placed, stage.bodies, curves, view_names=names)
+    intrinsics = write_cameras(folder / "true_cameras.json", camera, views)
+    record = {"family": family, "seed": seed, **asdict(settings), "camera": intrinsics}
+    (folder / "scene.json").write_text(json.dumps(record | drawn(stage, settings), indent=1) + "\n")
 
 
 def free_views(
     random: Random, stage: Stage, settings: Settings, camera: pycolmap.Camera, caster: Caster
-) -> list[TrueCamera]:
+) -> list[View]:
     """Views that nothing stands directly before."""
     suffix = "jpg" if settings.jpeg_quality else "png"
     grid = Grid.of(camera).centers[:: camera.width // 4 + 1]
     for _ in range(20):
         views = draw_views(random, stage.place, camera, settings.path, settings.num_views)
-        rays = [
-            np.column_stack([grid, np.ones(len(grid))]) @ view.cam_from_world[:, :3]
-            for view in views
-        ]
-        nearest = min(
-            caster.hits(view.centre(), ray)[1].min() for view, ray in zip(views, rays, strict=True)
-        )
+        nearest = min(caster.hits(view.centre(), view.rays(grid))[1].min() for view in views)
         if nearest > 0.1 * stage.place.extent:
             break
     return [replace(view, name=f"{Path(view.name).stem}.{suffix}") for view in views]
 
 
-def typical_distance(stage: Stage, cameras: list[TrueCamera]) -> float:
-    """From the cameras to the scene's middle."""
-    centers = np.array([view.centre() for view in cameras])
-    return float(np.median(np.linalg.norm(centers - stage.place.middle, axis=1)))
+def exposed(lit: LampLit, views: list[View], grid: Grid, percentile: float) -> LampLit:
+    """The same with the light of that percentile of the pixels with a body as `BRIGHT`."""
+    some = grid.centers[:: max(1, len(grid.centers) // 2000)]
+    level = typical_light(lit, views, some, percentile)
+    return replace(lit, white=level / BRIGHT / lit.stage.exposure)
 
 
 def write_images(
     random: Random,
-    lit: Lit,
+    lit: LampLit,
     settings: Settings,
-    cameras: list[TrueCamera],
+    views: list[View],
     camera: pycolmap.Camera,
     folder: Path,
     curves: TrueCurves,
@@ -178,15 +177,13 @@ def write_images(
     """Render the views; returns the (E, V) contrasts of the curves' segments in them."""
     contrasts = np.zeros(curves.visible.shape)
     grid = Grid.of(camera)
-    size = (camera.width, camera.height)
-    light = lit.stage.light
-    lit = exposed(lit, cameras, grid, settings.exposure_percentile)
-    for i, view in enumerate(cameras):
+    light, middle = lit.light, lit.stage.place.middle
+    lit = exposed(lit, views, grid, settings.exposure_percentile)
+    for i, view in enumerate(views):
         if settings.moving_light:
-            turn = Rotation.from_rotvec((0, 0, np.radians(6 * (i - len(cameras) / 2)))).as_matrix()
-            middle = lit.stage.place.middle
-            place = middle + turn @ (light.position - middle)
-            lit = relit(lit, replace(light, position=place))
+            turn = Rotation.from_rotvec((0, 0, np.radians(6 * (i - len(views) / 2)))).as_matrix()
+            moved = middle + turn @ (light.position - middle)
+            lit = lit.relit(replace(light, position=moved))
         sensor = Sensor(
             gain=np.exp(random.normal(0, settings.exposure_spread)),
             blur_px=settings.blur_px,
@@ -194,7 +191,7 @@ def write_images(
             shot_noise=settings.shot_noise,
             quality=settings.jpeg_quality,
         )
-        gray = write_image(folder / view.name, see(lit, view, grid, size), sensor, random)
+        gray = write_image(folder / view.name, see(lit, view, grid), sensor, random)
         contrasts[:, i] = contrasts_in(gray, curves, view, camera)
     return contrasts
 
@@ -211,55 +208,12 @@ def place(world: tuple[float, Array, Array], points: Array) -> Array:
     return scale * points @ rotation.T + translation
 
 
-def write_truth(
-    folder: Path,
-    world: tuple[float, Array, Array],
-    surface: Surface,
-    curves: TrueCurves,
-    stage: Stage,
-    cameras: list[TrueCamera],
-) -> None:
-    """Write the true surface and curves."""
-    placed = replace(surface, vertices=place(world, surface.vertices))
-    write_surface(folder / "surface.ply", placed)
-    curves = replace(curves, points=place(world, curves.points), radii=world[0] * curves.radii)
-    np.savez_compressed(
-        folder / "curves.npz",
-        **as_arrays(curves, surface, stage.bodies),
-        view_names=np.array([view.name for view in cameras]),
-    )
-
-
-def write_records(
-    folder: Path,
-    settings: Settings,
-    stage: Stage,
-    camera: pycolmap.Camera,
-    cameras: list[TrueCamera],
-    family: str,
-    seed: int,
-) -> None:
-    """Write the true cameras, and everything that was drawn."""
-    intrinsics = {
-        "model": camera.model_name,
-        "width": camera.width,
-        "height": camera.height,
-        "params": camera.params.tolist(),
-    }
-    poses = {view.name: view.cam_from_world.tolist() for view in cameras}
-    record = {
-        "family": family,
-        "seed": seed,
-        **asdict(settings),
-        "camera": intrinsics,
+def drawn(stage: Stage, settings: Settings) -> dict[str, Any]:
+    """What was drawn of the stage, for scene.json."""
+    light = {key: np.asarray(value).tolist() for key, value in asdict(stage.light).items()}
+    return {
         "extent": stage.place.extent * settings.unit,
-        "light": {k: np.asarray(v).tolist() for k, v in asdict(stage.light).items()},
+        "light": light | {"reach": None if np.isinf(stage.light.reach) else stage.light.reach},
         "materials": {name: asdict(material) for name, material in stage.materials.items()},
         **stage.facts,
     }
-    record["light"]["reach"] = None if np.isinf(stage.light.reach) else stage.light.reach
-    for name, data in (
-        ("true_cameras.json", {**intrinsics, "cam_from_world": poses}),
-        ("scene.json", record),
-    ):
-        (folder / name).write_text(json.dumps(data, indent=1) + "\n")

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from demo_scene.bodies import Body, box
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
 from zoo import objects
-from zoo.stage import Material, Place, Random, Stage, colour, plain, sun
+from zoo.camera import Place
+from zoo.geometry import Body, Random
+from zoo.light import Stage, plain, sun
+from zoo.materials import Material, colour, paints
+from zoo.solids import box, parts, unite_all
 
 Maker = Callable[[Random], Manifold]
 MARKS = {"bands": objects.bands, "label": objects.label}
@@ -70,16 +73,16 @@ def set_table(random: Random, things: list[Thing], ground_textured: bool, tiled:
     )
     materials = {"ground": ground, "grid": replace(ground, albedo=colour(random, (0.1, 0.25)))}
     plate = objects.plate(reach * random.uniform(1.1, 1.6), bool(random.random() < 0.5))
-    bodies = [Body(name="ground", material="ground", solid=plate)]
+    bodies = [Body("ground", "ground", plate)]
     if tiled:
-        bodies = list(objects.parts("ground", plate, grid(random, reach), ("ground", "grid")))
+        bodies = list(parts("ground", plate, grid(random, reach), ("ground", "grid")))
     for i, (thing, (x, y)) in enumerate(zip(things, spots, strict=True)):
-        paints = objects.paints(random, thing.glossy, thing.textured)
-        materials |= {f"{key}{i}": paint for key, paint in paints.items()}
+        looks = paints(random, thing.glossy, thing.textured)
+        materials |= {f"{key}{i}": paint for key, paint in looks.items()}
         stood = thing.solid.rotate((0, 0, random.uniform(0, 360))).translate((x, y, -objects.SINK))
         name, mark = f"{thing.shape}{i}", MARKS.get(thing.mark or "")
         region = mark(random, stood.translate((-x, -y, 0))).translate((x, y, 0)) if mark else None
-        bodies += objects.parts(name, stood, region, (f"main{i}", f"mark{i}"))
+        bodies += parts(name, stood, region, (f"main{i}", f"mark{i}"))
     height = max(thing.solid.bounding_box()[5] for thing in things)
     extent = float(np.hypot(reach, height / 2))
     return Stage(
@@ -105,4 +108,4 @@ def grid(random: Random, reach: float) -> Manifold:
     half, far = 0.012 * reach, 4 * reach
     bars = [box((-far, far), (y - half, y + half), (-0.03, 1)) for y in lines]
     bars += [box((x - half, x + half), (-far, far), (-0.03, 1)) for x in lines]
-    return Manifold.batch_boolean(bars, OpType.Add)
+    return unite_all(bars)

@@ -7,16 +7,12 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import pycolmap
 from mathutils import Matrix
-from numpy.typing import NDArray
 from PIL import Image
 
-from demo_scene.bodies import Body
-from demo_scene.cameras import FOCAL, HEIGHT, WIDTH, TrueCamera
-from demo_scene.geometry import CREASE_DEG, Surface
-
-JPEG_QUALITY = 92
-NOISE = 0.8  # standard deviation of the sensor noise, grey levels of 255
+from zoo.camera import View
+from zoo.geometry import CREASE_DEG, Array, Body, Surface
 
 # Base colour, roughness, metallic, and contrast of the blotches (0: textureless).
 MATERIALS = {
@@ -41,25 +37,25 @@ def render_views(
     folder: Path,
     surface: Surface,
     bodies: list[Body],
-    cameras: list[TrueCamera],
-    samples: int,
-    scale_percent: int,
+    camera: pycolmap.Camera,
+    views: list[View],
+    seed: int = 0,
 ) -> None:
-    """Render every camera into `folder` as a JPEG."""
+    """Render every view into `folder` as a JPEG."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     add_surface(surface, bodies)
     add_lights()
-    configure(samples, scale_percent)
-    camera = add_camera()
+    configure(camera)
+    taker = add_camera(camera)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         raw = Path(temporary) / "raw.png"
-        for seed, view in enumerate(cameras):
-            place(camera, view)
-            bpy.context.scene.cycles.seed = seed
+        for number, view in enumerate(views, start=1000 * seed):
+            place(taker, view)
+            bpy.context.scene.cycles.seed = number
             bpy.context.scene.render.filepath = str(raw)
             bpy.ops.render.render(write_still=True)
-            save_jpeg(raw, folder / view.name, seed)
+            save_jpeg(raw, folder / view.name, number)
 
 
 def add_surface(surface: Surface, bodies: list[Body]) -> None:
@@ -78,7 +74,7 @@ def add_surface(surface: Surface, bodies: list[Body]) -> None:
 
 
 def make_material(name: str) -> bpy.types.Material:
-    """Return a plain material, or a blotchy one that gives blobs to match but few edges."""
+    """A plain material, or a blotchy one that gives blobs to match but few edges."""
     colour, roughness, metallic, contrast = MATERIALS[name]
     material = bpy.data.materials.new(name)
     material.use_nodes = True
@@ -94,10 +90,7 @@ def make_material(name: str) -> bpy.types.Material:
 
 
 def add_blotches(
-    tree: bpy.types.NodeTree,
-    shader: bpy.types.Node,
-    colour: tuple[float, float, float],
-    contrast: float,
+    tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: tuple[float, ...], contrast: float
 ) -> None:
     """Modulate the base colour by smooth noise of several scales, from 0.5 m down to 5 cm."""
     shader.inputs["Specular IOR Level"].default_value = 0.1
@@ -137,8 +130,8 @@ def add_object(name: str, data: bpy.types.Light, position: tuple[float, float, f
     bpy.context.scene.collection.objects.link(light)
 
 
-def axes_matrix(position: NDArray[np.float64], back: NDArray[np.float64]) -> Matrix:
-    """Return the pose at `position` whose local z axis is `back`."""
+def axes_matrix(position: Array, back: Array) -> Matrix:
+    """The pose at `position` whose local z axis is `back`."""
     z = back / np.linalg.norm(back)
     x = np.cross((0.0, 0.0, 1.0), z)
     x /= np.linalg.norm(x)
@@ -167,38 +160,37 @@ def add_sky() -> None:
     links.new(ramp.outputs["Result"], background.inputs["Strength"])
 
 
-def configure(samples: int, scale_percent: int) -> None:
+def configure(camera: pycolmap.Camera) -> None:
     """Set Cycles on the CPU with denoising, and a plain sRGB output."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
-    scene.cycles.samples = samples
+    scene.cycles.samples = 16
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.use_denoising = True
     scene.cycles.denoiser = "OPENIMAGEDENOISE"
     scene.cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
     scene.cycles.max_bounces = 4
-    scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
-    scene.render.resolution_percentage = scale_percent
+    scene.render.resolution_x, scene.render.resolution_y = camera.width, camera.height
     scene.render.use_persistent_data = True
     scene.view_settings.view_transform = "Standard"
     scene.render.image_settings.file_format = "PNG"
     scene.render.image_settings.color_mode = "RGB"
 
 
-def add_camera() -> bpy.types.Object:
+def add_camera(true: pycolmap.Camera) -> bpy.types.Object:
     """Add the camera with the true focal length and a centred principal point."""
     data = bpy.data.cameras.new("camera")
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = 36.0
-    data.lens = FOCAL * data.sensor_width / WIDTH
+    data.lens = true.focal_length_x * data.sensor_width / true.width
     camera = bpy.data.objects.new("camera", data)
     bpy.context.scene.collection.objects.link(camera)
     bpy.context.scene.camera = camera
     return camera
 
 
-def place(camera: bpy.types.Object, view: TrueCamera) -> None:
+def place(camera: bpy.types.Object, view: View) -> None:
     """Move Blender's camera, which looks along -z with y up, to a true view."""
     pose = np.eye(4)
     pose[:3, :3] = view.cam_from_world[:, :3].T @ np.diag([1.0, -1.0, -1.0])
@@ -207,9 +199,9 @@ def place(camera: bpy.types.Object, view: TrueCamera) -> None:
 
 
 def save_jpeg(raw: Path, path: Path, seed: int) -> None:
-    """Add sensor noise to a render and write it as a JPEG."""
+    """Add sensor noise of 0.8 gray levels to a render and write it as a JPEG."""
     with Image.open(raw) as image:
         pixels = np.asarray(image.convert("RGB"), np.float64)
-    noise = np.random.default_rng(seed).normal(0.0, NOISE, pixels.shape)
+    noise = np.random.default_rng(seed).normal(0.0, 0.8, pixels.shape)
     noisy = np.clip(np.rint(pixels + noise), 0, 255).astype(np.uint8)
-    Image.fromarray(noisy).save(path, quality=JPEG_QUALITY, optimize=True)
+    Image.fromarray(noisy).save(path, quality=92, optimize=True)
