@@ -27,6 +27,11 @@ class Caster:
         """Points in the frame of the ray caster."""
         return ((points - self.origin) / self.unit).astype(np.float32)
 
+    def first(self, starts: Array, rays: Array) -> np.ndarray:
+        """First triangles (N,) that rays hit, -1 for none; see `hits`."""
+        origins = np.ascontiguousarray(np.broadcast_to(self.scaled(starts), rays.shape))
+        return np.asarray(self.scene.run(origins, np.ascontiguousarray(rays, np.float32)))
+
     def hits(self, starts: Array, rays: Array) -> tuple[np.ndarray, Array]:
         """First triangles (N,) that rays hit, -1 for none, and distances, infinite for none.
 
@@ -34,8 +39,7 @@ class Caster:
             starts: (N, 3), or (3,) for all rays.
             rays: (N, 3); the unit of the distances is their length.
         """
-        origins = np.ascontiguousarray(np.broadcast_to(self.scaled(starts), rays.shape))
-        found = np.asarray(self.scene.run(origins, np.ascontiguousarray(rays, np.float32)))
+        found = self.first(starts, rays)
         hit = np.flatnonzero(found >= 0)
         corners, normals = self.corner[found[hit]], self.normals[found[hit]]
         ahead = corners - (starts if starts.ndim == 1 else starts[hit])
