@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -11,7 +12,7 @@ import pycolmap
 from mathutils import Matrix
 from PIL import Image
 
-from zoo.camera import View
+from zoo.camera import Rig
 from zoo.geometry import CREASE_DEG, Array, Body, Surface
 
 # Base colour, roughness, metallic, and contrast of the blotches (0: textureless).
@@ -34,24 +35,21 @@ MATERIALS = {
 
 
 def render_views(
-    folder: Path,
-    surface: Surface,
-    bodies: list[Body],
-    camera: pycolmap.Camera,
-    views: list[View],
-    seed: int = 0,
+    folder: Path, surface: Surface, bodies: list[Body], rig: Rig, seed: int = 0
 ) -> None:
     """Render every view into `folder` as a JPEG."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     add_surface(surface, bodies)
     add_lights()
-    configure(camera)
-    taker = add_camera(camera)
+    configure(rig.camera)
+    taker = add_camera(rig.camera)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         raw = Path(temporary) / "raw.png"
-        for number, view in enumerate(views, start=1000 * seed):
-            place(taker, view)
+        for number, view in enumerate(rig.views, start=1000 * seed):
+            # Blender's camera looks along -z with y up.
+            axes = view.cam_from_world[:, :3].T @ np.diag([1.0, -1.0, -1.0])
+            taker.matrix_world = pose_of(axes, view.centre())
             bpy.context.scene.cycles.seed = number
             bpy.context.scene.render.filepath = str(raw)
             bpy.ops.render.render(write_still=True)
@@ -74,70 +72,64 @@ def add_surface(surface: Surface, bodies: list[Body]) -> None:
 
 
 def make_material(name: str) -> bpy.types.Material:
-    """A plain material, or a blotchy one that gives blobs to match but few edges."""
+    """A plain material, or a blotchy one that gives blobs to match but few edges.
+
+    Blotches are smooth noise of several scales, from 0.5 m down to 5 cm.
+    """
     colour, roughness, metallic, contrast = MATERIALS[name]
     material = bpy.data.materials.new(name)
     material.use_nodes = True
-    shader = material.node_tree.nodes["Principled BSDF"]
-    shader.inputs["Base Color"].default_value = (*colour, 1.0)
-    shader.inputs["Roughness"].default_value = roughness
-    shader.inputs["Metallic"].default_value = metallic
+    tree = material.node_tree
+    looks = {"Base Color": (*colour, 1.0), "Roughness": roughness, "Metallic": metallic}
+    if contrast or roughness > 0.5:
+        looks["Specular IOR Level"] = 0.1
     if contrast:
-        add_blotches(material.node_tree, shader, colour, contrast)
-    elif roughness > 0.5:
-        shader.inputs["Specular IOR Level"].default_value = 0.1
+        at = tree.nodes.new("ShaderNodeTexCoord").outputs["Object"]
+        scales = {"Scale": 5.0, "Detail": 4.0, "Roughness": 0.9}
+        noise = add_node(tree, "ShaderNodeTexNoise", {"Vector": at, **scales})
+        span = {"From Min": 0.25, "From Max": 0.75, "To Min": 1 - contrast, "To Max": 1 + contrast}
+        spread = add_node(tree, "ShaderNodeMapRange", {"Value": noise.outputs["Fac"], **span})
+        factors = {0: colour, "Scale": spread.outputs["Result"]}
+        mix = add_node(tree, "ShaderNodeVectorMath", factors, "SCALE")
+        looks["Base Color"] = mix.outputs["Vector"]
+    feed(tree, tree.nodes["Principled BSDF"], looks)
     return material
 
 
-def add_blotches(
-    tree: bpy.types.NodeTree, shader: bpy.types.Node, colour: tuple[float, ...], contrast: float
-) -> None:
-    """Modulate the base colour by smooth noise of several scales, from 0.5 m down to 5 cm."""
-    shader.inputs["Specular IOR Level"].default_value = 0.1
-    position = tree.nodes.new("ShaderNodeTexCoord")
-    noise = tree.nodes.new("ShaderNodeTexNoise")
-    noise.inputs["Scale"].default_value = 5.0
-    noise.inputs["Detail"].default_value = 4.0
-    noise.inputs["Roughness"].default_value = 0.9
-    tree.links.new(position.outputs["Object"], noise.inputs["Vector"])
-    spread = tree.nodes.new("ShaderNodeMapRange")
-    spread.inputs["From Min"].default_value, spread.inputs["From Max"].default_value = 0.25, 0.75
-    spread.inputs["To Min"].default_value = 1.0 - contrast
-    spread.inputs["To Max"].default_value = 1.0 + contrast
-    tree.links.new(noise.outputs["Fac"], spread.inputs["Value"])
-    mix = tree.nodes.new("ShaderNodeVectorMath")
-    mix.operation = "SCALE"
-    mix.inputs[0].default_value = colour
-    tree.links.new(spread.outputs["Result"], mix.inputs["Scale"])
-    tree.links.new(mix.outputs["Vector"], shader.inputs["Base Color"])
+def add_node(
+    tree: bpy.types.NodeTree, kind: str, inputs: dict[str | int, Any], operation: str = ""
+) -> bpy.types.Node:
+    """A new node with its inputs."""
+    node = tree.nodes.new(kind)
+    if operation:
+        node.operation = operation
+    feed(tree, node, inputs)
+    return node
+
+
+def feed(tree: bpy.types.NodeTree, node: bpy.types.Node, inputs: dict[str | int, Any]) -> None:
+    """Set inputs of a node to values, or to outputs of other nodes."""
+    for name, value in inputs.items():
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, node.inputs[name])
+        else:
+            node.inputs[name].default_value = value
 
 
 def add_lights() -> None:
     """Add a wide sun, a lamp that the glossy bodies mirror, and a sky brighter on one side."""
     sun = bpy.data.lights.new("sun", "SUN")
     sun.energy, sun.angle = 2.4, np.radians(25)
-    add_object("sun", sun, (-0.8, -0.3, 1.0))
     lamp = bpy.data.lights.new("lamp", "AREA")
     lamp.energy, lamp.size = 400.0, 1.6
-    add_object("lamp", lamp, (5.0, -5.0, 7.5))
+    for data, position in ((sun, (-0.8, -0.3, 1.0)), (lamp, (5.0, -5.0, 7.5))):
+        light = bpy.data.objects.new(data.name, data)
+        z = np.array(position) / np.linalg.norm(position)  # they shine towards the origin
+        x = np.cross((0.0, 0.0, 1.0), z)
+        x /= np.linalg.norm(x)
+        light.matrix_world = pose_of(np.column_stack([x, np.cross(z, x), z]), position)
+        bpy.context.scene.collection.objects.link(light)
     add_sky()
-
-
-def add_object(name: str, data: bpy.types.Light, position: tuple[float, float, float]) -> None:
-    """Put a light at `position`, shining towards the origin."""
-    light = bpy.data.objects.new(name, data)
-    light.matrix_world = axes_matrix(np.asarray(position, float), np.asarray(position, float))
-    bpy.context.scene.collection.objects.link(light)
-
-
-def axes_matrix(position: Array, back: Array) -> Matrix:
-    """The pose at `position` whose local z axis is `back`."""
-    z = back / np.linalg.norm(back)
-    x = np.cross((0.0, 0.0, 1.0), z)
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3] = np.column_stack([x, np.cross(z, x), z, position])
-    return Matrix(pose.tolist())
 
 
 def add_sky() -> None:
@@ -145,19 +137,18 @@ def add_sky() -> None:
     world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
     world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
-    direction = nodes.new("ShaderNodeTexCoord")
-    dot = nodes.new("ShaderNodeVectorMath")
-    dot.operation = "DOT_PRODUCT"
-    dot.inputs[1].default_value = (-0.55, -0.25, 0.8)
-    links.new(direction.outputs["Generated"], dot.inputs[0])
-    ramp = nodes.new("ShaderNodeMapRange")
-    ramp.inputs["From Min"].default_value = -1.0
-    ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.08, 0.55
-    links.new(dot.outputs["Value"], ramp.inputs["Value"])
-    background = nodes["Background"]
-    background.inputs["Color"].default_value = (0.80, 0.90, 1.0, 1.0)
-    links.new(ramp.outputs["Result"], background.inputs["Strength"])
+    tree = world.node_tree
+    ways = {0: tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], 1: (-0.55, -0.25, 0.8)}
+    dot = add_node(tree, "ShaderNodeVectorMath", ways, "DOT_PRODUCT")
+    span = {"From Min": -1.0, "To Min": 0.08, "To Max": 0.55}
+    ramp = add_node(tree, "ShaderNodeMapRange", {"Value": dot.outputs["Value"], **span})
+    light = {"Color": (0.80, 0.90, 1.0, 1.0), "Strength": ramp.outputs["Result"]}
+    feed(tree, tree.nodes["Background"], light)
+
+
+def pose_of(rotation: Array, position: Any) -> Matrix:
+    """The pose with axes (3, 3), as columns, and position (3,)."""
+    return Matrix([*np.column_stack([rotation, position]).tolist(), [0, 0, 0, 1]])
 
 
 def configure(camera: pycolmap.Camera) -> None:
@@ -188,14 +179,6 @@ def add_camera(true: pycolmap.Camera) -> bpy.types.Object:
     bpy.context.scene.collection.objects.link(camera)
     bpy.context.scene.camera = camera
     return camera
-
-
-def place(camera: bpy.types.Object, view: View) -> None:
-    """Move Blender's camera, which looks along -z with y up, to a true view."""
-    pose = np.eye(4)
-    pose[:3, :3] = view.cam_from_world[:, :3].T @ np.diag([1.0, -1.0, -1.0])
-    pose[:3, 3] = view.centre()
-    camera.matrix_world = Matrix(pose.tolist())
 
 
 def save_jpeg(raw: Path, path: Path, seed: int) -> None:

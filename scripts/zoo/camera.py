@@ -44,38 +44,25 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where cameras may stand: around `middle`, or at `spots` that each look at a target.
+    """Where cameras may stand: around `middle`, or at `spots` that each look at a target."""
 
-    Attributes:
-        middle: (3,) point that views look at.
-        extent: Radius around it that they show.
-        azimuth_deg: Span of directions that they look from; 0 is the front, towards -y.
-        elevation_deg: Span of elevations.
-        spots: Positions and targets where there is no free circle around the scene.
-    """
-
-    middle: Array
-    extent: float
+    middle: Array  # (3,) point that views look at
+    extent: float  # radius around it that they show
+    # Span of directions that they look from; 0 is the front, towards -y.
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
-    elevation_deg: tuple[float, float] = (10.0, 50.0)
+    elevation_deg: tuple[float, float] = (10.0, 50.0)  # span of elevations
+    # Positions and targets where there is no free circle around the scene.
     spots: list[tuple[Array, Array]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Undistorted image coordinates (H * W, 2) of pixel centres, and their steps to the next ones.
+    """Undistorted image coordinates of pixel centres, and their steps to the next ones."""
 
-    Attributes:
-        centers: (H * W, 2).
-        across: (H * W, 2) change over a pixel to the right.
-        down: (H * W, 2) change over a pixel down.
-        shape: H, W.
-    """
-
-    centers: Array
-    across: Array
-    down: Array
-    shape: tuple[int, int]
+    centers: Array  # (H * W, 2)
+    across: Array  # (H * W, 2) change over a pixel to the right
+    down: Array  # (H * W, 2) change over a pixel down
+    shape: tuple[int, int]  # H, W
 
     @classmethod
     def of(cls, camera: pycolmap.Camera) -> Grid:
@@ -92,6 +79,14 @@ class Grid:
         """(N * K, 2) coordinates of (K, 2) offsets from the centres of (N,) pixels."""
         steps = np.stack([self.across[chosen], self.down[chosen]], axis=1)
         return (self.centers[chosen][:, None] + offsets @ steps).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A camera and the views that it takes."""
+
+    camera: pycolmap.Camera
+    views: list[View]
 
 
 def pinhole(size: tuple[int, int], focal: float) -> pycolmap.Camera:
@@ -192,14 +187,11 @@ def on_path(
     return list(zip(target + away[:, None] * back, target, strict=True))
 
 
-def write_cameras(path: Path, camera: pycolmap.Camera, views: list[View]) -> dict[str, Any]:
+def write_cameras(path: Path, rig: Rig) -> dict[str, Any]:
     """Write intrinsics and poses as JSON; returns the intrinsics."""
-    intrinsics = {
-        "model": camera.model_name,
-        "width": camera.width,
-        "height": camera.height,
-        "params": camera.params.tolist(),
-    }
-    poses = {view.name: view.cam_from_world.tolist() for view in views}
+    camera = rig.camera
+    size = {"width": camera.width, "height": camera.height}
+    intrinsics = {"model": camera.model_name, **size, "params": camera.params.tolist()}
+    poses = {view.name: view.cam_from_world.tolist() for view in rig.views}
     path.write_text(json.dumps({**intrinsics, "cam_from_world": poses}, indent=1) + "\n")
     return intrinsics

@@ -9,7 +9,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from zoo import mapping
-from zoo.camera import View, look_at, pinhole, write_cameras
+from zoo.camera import Rig, View, look_at, pinhole, write_cameras
 from zoo.geometry import Body, unite
 from zoo.solids import arc, ball, body, box, cylinder, lathe, prism, unite_all
 from zoo.truth import all_curves, write_truth
@@ -183,9 +183,8 @@ def make_demo(
         num_views: The first views; default: all.
         seed: Of the images' noise.
     """
-    views = make_views()[:num_views]
-    width, height = size or (1024, 768)
-    camera = pinhole((width, height), 1100 * width / 1024)
+    size = size or (1024, 768)
+    rig = Rig(pinhole(size, 1100 * size[0] / 1024), make_views()[:num_views])
     bodies = list(make_bodies())
     surface = unite(bodies)
     folder.mkdir(parents=True, exist_ok=True)
@@ -193,13 +192,13 @@ def make_demo(
     if stage in ("geometry", "all"):
         curves = all_curves(surface, bodies, spacing=0.01)  # about one pixel
         write_truth(folder, surface, bodies, curves, face_body=surface.face_body.astype(np.uint8))
-        write_cameras(folder / "true_cameras.json", camera, views)
+        write_cameras(folder / "true_cameras.json", rig)
         made.append(f"{len(surface.faces)} triangles, {len(curves.edges)} segments of curves")
     if stage in ("images", "all"):
         from zoo.blender import render_views
 
-        render_views(folder / "images", surface, bodies, camera, views, seed)
-        made.append(f"{len(views)} images")
+        render_views(folder / "images", surface, bodies, rig, seed)
+        made.append(f"{len(rig.views)} images")
     if stage in ("sparse", "all"):
-        made.append(mapping.reconstruct(folder / "images", folder / "sparse", camera, views))
+        made.append(mapping.reconstruct(folder / "images", folder / "sparse", rig))
     return "\n".join(made)

@@ -11,7 +11,7 @@ import trimesh
 from manifold3d import Manifold
 from trimesh.graph import smooth_shade
 
-from zoo.camera import Grid, View, look_at, pinhole
+from zoo.camera import Grid, Rig, View, look_at, pinhole
 from zoo.casting import Caster
 from zoo.curves import curves_by_kind
 from zoo.geometry import Array, Surface, unit, unite
@@ -50,7 +50,7 @@ def make_room(
 
     room, (width, height) = ROOMS[name](), size or (640, 480)
     camera = pinhole((width, height), 430 / 640 * width)  # 73 degrees across
-    views, surface = room.views[:num_views], unite(room.bodies)
+    rig, surface = Rig(camera, room.views[:num_views]), unite(room.bodies)
     curves = all_curves(surface, room.bodies, spacing=0.01)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_truth(folder, surface, room.bodies, curves, face_body=surface.face_body.astype(np.uint8))
@@ -58,10 +58,10 @@ def make_room(
     lit = illuminate(unite(room.bodies, longest=0.1 * max(1, 640 / width)), room, seed)
     grid, step = Grid.of(camera), max(1, width // 32)
     some = grid.centers.reshape(height, width, 2)[::step, ::step].reshape(-1, 2)
-    lit = replace(lit, white=typical_light(lit, views, some, 60) / 0.45)
+    lit = replace(lit, white=typical_light(lit, rig, some, 60) / 0.45)
     sensor = Sensor(blur_px=0.45, noise=0.5, shot_noise=0.9, soft=True)
     posed = []
-    for number, view in enumerate(views):
+    for number, view in enumerate(rig.views):
         random = np.random.default_rng([seed, number])
         write_image(folder / "images" / view.name, see(lit, view, grid), sensor, random)
         rotation, translation = view.cam_from_world[:, :3], view.cam_from_world[:, 3]
@@ -74,7 +74,7 @@ def make_room(
     model = triangulate(posed, folder / "images", folder / "sparse", num_threads=1)
     return (
         f"{name}: {len(surface.faces)} triangles, {len(curves.edges)} segments of curves, "
-        f"{len(views)} views, {model.num_points3D()} points"
+        f"{len(rig.views)} views, {model.num_points3D()} points"
     )
 
 
@@ -88,17 +88,8 @@ def make_object(
 ) -> str:
     """Write a textureless object: images/, sparse/ (poses only), surface.ply and curves.npz.
 
-    curves.npz holds the curve of each edge of the mesh, and kind and radii of each curve.
-
-    Args:
-        name: One of `OBJECTS`.
-        folder: Where to write; created.
-        size: Of the images, pixels; default: 800x800.
-        num_views: Number of views; default: 50.
-        seed: Of the noise.
-
-    Returns:
-        What was made, in a few words.
+    curves.npz holds the curve of each edge of the mesh, and kind and radii of each curve. Arguments
+    are those of `make_room`; there are 50 views of 800x800 pixels unless asked for others.
     """
     mesh = mesh_of(OBJECTS[name]())
     for part in ("sparse", "images"):
@@ -111,7 +102,7 @@ def make_object(
     width, height = size or (800, 800)
     camera = pinhole((width, height), 1111 * width / 800)
     views = all_around(num_views or 50)
-    model = posed_model(views, camera)
+    model = posed_model(Rig(camera, views))
     model.write(folder / "sparse")
     lit, grid, random = ObjectLit.of(mesh), Grid.of(camera), np.random.default_rng(seed)
     for view in (views[i - 1] for i in model.images):  # in the model's order, as the noise follows

@@ -25,47 +25,28 @@ INWARDS = 0.3  # of the way from a vertex to the middle of its triangles
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """A round lamp, and light from all around.
+    """A round lamp, and light from all around."""
 
-    Attributes:
-        position: (3,) of the lamp; the sun is a lamp far away.
-        radius: Of the lamp, for soft shadows.
-        strength: Light of the lamp on a face at the scene's middle that it shines on squarely.
-        ambient: Light from straight above where nothing hides the sky.
-        below: The same from below, as a share of `ambient`.
-        reach: Bodies farther away than this do not hide ambient light.
-    """
-
-    position: Array
-    radius: float
-    strength: float
-    ambient: float
-    below: float = 0.4
-    reach: float = np.inf
+    position: Array  # (3,) of the lamp; the sun is a lamp far away
+    radius: float  # of the lamp, for soft shadows
+    strength: float  # light of the lamp on a face at the scene's middle that it shines on squarely
+    ambient: float  # light from straight above where nothing hides the sky
+    below: float = 0.4  # the same from below, as a share of `ambient`
+    reach: float = np.inf  # bodies farther away than this do not hide ambient light
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A scene before it is seen.
+    """A scene before it is seen."""
 
-    Attributes:
-        bodies: What is there; they may overlap.
-        materials: Of the bodies, by name.
-        light: The lamp and the sky.
-        place: Where cameras may be.
-        background: Gives the light (N, 3) of unit directions (N, 3) without a surface, of 1 at
-            white.
-        facts: What was drawn, for scene.json.
-        exposure: 1: right; more: bodies are saturated.
-    """
-
-    bodies: list[Body]
-    materials: dict[str, Material]
-    light: Light
-    place: Place
+    bodies: list[Body]  # what is there; they may overlap
+    materials: dict[str, Material]  # of the bodies, by name
+    light: Light  # the lamp and the sky
+    place: Place  # where cameras may be
+    # Gives the light (N, 3) of unit directions (N, 3) without a surface, of 1 at white.
     background: Callable[[Array], Array]
-    facts: dict[str, Any] = field(default_factory=dict)
-    exposure: float = 1.0
+    facts: dict[str, Any] = field(default_factory=dict)  # what was drawn, for scene.json
+    exposure: float = 1.0  # 1: right; more: bodies are saturated
 
 
 def sun(random: Random, extent: float, towards_deg: tuple[float, float] = (0, 360)) -> Light:
@@ -89,16 +70,11 @@ class LampLit(Lit):
 
     `vectors` (V, 5) hold of each vertex: normal, share of the lamp that it sees, and light from all
     around.
-
-    Attributes:
-        stage: The scene.
-        light: The lamp.
-        pixel: Size of a pixel at distance 1.
     """
 
-    stage: Stage
-    light: Light
-    pixel: float
+    stage: Stage  # the scene
+    light: Light  # the lamp
+    pixel: float  # size of a pixel at distance 1
 
     precision = np.float32
     offsets = np.column_stack(

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
 from zoo import FAMILIES, cad, facades, rooms, tabletop
-from zoo.camera import PATHS, Grid, View, draw_camera, draw_views, write_cameras
+from zoo.camera import PATHS, Grid, Rig, View, draw_camera, draw_views, write_cameras
 from zoo.casting import Caster
 from zoo.geometry import Array, Random, unite
 from zoo.light import LampLit, Stage, illuminate
@@ -30,65 +30,28 @@ MAKERS = dict(
 BRIGHT = 0.75  # light, of 1 at white, that typical bright pixels are exposed to
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What is drawn for a scene apart from its bodies.
-
-    Attributes:
-        num_views: Number of views.
-        path: How the camera moves; one of `PATHS`.
-        noise: Of the sensor, gray levels.
-        shot_noise: Of the light at white, gray levels.
-        blur_px: Of the lens, standard deviation.
-        jpeg_quality: 0: PNG.
-        exposure_percentile: Percentile of the light that is shown as 0.75 of white.
-        exposure_spread: Standard deviation of the exposure's logarithm over the views.
-        moving_light: Whether the lamp moves from view to view.
-        unit: World units per metre.
-        turned: Whether the world's axes are turned.
-        num_points: Maximum number of SfM points.
-        point_noise_px: Of the observations of SfM points.
-        pose_error_px: Of the poses in sparse/.
-    """
-
-    num_views: int
-    path: str
-    noise: float
-    shot_noise: float
-    blur_px: float
-    jpeg_quality: int
-    exposure_percentile: float
-    exposure_spread: float
-    moving_light: bool
-    unit: float
-    turned: bool
-    num_points: int
-    point_noise_px: float
-    pose_error_px: float
-
-
-def draw_settings(random: Random, num_views: int | None) -> Settings:
+def draw_settings(random: Random, num_views: int | None) -> SimpleNamespace:
     """Draw everything but the bodies and the camera."""
 
     def often(share: float, value: float) -> float:
         return value if random.random() < share else 0.0
 
     drawn = int(random.integers(12, 31))
-    return Settings(
+    return SimpleNamespace(
         num_views=num_views or drawn,
         path=PATHS[random.integers(len(PATHS))],
-        noise=random.uniform(0.2, 2.0),
-        shot_noise=random.uniform(0.2, 2.0),
-        blur_px=random.uniform(0.35, 0.9),
-        jpeg_quality=int(often(0.8, random.integers(50, 99))),
-        exposure_percentile=random.uniform(85, 98),
-        exposure_spread=often(0.4, random.uniform(0.03, 0.2)),
-        moving_light=bool(often(0.15, 1)),
-        unit=10 ** often(0.5, random.uniform(-3, 4)),
-        turned=bool(often(0.3, 1)),
-        num_points=int(often(0.9, 10 ** random.uniform(1.3, 3.5))),
-        point_noise_px=random.uniform(0.3, 0.5),
-        pose_error_px=often(0.5, random.uniform(0.1, 0.5)),
+        noise=random.uniform(0.2, 2.0),  # of the sensor, gray levels
+        shot_noise=random.uniform(0.2, 2.0),  # of the light at white, gray levels
+        blur_px=random.uniform(0.35, 0.9),  # of the lens, standard deviation
+        jpeg_quality=int(often(0.8, random.integers(50, 99))),  # 0: PNG
+        exposure_percentile=random.uniform(85, 98),  # of the light that is shown as `BRIGHT`
+        exposure_spread=often(0.4, random.uniform(0.03, 0.2)),  # of its logarithm over the views
+        moving_light=bool(often(0.15, 1)),  # the lamp moves from view to view
+        unit=10 ** often(0.5, random.uniform(-3, 4)),  # world units per metre
+        turned=bool(often(0.3, 1)),  # the world's axes
+        num_points=int(often(0.9, 10 ** random.uniform(1.3, 3.5))),  # maximum of SfM points
+        point_noise_px=random.uniform(0.3, 0.5),  # of their observations
+        pose_error_px=often(0.5, random.uniform(0.1, 0.5)),  # in sparse/
     )
 
 
@@ -116,36 +79,40 @@ def make_scene(
     stage = MAKERS[family](random)
     camera = draw_camera(random, size or (640, 480), wide=bool(stage.place.spots))
     surface = unite(stage.bodies)
-    views = free_views(random, stage, settings, camera, Caster(surface))
-    centers = np.array([view.centre() for view in views])
+    rig = Rig(camera, free_views(random, stage, settings, camera, Caster(surface)))
+    centers = np.array([view.centre() for view in rig.views])
     distance = float(np.median(np.linalg.norm(centers - stage.place.middle, axis=1)))
     spacing = 1.5 * distance / camera.focal_length_x  # 1.5 pixels in the typical view
-    curves = find_curves(surface, stage.bodies, views, camera, spacing)
+    curves = find_curves(surface, stage.bodies, rig, spacing)
     lit = illuminate(stage, surface, camera)
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    contrasts = write_images(random, lit, settings, views, camera, folder / "images", curves)
+    contrasts = write_images(random, lit, settings, rig, folder / "images", curves)
     curves = shown(curves, contrasts, float(np.hypot(settings.noise, settings.shot_noise)))
     count, noise_px = settings.num_points, settings.point_noise_px
-    tracks = find_tracks(random, lit, curves, views, camera, count, noise_px)
+    tracks = find_tracks(random, lit, curves, rig, count, noise_px)
     world = draw_world(random, settings)
     error = settings.pose_error_px / camera.focal_length_x
-    found = [disturb(random, view, error, distance) for view in views]
-    points = place(world, triangulated(tracks, found, camera))
-    model = model_of(tracks, points, [view.moved(*world) for view in found], camera)
+    found = Rig(camera, [disturb(random, view, error, distance) for view in rig.views])
+    points = place(world, triangulated(tracks, found))
+    model = model_of(tracks, points, Rig(camera, [view.moved(*world) for view in found.views]))
     (folder / "sparse").mkdir(exist_ok=True)
     model.write_binary(folder / "sparse")
-    views = [view.moved(*world) for view in views]
     placed = replace(surface, vertices=place(world, surface.vertices))
     curves = replace(curves, points=place(world, curves.points), radii=world[0] * curves.radii)
-    names = np.array([view.name for view in views])
+    names = np.array([view.name for view in rig.views])
     write_truth(folder, placed, stage.bodies, curves, view_names=names)
-    intrinsics = write_cameras(folder / "true_cameras.json", camera, views)
-    record = {"family": family, "seed": seed, **asdict(settings), "camera": intrinsics}
-    (folder / "scene.json").write_text(json.dumps(record | drawn(stage, settings), indent=1) + "\n")
+    write_records(
+        folder,
+        settings,
+        stage,
+        Rig(camera, [view.moved(*world) for view in rig.views]),
+        family,
+        seed,
+    )
 
 
 def free_views(
-    random: Random, stage: Stage, settings: Settings, camera: pycolmap.Camera, caster: Caster
+    random: Random, stage: Stage, settings: SimpleNamespace, camera: pycolmap.Camera, caster: Caster
 ) -> list[View]:
     """Views that nothing stands directly before."""
     suffix = "jpg" if settings.jpeg_quality else "png"
@@ -158,30 +125,31 @@ def free_views(
     return [replace(view, name=f"{Path(view.name).stem}.{suffix}") for view in views]
 
 
-def exposed(lit: LampLit, views: list[View], grid: Grid, percentile: float) -> LampLit:
+def exposed(lit: LampLit, rig: Rig, percentile: float) -> LampLit:
     """The same with the light of that percentile of the pixels with a body as `BRIGHT`."""
-    some = grid.centers[:: max(1, len(grid.centers) // 2000)]
-    level = typical_light(lit, views, some, percentile)
+    centers = Grid.of(rig.camera).centers
+    level = typical_light(lit, rig, centers[:: max(1, len(centers) // 2000)], percentile)
     return replace(lit, white=level / BRIGHT / lit.stage.exposure)
 
 
 def write_images(
     random: Random,
     lit: LampLit,
-    settings: Settings,
-    views: list[View],
-    camera: pycolmap.Camera,
+    settings: SimpleNamespace,
+    rig: Rig,
     folder: Path,
     curves: TrueCurves,
 ) -> Array:
     """Render the views; returns the (E, V) contrasts of the curves' segments in them."""
     contrasts = np.zeros(curves.visible.shape)
-    grid = Grid.of(camera)
+    grid = Grid.of(rig.camera)
     light, middle = lit.light, lit.stage.place.middle
-    lit = exposed(lit, views, grid, settings.exposure_percentile)
-    for i, view in enumerate(views):
+    lit = exposed(lit, rig, settings.exposure_percentile)
+    for i, view in enumerate(rig.views):
         if settings.moving_light:
-            turn = Rotation.from_rotvec((0, 0, np.radians(6 * (i - len(views) / 2)))).as_matrix()
+            turn = Rotation.from_rotvec(
+                (0, 0, np.radians(6 * (i - len(rig.views) / 2)))
+            ).as_matrix()
             moved = middle + turn @ (light.position - middle)
             lit = lit.relit(replace(light, position=moved))
         sensor = Sensor(
@@ -192,11 +160,11 @@ def write_images(
             quality=settings.jpeg_quality,
         )
         gray = write_image(folder / view.name, see(lit, view, grid), sensor, random)
-        contrasts[:, i] = contrasts_in(gray, curves, view, camera)
+        contrasts[:, i] = contrasts_in(gray, curves, view, rig.camera)
     return contrasts
 
 
-def draw_world(random: Random, settings: Settings) -> tuple[float, Array, Array]:
+def draw_world(random: Random, settings: SimpleNamespace) -> tuple[float, Array, Array]:
     """Scale, rotation and translation from the stage, in metres, to the world."""
     rotation = Rotation.random(random_state=random).as_matrix() if settings.turned else np.eye(3)
     return settings.unit, rotation, settings.unit * random.normal(0, 2, 3)
@@ -208,12 +176,20 @@ def place(world: tuple[float, Array, Array], points: Array) -> Array:
     return scale * points @ rotation.T + translation
 
 
-def drawn(stage: Stage, settings: Settings) -> dict[str, Any]:
-    """What was drawn of the stage, for scene.json."""
+def write_records(
+    folder: Path, settings: SimpleNamespace, stage: Stage, rig: Rig, family: str, seed: int
+) -> None:
+    """Write the true cameras, and everything that was drawn."""
+    intrinsics = write_cameras(folder / "true_cameras.json", rig)
     light = {key: np.asarray(value).tolist() for key, value in asdict(stage.light).items()}
-    return {
+    record = {
+        "family": family,
+        "seed": seed,
+        **settings.__dict__,
+        "camera": intrinsics,
         "extent": stage.place.extent * settings.unit,
         "light": light | {"reach": None if np.isinf(stage.light.reach) else stage.light.reach},
         "materials": {name: asdict(material) for name, material in stage.materials.items()},
         **stage.facts,
     }
+    (folder / "scene.json").write_text(json.dumps(record, indent=1) + "\n")

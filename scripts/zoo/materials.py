@@ -12,23 +12,16 @@ from zoo.geometry import Array, Random
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """How a surface looks.
+    """How a surface looks."""
 
-    Attributes:
-        albedo: Share of red, green and blue light that it reflects to all sides.
-        contrast: Standard deviation of its blotches over their mean; 0: plain.
-        size: Length of the longest blotches, in units of the scene; the shortest are 1/8 of it.
-        gloss: Share of light in highlights and mirror images; 0: matte.
-        shininess: Exponent of the highlights (Blinn and Phong).
-        emission: Emitted light, in units of the light reflected by a white face.
-    """
-
+    # Share of red, green and blue light that it reflects to all sides.
     albedo: tuple[float, float, float]
-    contrast: float = 0.0
+    contrast: float = 0.0  # standard deviation of its blotches over their mean; 0: plain
+    # Length of the longest blotches, in units of the scene; the shortest are 1/8 of it.
     size: float = 0.3
-    gloss: float = 0.0
-    shininess: float = 60.0
-    emission: float = 0.0
+    gloss: float = 0.0  # share of light in highlights and mirror images; 0: matte
+    shininess: float = 60.0  # exponent of the highlights (Blinn and Phong)
+    emission: float = 0.0  # emitted light, in units of the light reflected by a white face
 
 
 def colour(random: Random, value: tuple[float, float] = (0.25, 0.7)) -> tuple[float, float, float]:

@@ -44,12 +44,9 @@ class RoomLit(Lit):
     """A finely cut surface with its light; all labels of a body are alike modulo their number.
 
     `vectors` (K, 3) are the light that falls on the corners of each smooth face, over pi.
-
-    Attributes:
-        materials: Of each body.
     """
 
-    materials: list[str]
+    materials: list[str]  # of each body
 
     max_light = 3.0
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from zoo.camera import Grid, View
+from zoo.camera import Grid, Rig, View
 from zoo.casting import Caster
 from zoo.geometry import Array, Random, unit
 
@@ -20,21 +20,14 @@ GAMMA = 2.2
 
 @dataclass(frozen=True, kw_only=True)
 class Lit:
-    """A surface with what decides its light; its kinds say how it looks.
+    """A surface with what decides its light; its kinds say how it looks."""
 
-    Attributes:
-        caster: Its triangles.
-        corners: (F, 3) row of `vectors` of each corner of a triangle.
-        vectors: (K, D) what is interpolated over triangles.
-        labels: (F,) of each triangle; at borders between labels a pixel is the mean of many rays.
-        white: Light that is shown as 255.
-    """
-
-    caster: Caster
-    corners: np.ndarray
-    vectors: np.ndarray
+    caster: Caster  # its triangles
+    corners: np.ndarray  # (F, 3) row of `vectors` of each corner of a triangle
+    vectors: np.ndarray  # (K, D) what is interpolated over triangles
+    # (F,) of each triangle; at borders between labels a pixel is the mean of many rays.
     labels: np.ndarray
-    white: float = 1.0
+    white: float = 1.0  # light that is shown as 255
 
     precision: ClassVar[type] = np.float64
     offsets: ClassVar[Array] = (np.indices((3, 3)).reshape(2, -1).T + 0.5) / 3 - 0.5  # in a pixel
@@ -121,10 +114,10 @@ def borders(label: np.ndarray, geometry: Array) -> np.ndarray:
     return found
 
 
-def typical_light(lit: Lit, views: list[View], at: Array, percentile: float) -> float:
+def typical_light(lit: Lit, rig: Rig, at: Array, percentile: float) -> float:
     """That percentile of the light of the bodies that are seen through (N, 2) of all views."""
     seen = []
-    for view in views:
+    for view in rig.views:
         light, label, _ = trace(lit, view, at)
         seen.append(light[label >= 0].mean(axis=1))
     return float(np.percentile(np.concatenate(seen), percentile))
@@ -132,23 +125,14 @@ def typical_light(lit: Lit, views: list[View], at: Array, percentile: float) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """How light becomes a file.
+    """How light becomes a file."""
 
-    Attributes:
-        gain: Of this view, relative to the others.
-        blur_px: Standard deviation of the lens's blur; 0: none.
-        noise: Standard deviation of the noise in dark places, gray levels.
-        shot_noise: The same of the part that grows with light, at white.
-        quality: Of the JPEG; 0: PNG.
-        soft: Bright light saturates slowly, as on film.
-    """
-
-    gain: float = 1.0
-    blur_px: float = 0.0
-    noise: float
-    shot_noise: float = 0.0
-    quality: int = 95
-    soft: bool = False
+    gain: float = 1.0  # of this view, relative to the others
+    blur_px: float = 0.0  # standard deviation of the lens's blur; 0: none
+    noise: float  # standard deviation of the noise in dark places, gray levels
+    shot_noise: float = 0.0  # the same of the part that grows with light, at white
+    quality: int = 95  # of the JPEG; 0: PNG
+    soft: bool = False  # bright light saturates slowly, as on film
 
 
 def write_image(path: Path, light: np.ndarray, sensor: Sensor, random: Random) -> np.ndarray:

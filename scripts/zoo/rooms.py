@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -18,23 +18,9 @@ from zoo.solids import body, box, cylinder, prism
 THICK = 0.3  # of walls, metres
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """The measures of a room from (0, 0, 0) to (width, depth, height), metres."""
-
-    width: float
-    depth: float
-    height: float
-    slope: bool
-    window: bool
-    door: bool
-    pictures: int
-    rug: bool
-
-
 def make(random: Random) -> Stage:
     """A room with furniture along its walls and in its middle."""
-    plan = Plan(
+    plan = SimpleNamespace(  # measures in metres, from (0, 0, 0)
         width=random.uniform(4, 6),
         depth=random.uniform(3.6, 5),
         height=random.uniform(2.4, 2.9),
@@ -90,7 +76,7 @@ def materials(random: Random) -> dict[str, Material]:
     }
 
 
-def shell(plan: Plan) -> Iterator[Body]:
+def shell(plan: SimpleNamespace) -> Iterator[Body]:
     """Walls, floor, ceiling, window and door."""
     w, d, h, t = plan.width, plan.depth, plan.height, THICK
     outside = ((-t, w + t), (-t, d + t))
@@ -119,7 +105,7 @@ def shell(plan: Plan) -> Iterator[Body]:
         yield body("slope", "ceiling", wedge.mirror((1, 0, 0)).translate((w, 0, 0)))
 
 
-def along_walls(random: Random, plan: Plan) -> Iterator[Body]:
+def along_walls(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
     """Shelves, a sofa, a cupboard, a radiator and pictures on the walls."""
     w, d = plan.width, plan.depth
     height = random.uniform(0.8, 1.9)
@@ -146,7 +132,7 @@ def along_walls(random: Random, plan: Plan) -> Iterator[Body]:
         yield body("picture", "picture", solids.canvas(*size), place, turn)
 
 
-def in_the_middle(random: Random, plan: Plan) -> Iterator[Body]:
+def in_the_middle(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
     """A table with chairs, a rug, a crate, and a lamp above."""
     x, y = plan.width * random.uniform(0.45, 0.6), plan.depth * random.uniform(0.5, 0.6)
     turn = random.uniform(0, 360)

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 from scipy.ndimage import map_coordinates
 
-from zoo.camera import View
+from zoo.camera import Rig, View
 from zoo.casting import Caster
 from zoo.curves import chain_edges, curves_by_kind, subdivide
 from zoo.geometry import KINDS, Array, Body, Surface, sharp_edges, write_surface
@@ -24,36 +24,23 @@ ASIDE_PX = 2.5  # from a segment to its sides, in the image
 
 @dataclass(frozen=True, kw_only=True)
 class Curves:
-    """Segments of the curves of a surface.
+    """Segments of the curves of a surface."""
 
-    Attributes:
-        points: (P, 3).
-        edges: (E, 2) int32 segments between points.
-        curve_id: (E,) curve of each segment: smooth, between corners.
-        kind: (E,) uint8 index into `KINDS`: crease, contact of bodies, border of paint.
-    """
-
-    points: Array
-    edges: np.ndarray
-    curve_id: np.ndarray
-    kind: np.ndarray
+    points: Array  # (P, 3)
+    edges: np.ndarray  # (E, 2) int32 segments between points
+    curve_id: np.ndarray  # (E,) curve of each segment: smooth, between corners
+    kind: np.ndarray  # (E,) uint8 index into `KINDS`: crease, contact of bodies, border of paint
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrueCurves(Curves):
-    """Segments of curves that some views see.
+    """Segments of curves that some views see."""
 
-    Attributes:
-        curves: (E,) curve of each, cut where lines and bent curves meet.
-        kinds: (C,) kind of each of these: line, arc, circle, elliptic arc, ellipse, other.
-        radii: (C, 2); NaN where none.
-        visible: (E, V) whether each view sees the middle of the segment: nothing hides it, and
-            its sides differ in the image.
-    """
-
-    curves: np.ndarray
-    kinds: np.ndarray
-    radii: Array
+    curves: np.ndarray  # (E,) curve of each, cut where lines and bent curves meet
+    kinds: np.ndarray  # (C,) kind of each of these: line, arc, circle, elliptic arc, ellipse, other
+    radii: Array  # (C, 2); NaN where none
+    # (E, V) whether each view sees the middle of the segment: nothing hides it, and its sides
+    # differ in the image.
     visible: np.ndarray
 
     def seen(self, visible: np.ndarray) -> TrueCurves:
@@ -79,18 +66,12 @@ def all_curves(surface: Surface, bodies: list[Body], spacing: float) -> Curves:
     return Curves(points=points, edges=segments, curve_id=curve_id, kind=kind[own])
 
 
-def find_curves(
-    surface: Surface,
-    bodies: list[Body],
-    views: list[View],
-    camera: pycolmap.Camera,
-    spacing: float,
-) -> TrueCurves:
+def find_curves(surface: Surface, bodies: list[Body], rig: Rig, spacing: float) -> TrueCurves:
     """The curves that at least two views see, in segments of at most `spacing`."""
     edges, kind = sharp_edges(surface, bodies)
     curves, kinds, radii = curves_by_kind(surface.vertices, edges)
     points, segments, own = subdivide(surface.vertices, edges, spacing)
-    visible = seen_by(Caster(surface), points[segments].mean(axis=1), views, camera)
+    visible = seen_by(Caster(surface), points[segments].mean(axis=1), rig)
     return TrueCurves(
         points=points,
         edges=segments,
@@ -129,13 +110,11 @@ def contrasts_in(
     return np.abs(np.array(one) - other).max(axis=0).astype(np.float64)
 
 
-def seen_by(
-    caster: Caster, points: Array, views: list[View], camera: pycolmap.Camera
-) -> np.ndarray:
+def seen_by(caster: Caster, points: Array, rig: Rig) -> np.ndarray:
     """(N, V) whether each view shows points (N, 3) of a surface."""
-    seen = np.zeros((len(points), len(views)), bool)
-    for v, view in enumerate(views):
-        inside = np.flatnonzero(in_image(camera, view.local(points)))
+    seen = np.zeros((len(points), len(rig.views)), bool)
+    for v, view in enumerate(rig.views):
+        inside = np.flatnonzero(in_image(rig.camera, view.local(points)))
         _, distance = caster.hits(view.centre(), points[inside] - view.centre())
         seen[inside, v] = distance > 1 - HIDDEN
     return seen

@@ -15,7 +15,7 @@ pytest.importorskip("manifold3d", reason="the scenes are made with manifold3d")
 from project import run_script
 from scipy import ndimage
 from zoo import FAMILIES, cad
-from zoo.camera import Grid, Place, View, draw_camera
+from zoo.camera import Grid, Place, Rig, View, draw_camera
 from zoo.casting import Caster
 from zoo.geometry import Body, Surface, unite
 from zoo.light import Light, Stage, illuminate, plain
@@ -69,7 +69,7 @@ def test_true_curves_lie_on_the_surface_and_are_seen(made):
     assert len(curves["kind"]) == len(curves["curve_id"]) == len(curves["curves"]) == len(edges)
     assert curves["curves"].max() < len(curves["kinds"]) == len(curves["radii"])
     assert visible.sum(axis=1).min() >= 2
-    again = seen_by(Caster(surface), points[edges].mean(axis=1), views, camera)
+    again = seen_by(Caster(surface), points[edges].mean(axis=1), Rig(camera, views))
     assert (again == visible).mean() > 0.98
     triangles, size = surface.vertices[surface.faces], np.ptp(surface.vertices, axis=0).max()
     for point in points[:: len(points) // 10]:
@@ -148,12 +148,12 @@ def test_images_change_most_at_the_true_curves(tmp_path):
     settings, stage = draw_settings(random, 3), cad.make(random)
     camera = draw_camera(random, (480, 360), wide=False)
     surface = unite(stage.bodies)
-    cameras = free_views(random, stage, settings, camera, Caster(surface))
-    curves = find_curves(surface, stage.bodies, cameras, camera, 0.01)
-    lit = exposed(illuminate(stage, surface, camera), cameras, Grid.of(camera), 95)
+    rig = Rig(camera, free_views(random, stage, settings, camera, Caster(surface)))
+    curves = find_curves(surface, stage.bodies, rig, 0.01)
+    lit = exposed(illuminate(stage, surface, camera), rig, 95)
     sensor = Sensor(gain=0.4, blur_px=0.5, noise=0, shot_noise=0, quality=0)
     found = []
-    for v, view in enumerate(cameras):
+    for v, view in enumerate(rig.views):
         light = see(lit, view, Grid.of(camera))
         write_image(tmp_path / "image.png", light, sensor, random)
         picture = (cv2.imread(str(tmp_path / "image.png")) / 255.0) ** GAMMA
