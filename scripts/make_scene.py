@@ -13,7 +13,7 @@ surface.ply and curves.npz; of random scenes also true_cameras.json, and all tha
 scene.json. The same scene has the same bytes each time. To render the demo takes Blender, and an
 environment of its own with Python 3.11:
 
-pip install bpy==5.0.1 manifold3d==3.5.4 pycolmap==4.2.1 pillow click embreex scipy
+pip install bpy==5.0.1 manifold3d==3.5.4 pycolmap==4.2.1 pillow click embreex scipy trimesh
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from trimesh.triangles import points_to_barycentric
 
 from zoo.geometry import Array, Surface, dot
 
@@ -59,19 +60,12 @@ class Caster:
             first, distance = self.hits(start, rays)
             hit = np.flatnonzero(first >= 0)
             faces, distance = first[hit], distance[hit]
-            weights = self.weights(faces, start + distance[:, None] * rays[hit])
+            places = start + distance[:, None] * rays[hit]
+            corners = self.surface.vertices[self.surface.faces[faces]]
+            weights = np.clip(points_to_barycentric(corners, places), 0, 1)
             return hit, faces, np.column_stack([weights, distance])
         origins = np.ascontiguousarray(np.broadcast_to(self.scaled(start), rays.shape))
         found = self.scene.run(origins, rays, output=1)
         hit = np.flatnonzero(found["primID"] >= 0)
         u, v, distance = found["u"][hit], found["v"][hit], found["tfar"][hit] * self.unit
         return hit, found["primID"][hit], np.column_stack([1 - u - v, u, v, distance])
-
-    def weights(self, faces: np.ndarray, places: Array) -> Array:
-        """(N, 3) barycentric coordinates of points (N, 3) in faces (N,)."""
-        first, second, third = self.surface.vertices[self.surface.faces[faces]].swapaxes(0, 1)
-        a, b, p = second - first, third - first, places - first
-        aa, ab, bb, pa, pb = dot(a, a), dot(a, b), dot(b, b), dot(p, a), dot(p, b)
-        scale = 1 / np.maximum(aa * bb - ab * ab, 1e-30)
-        v, w = (bb * pa - ab * pb) * scale, (aa * pb - ab * pa) * scale
-        return np.clip(np.column_stack([1 - v - w, v, w]), 0, 1)

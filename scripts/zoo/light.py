@@ -81,7 +81,7 @@ class LampLit(Lit):
         [np.arange(RAYS), np.argsort(np.argsort(np.modf((np.arange(RAYS) + 0.5) * 0.618034)[0]))]
     )
     offsets = (offsets + 0.5) / RAYS - 0.5
-    max_light = 1.5
+    max_light = max_alone = 1.5
 
     def background(self, rays: np.ndarray) -> Array:
         """Of the stage."""

@@ -34,7 +34,7 @@ MATERIALS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Lamp:
     """A luminous rectangle: centre, half sides, direction of its light, and radiance."""
 
@@ -88,10 +88,7 @@ def framed(at: Point, turn: float, width: float, height: float) -> Iterator[Body
 
 def downlight(x: float, y: float, z: float, half: float, radiance: float) -> Lamp:
     """A square lamp below a ceiling."""
-    return Lamp(
-        center=(x, y, z), half_u=(half, 0, 0), half_v=(0, half, 0), towards=(0, 0, -1),
-        radiance=radiance,
-    )  # fmt: skip
+    return Lamp((x, y, z), (half, 0, 0), (0, half, 0), (0, 0, -1), radiance)
 
 
 def living() -> Room:
@@ -131,10 +128,7 @@ def living() -> Room:
         *framed((3.6, 0.0, 1.55), 180, 0.5, 0.7),
         *framed((-1.9, 2.9, 1.5), 90, 0.5, 0.6),
     ]
-    sky = Lamp(
-        center=(2.5, 4.33, 1.52), half_u=(0.85, 0, 0), half_v=(0, 0, 0.57), towards=(0, -1, 0),
-        radiance=11.0,
-    )  # fmt: skip
+    sky = Lamp((2.5, 4.33, 1.52), (0.85, 0, 0), (0, 0, 0.57), (0, -1, 0), 11.0)
     lamps = [sky, downlight(3.45, 2.45, 1.98, 0.12, 9.0), downlight(-1.0, 2.1, 2.49, 0.15, 14.0)]
     views = around((2.3, 2.0, 1.45), (1.55, 1.1), 2.6, 40)
     views += [((1.2, 2.9 + 0.15 * k, 1.4), (-1.5, 2.9 + 0.15 * k, 1.2)) for k in range(2)]
@@ -149,13 +143,15 @@ def attic() -> Room:
     outer = np.array([(-0.2, -0.2), (6.4, -0.2), (6.4, 2.7), (5.0, 4.8), (-0.2, 4.8)], float)
     walls = prism(outer, 3.6) - prism(plan, 5.0).translate((0, 0, -1))
     roof = gable(0.25, 7.0) - gable(0.0, 8.0).translate((-0.5, 0, 0))
-    sky = box((-0.4, 0.4), (-0.55, 0.55), (-1, 1)).rotate((38.0, 0, 0)).translate((2.4, 0.85, 1.9))
+    light = (
+        box((-0.4, 0.4), (-0.55, 0.55), (-1, 1)).rotate((38.0, 0, 0)).translate((2.4, 0.85, 1.9))
+    )
     walls ^= gable(0.1, 7.0)
     platform = box((4.6, 6.3), (-0.1, 1.9), (-0.02, 0.72))
     bodies = [
         body("room", "floor", prism(outer, 0.2).translate((0, 0, -0.2))),
         body("room", "wall_sage", walls.translate((0, 0, -0.05))),
-        body("room", "ceiling", roof - sky),
+        body("room", "ceiling", roof - light),
         body("platform", "white", platform),
         body("stairs", "white", solids.stairs(4, 0.9, 0.26, 0.18), (3.6, 0.6, 0)),
         body("railing", "metal", solids.railing(1.5, 11), (5.4, 1.83, 0.72)),
@@ -174,15 +170,9 @@ def attic() -> Room:
         *framed((6.2, 1.2, 1.6), -90, 0.5, 0.5),
         *framed((5.55, 3.6, 1.2), -57, 0.6, 0.45),
     ]
-    slope = np.radians(38.0)
-    lamps = [
-        Lamp(
-            center=(2.4, 0.72, 2.03), half_u=(0.4, 0, 0),
-            half_v=(0, 0.55 * np.cos(slope), 0.55 * np.sin(slope)),
-            towards=(0, np.sin(slope), -np.cos(slope)), radiance=16.0,
-        ),
-        downlight(4.4, 3.0, 2.4, 0.2, 8.0),
-    ]  # fmt: skip
+    cos, sin = np.cos(np.radians(38.0)), np.sin(np.radians(38.0))  # of the roof's slope
+    sky = Lamp((2.4, 0.72, 2.03), (0.4, 0, 0), (0, 0.55 * cos, 0.55 * sin), (0, sin, -cos), 16.0)
+    lamps = [sky, downlight(4.4, 3.0, 2.4, 0.2, 8.0)]
     views = around((2.6, 2.75, 1.45), (1.6, 0.75), 2.6, 38)
     views += [((5.1 + 0.25 * k, 1.4 + 0.05 * k, 1.95), (2.0, 2.6, 0.9)) for k in range(4)]
     views += [((0.6, 1.0 + 0.4 * k, 1.45), (5.2, 1.6, 1.0)) for k in range(4)]
@@ -236,15 +226,9 @@ def corridor() -> Room:
         *framed((9.1, 3.6, 1.5), 90, 0.6, 0.6),
         body("mat", "rug", box((-0.4, 0.4), (-0.3, 0.3), (-0.01, 0.012)), (10.0, 2.2, 0), 7),
     ]
-    lamps = [
-        Lamp(center=(x, 0.95, 2.46), half_u=(0.58, 0, 0), half_v=(0, 0.28, 0), towards=(0, 0, -1),
-             radiance=3.2)
-        for x in (2.0, 5.0, 8.0)
-    ]  # fmt: skip
-    lamps.append(
-        Lamp(center=(10.05, 3.2, 2.46), half_u=(0.28, 0, 0), half_v=(0, 0.58, 0),
-             towards=(0, 0, -1), radiance=3.2)
-    )  # fmt: skip
+    down, long, side = (0, 0, -1), ((0.58, 0, 0), (0, 0.28, 0)), ((0.28, 0, 0), (0, 0.58, 0))
+    lamps = [Lamp((x, 0.95, 2.46), *long, down, 3.2) for x in (2.0, 5.0, 8.0)]
+    lamps.append(Lamp((10.05, 3.2, 2.46), *side, down, 3.2))
     lamps.append(downlight(6.4, 3.3, 2.38, 0.25, 4.0))
     return Room(bodies=bodies, lamps=lamps, views=posed(walk()))
 
@@ -279,4 +263,4 @@ def walk() -> list[tuple[Point, Point]]:
     return views
 
 
-ROOMS: dict[str, Callable[[], Room]] = {"living": living, "attic": attic, "corridor": corridor}
+ROOMS: dict[str, Callable[[], Room]] = {make.__name__: make for make in (living, attic, corridor)}

@@ -31,7 +31,9 @@ class Lit:
 
     precision: ClassVar[type] = np.float64
     offsets: ClassVar[Array] = (np.indices((3, 3)).reshape(2, -1).T + 0.5) / 3 - 0.5  # in a pixel
-    max_light: ClassVar[float] = np.inf  # of a ray, so that lights do not bleed over their borders
+    # Of each of many rays, so that lights do not bleed over their borders, and of a ray alone.
+    max_light: ClassVar[float] = np.inf
+    max_alone: ClassVar[float] = np.inf
 
     def shade(
         self, faces: np.ndarray, centre: Array, rays: np.ndarray, where: np.ndarray
@@ -81,7 +83,7 @@ def trace(lit: Lit, view: View, at: Array) -> tuple[np.ndarray, np.ndarray, np.n
 def see(lit: Lit, view: View, grid: Grid) -> np.ndarray:
     """(H, W, C) light; many rays a pixel where neighbours show another face."""
     light, label, geometry = trace(lit, view, grid.centers)
-    light, label = np.minimum(light, lit.max_light), label.reshape(grid.shape)
+    light, label = np.minimum(light, lit.max_alone), label.reshape(grid.shape)
     fine = borders(label, geometry.reshape(*grid.shape, 4)) | lit.is_rough(label)
     chosen = np.flatnonzero(fine)
     finer, _, _ = trace(lit, view, grid.within(chosen, lit.offsets))

@@ -88,15 +88,11 @@ def test_shadows_fall_behind_bodies():
     starts = np.array([(0, 0, 0.3), (1.3, 0, 0.3), (0, 0, 1.0)])
     faces, distance = caster.hits(starts, np.tile((0.0, 0, -1), (3, 1)))
     np.testing.assert_allclose(distance, [0.3, 0.3, 0.4], atol=1e-9)
-    down = np.array([0, 0, -1.0])
-    places = starts + distance[:, None] * down
-    where = np.column_stack([caster.weights(faces, places), distance])
+    down = np.array([[0, 0, -1.0]])
     found = np.concatenate(
-        [
-            lit.shade(faces[i : i + 1], starts[i], down[None], where[i : i + 1])[0]
-            for i in range(len(starts))
-        ]
-    )
+        [lit.shade(face, start, down, where)[0] for start in starts
+         for _, face, where in [caster.seen(start, down)]]
+    )  # fmt: skip
     squared = np.array([4, 1.3**2 + 4, 1.4**2])  # to the lamp
     cosine = np.array([2, 2, 1.4]) / np.sqrt(squared)
     expected = 50 * 0.1**2 * cosine**2 / squared / np.pi * (0, 1, 1)  # the first is in the shadow

@@ -64,7 +64,7 @@ def test_sparse_model_of_few_small_images(tmp_path):
 def test_images_are_rendered(tmp_path):
     python = os.environ.get("BLENDER_PYTHON", sys.executable)
     found = subprocess.run(
-        [python, "-c", "import bpy, manifold3d, embreex, scipy"], capture_output=True
+        [python, "-c", "import bpy, manifold3d, embreex, scipy, trimesh"], capture_output=True
     )
     if found.returncode:
         pytest.skip("Blender's Python module is not there (set BLENDER_PYTHON)")
