@@ -12,6 +12,7 @@ import pycolmap
 
 from zoo.geometry import Array, Random
 
+Size = tuple[int, int]
 PATHS = ("ring", "two_heights", "walk", "hand_held")
 MODELS = ("PINHOLE", "SIMPLE_RADIAL", "OPENCV")
 
@@ -89,7 +90,7 @@ class Rig:
     views: list[View]
 
 
-def pinhole(size: tuple[int, int], focal: float) -> pycolmap.Camera:
+def pinhole(size: Size, focal: float) -> pycolmap.Camera:
     """A camera without distortion; pixels."""
     width, height = size
     parameters = [focal, focal, width / 2, height / 2]
@@ -98,7 +99,7 @@ def pinhole(size: tuple[int, int], focal: float) -> pycolmap.Camera:
     )
 
 
-def draw_camera(random: Random, size: tuple[int, int], wide: bool) -> pycolmap.Camera:
+def draw_camera(random: Random, size: Size, wide: bool) -> pycolmap.Camera:
     """A camera of random model, focal length, principal point and distortion."""
     width, height = size
     focal = width * (random.uniform(0.62, 0.8) if wide else random.uniform(0.8, 1.6))

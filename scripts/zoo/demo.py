@@ -9,10 +9,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from zoo import mapping
-from zoo.camera import Rig, View, look_at, pinhole, write_cameras
+from zoo.camera import Rig, Size, View, look_at, pinhole, write_cameras
 from zoo.geometry import Body, unite
 from zoo.solids import arc, ball, body, box, cylinder, lathe, prism, unite_all
-from zoo.truth import all_curves, write_truth
+from zoo.truth import cut_curves, write_truth
 
 STAGES = ("geometry", "images", "sparse", "all")
 SINK = 0.1  # depth by which a body enters the plinth, so that no two faces coincide
@@ -167,12 +167,7 @@ def make_views() -> list[View]:
 
 
 def make_demo(
-    stage: str,
-    folder: Path,
-    *,
-    size: tuple[int, int] | None = None,
-    num_views: int | None = None,
-    seed: int = 0,
+    stage: str, folder: Path, size: Size | None = None, num_views: int | None = None, seed: int = 0
 ) -> str:
     """Write one stage of the scene, or all of them; returns what was made, in a few words.
 
@@ -190,7 +185,7 @@ def make_demo(
     folder.mkdir(parents=True, exist_ok=True)
     made = []
     if stage in ("geometry", "all"):
-        curves = all_curves(surface, bodies, spacing=0.01)  # about one pixel
+        curves, _, _ = cut_curves(surface, bodies, spacing=0.01)  # about one pixel
         write_truth(folder, surface, bodies, curves, face_body=surface.face_body.astype(np.uint8))
         write_cameras(folder / "true_cameras.json", rig)
         made.append(f"{len(surface.faces)} triangles, {len(curves.edges)} segments of curves")

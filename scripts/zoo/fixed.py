@@ -11,7 +11,7 @@ import trimesh
 from manifold3d import Manifold
 from trimesh.graph import smooth_shade
 
-from zoo.camera import Grid, Rig, View, look_at, pinhole
+from zoo.camera import Grid, Rig, Size, View, look_at, pinhole
 from zoo.casting import Caster
 from zoo.curves import curves_by_kind
 from zoo.geometry import Array, Surface, unit, unite
@@ -20,19 +20,14 @@ from zoo.plans import ROOMS
 from zoo.points import posed_model
 from zoo.radiosity import illuminate
 from zoo.render import Lit, Sensor, see, typical_light, write_image
-from zoo.truth import all_curves, write_truth
+from zoo.truth import cut_curves, write_truth
 
 CREASE = np.radians(15)  # minimum angle between two faces of an object that meet in an edge
 LAMPS = (((1, -0.6, 1.2), 0.34), ((-1, 0.4, -0.7), 0.2), ((-0.3, 1, 0.5), 0.14))
 
 
 def make_room(
-    name: str,
-    folder: Path,
-    *,
-    size: tuple[int, int] | None = None,
-    num_views: int | None = None,
-    seed: int = 0,
+    name: str, folder: Path, size: Size | None = None, num_views: int | None = None, seed: int = 0
 ) -> str:
     """Write a room: images/, sparse/ (true poses and SIFT points), surface.ply, curves.npz.
 
@@ -51,7 +46,7 @@ def make_room(
     room, (width, height) = ROOMS[name](), size or (640, 480)
     camera = pinhole((width, height), 430 / 640 * width)  # 73 degrees across
     rig, surface = Rig(camera, room.views[:num_views]), unite(room.bodies)
-    curves = all_curves(surface, room.bodies, spacing=0.01)
+    curves, _, _ = cut_curves(surface, room.bodies, spacing=0.01)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_truth(folder, surface, room.bodies, curves, face_body=surface.face_body.astype(np.uint8))
     # Light is computed for triangles with sides of 0.1 metres, and longer ones in smaller images.
@@ -79,12 +74,7 @@ def make_room(
 
 
 def make_object(
-    name: str,
-    folder: Path,
-    *,
-    size: tuple[int, int] | None = None,
-    num_views: int | None = None,
-    seed: int = 0,
+    name: str, folder: Path, size: Size | None = None, num_views: int | None = None, seed: int = 0
 ) -> str:
     """Write a textureless object: images/, sparse/ (poses only), surface.ply and curves.npz.
 

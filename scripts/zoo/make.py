@@ -6,13 +6,14 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
 from zoo import FAMILIES, cad, facades, rooms, tabletop
-from zoo.camera import PATHS, Grid, Rig, View, draw_camera, draw_views, write_cameras
+from zoo.camera import PATHS, Grid, Rig, Size, View, draw_camera, draw_views, write_cameras
 from zoo.casting import Caster
 from zoo.geometry import Array, Random, unite
 from zoo.light import LampLit, Stage, illuminate
@@ -20,13 +21,7 @@ from zoo.points import disturb, find_tracks, model_of, triangulated
 from zoo.render import Sensor, see, typical_light, write_image
 from zoo.truth import TrueCurves, contrasts_in, find_curves, shown, write_truth
 
-MAKERS = dict(
-    zip(
-        FAMILIES,
-        (rooms.make, facades.make, cad.make, tabletop.smooth, tabletop.clutter),
-        strict=True,
-    )
-)
+MAKERS = (rooms.make, facades.make, cad.make, tabletop.smooth, tabletop.clutter)  # of FAMILIES
 BRIGHT = 0.75  # light, of 1 at white, that typical bright pixels are exposed to
 
 
@@ -56,12 +51,7 @@ def draw_settings(random: Random, num_views: int | None) -> SimpleNamespace:
 
 
 def make_scene(
-    family: str,
-    seed: int,
-    folder: Path,
-    *,
-    size: tuple[int, int] | None = None,
-    num_views: int | None = None,
+    family: str, seed: int, folder: Path, size: Size | None = None, num_views: int | None = None
 ) -> None:
     """Write a scene: images/, sparse/, surface.ply, curves.npz, true_cameras.json, scene.json.
 
@@ -76,7 +66,7 @@ def make_scene(
     """
     random = np.random.default_rng([seed, FAMILIES.index(family)])
     settings = draw_settings(random, num_views)
-    stage = MAKERS[family](random)
+    stage = MAKERS[FAMILIES.index(family)](random)
     camera = draw_camera(random, size or (640, 480), wide=bool(stage.place.spots))
     surface = unite(stage.bodies)
     rig = Rig(camera, free_views(random, stage, settings, camera, Caster(surface)))
@@ -101,14 +91,11 @@ def make_scene(
     curves = replace(curves, points=place(world, curves.points), radii=world[0] * curves.radii)
     names = np.array([view.name for view in rig.views])
     write_truth(folder, placed, stage.bodies, curves, view_names=names)
-    write_records(
-        folder,
-        settings,
-        stage,
-        Rig(camera, [view.moved(*world) for view in rig.views]),
-        family,
-        seed,
-    )
+    rig = Rig(camera, [view.moved(*world) for view in rig.views])
+    intrinsics = write_cameras(folder / "true_cameras.json", rig)
+    record = {"family": family, "seed": seed, **settings.__dict__, "camera": intrinsics}
+    record |= {"extent": stage.place.extent * settings.unit, **drawn(stage)}
+    (folder / "scene.json").write_text(json.dumps(record, indent=1) + "\n")
 
 
 def free_views(
@@ -147,9 +134,8 @@ def write_images(
     lit = exposed(lit, rig, settings.exposure_percentile)
     for i, view in enumerate(rig.views):
         if settings.moving_light:
-            turn = Rotation.from_rotvec(
-                (0, 0, np.radians(6 * (i - len(rig.views) / 2)))
-            ).as_matrix()
+            angle = np.radians(6 * (i - len(rig.views) / 2))
+            turn = Rotation.from_rotvec((0, 0, angle)).as_matrix()
             moved = middle + turn @ (light.position - middle)
             lit = lit.relit(replace(light, position=moved))
         sensor = Sensor(
@@ -176,20 +162,9 @@ def place(world: tuple[float, Array, Array], points: Array) -> Array:
     return scale * points @ rotation.T + translation
 
 
-def write_records(
-    folder: Path, settings: SimpleNamespace, stage: Stage, rig: Rig, family: str, seed: int
-) -> None:
-    """Write the true cameras, and everything that was drawn."""
-    intrinsics = write_cameras(folder / "true_cameras.json", rig)
+def drawn(stage: Stage) -> dict[str, Any]:
+    """What was drawn of a stage, for scene.json."""
     light = {key: np.asarray(value).tolist() for key, value in asdict(stage.light).items()}
-    record = {
-        "family": family,
-        "seed": seed,
-        **settings.__dict__,
-        "camera": intrinsics,
-        "extent": stage.place.extent * settings.unit,
-        "light": light | {"reach": None if np.isinf(stage.light.reach) else stage.light.reach},
-        "materials": {name: asdict(material) for name, material in stage.materials.items()},
-        **stage.facts,
-    }
-    (folder / "scene.json").write_text(json.dumps(record, indent=1) + "\n")
+    light["reach"] = None if np.isinf(stage.light.reach) else stage.light.reach
+    materials = {name: asdict(material) for name, material in stage.materials.items()}
+    return {"light": light, "materials": materials, **stage.facts}

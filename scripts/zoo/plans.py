@@ -143,15 +143,13 @@ def attic() -> Room:
     outer = np.array([(-0.2, -0.2), (6.4, -0.2), (6.4, 2.7), (5.0, 4.8), (-0.2, 4.8)], float)
     walls = prism(outer, 3.6) - prism(plan, 5.0).translate((0, 0, -1))
     roof = gable(0.25, 7.0) - gable(0.0, 8.0).translate((-0.5, 0, 0))
-    light = (
-        box((-0.4, 0.4), (-0.55, 0.55), (-1, 1)).rotate((38.0, 0, 0)).translate((2.4, 0.85, 1.9))
-    )
+    hole = box((-0.4, 0.4), (-0.55, 0.55), (-1, 1)).rotate((38.0, 0, 0)).translate((2.4, 0.85, 1.9))
     walls ^= gable(0.1, 7.0)
     platform = box((4.6, 6.3), (-0.1, 1.9), (-0.02, 0.72))
     bodies = [
         body("room", "floor", prism(outer, 0.2).translate((0, 0, -0.2))),
         body("room", "wall_sage", walls.translate((0, 0, -0.05))),
-        body("room", "ceiling", roof - light),
+        body("room", "ceiling", roof - hole),
         body("platform", "white", platform),
         body("stairs", "white", solids.stairs(4, 0.9, 0.26, 0.18), (3.6, 0.6, 0)),
         body("railing", "metal", solids.railing(1.5, 11), (5.4, 1.83, 0.72)),

@@ -58,30 +58,23 @@ class TrueCurves(Curves):
         )
 
 
-def all_curves(surface: Surface, bodies: list[Body], spacing: float) -> Curves:
-    """Every edge of the surface (creases, contacts of bodies, borders of paint) in short pieces."""
+def cut_curves(
+    surface: Surface, bodies: list[Body], spacing: float
+) -> tuple[Curves, np.ndarray, np.ndarray]:
+    """All curves in segments of at most `spacing`; (M, 2) edges of the mesh; (E,) whose part."""
     edges, kind = sharp_edges(surface, bodies)
     points, segments, own = subdivide(surface.vertices, edges, spacing)
     curve_id = chain_edges(surface.vertices, edges, kind)[own]
-    return Curves(points=points, edges=segments, curve_id=curve_id, kind=kind[own])
+    return Curves(points=points, edges=segments, curve_id=curve_id, kind=kind[own]), edges, own
 
 
 def find_curves(surface: Surface, bodies: list[Body], rig: Rig, spacing: float) -> TrueCurves:
     """The curves that at least two views see, in segments of at most `spacing`."""
-    edges, kind = sharp_edges(surface, bodies)
+    every, edges, own = cut_curves(surface, bodies, spacing)
     curves, kinds, radii = curves_by_kind(surface.vertices, edges)
-    points, segments, own = subdivide(surface.vertices, edges, spacing)
-    visible = seen_by(Caster(surface), points[segments].mean(axis=1), rig)
-    return TrueCurves(
-        points=points,
-        edges=segments,
-        curve_id=chain_edges(surface.vertices, edges, kind)[own],
-        kind=kind[own],
-        curves=curves[own].astype(np.int32),
-        kinds=kinds,
-        radii=radii,
-        visible=visible,
-    ).seen(visible)
+    visible = seen_by(Caster(surface), every.points[every.edges].mean(axis=1), rig)
+    by_kind = {"curves": curves[own].astype(np.int32), "kinds": kinds, "radii": radii}
+    return TrueCurves(**every.__dict__, **by_kind, visible=visible).seen(visible)
 
 
 def shown(curves: TrueCurves, contrasts: Array, noise: float) -> TrueCurves:

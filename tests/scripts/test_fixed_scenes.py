@@ -86,7 +86,7 @@ def test_shadows_fall_behind_bodies():
     lit = illuminate(unite(bodies, longest=0.06), room, bounces=0)
     caster = lit.caster
     starts = np.array([(0, 0, 0.3), (1.3, 0, 0.3), (0, 0, 1.0)])
-    faces, distance = caster.hits(starts, np.tile((0.0, 0, -1), (3, 1)))
+    _, distance = caster.hits(starts, np.tile((0.0, 0, -1), (3, 1)))
     np.testing.assert_allclose(distance, [0.3, 0.3, 0.4], atol=1e-9)
     down = np.array([[0, 0, -1.0]])
     found = np.concatenate(
