@@ -9,7 +9,7 @@ pytest.importorskip("manifold3d", reason="the scene is made with manifold3d")
 
 from zoo.camera import Grid, Place, Rig, look_at, pinhole
 from zoo.geometry import Body, unite
-from zoo.light import Light, Stage, illuminate, plain
+from zoo.light import LampLit, Light, Stage, illuminate, plain
 from zoo.materials import Material
 from zoo.points import posed_model
 from zoo.render import Sensor, see, write_image
@@ -21,7 +21,12 @@ from colmap_edges.evaluation.metrics import clouds
 SIDES = np.array([1.0, 0.7, 0.5])
 THRESHOLD = 0.005 * SIDES.max()
 SPACING = THRESHOLD / 5
-NUM_VIEWS = 16
+
+
+class Bright(LampLit):
+    """Rays are hardly clipped, so that light bleeds over its borders and displaces them."""
+
+    max_light = 4.0
 
 
 def edges_of_box():
@@ -54,48 +59,60 @@ def points_of(edges):
     return sampled(np.concatenate(ends)) if len(edges.points) else np.empty((0, 3))
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    """Folder of a box before black, in light that is too bright for its top; without points."""
+def write_box(folder, kind, num_views, blur_px):
+    """Write images of a box before black in light that is too bright for its top, and poses."""
     x, y, z = SIDES
-    solid = box((-x / 2, x / 2), (-y / 2, y / 2), (0, z))
-    lamp = 20 * np.array([0.3, -0.5, 1.5])
     stage = Stage(
-        bodies=[Body("box", "gray", solid)],
+        bodies=[Body("box", "gray", box((-x / 2, x / 2), (-y / 2, y / 2), (0, z)))],
         materials={"gray": Material(albedo=(0.6, 0.6, 0.6))},
-        light=Light(position=lamp, radius=2.0, strength=1.8, ambient=0.2),
+        light=Light(position=np.array([6.0, -10, 30]), radius=2.0, strength=2.0, ambient=0.2),
         place=Place(middle=np.array([0, 0, z / 2]), extent=0.7),
         background=plain((0, 0, 0)),
     )
     camera = pinhole((400, 300), 500.0)
+    heights = 0.1 + 0.85 * np.arange(num_views) / num_views
     views = [
-        look_at(f"{i:02d}.png", 2.6, 360 * i / NUM_VIEWS, (20, 40)[i % 2], (0, 0, z / 2), 0)
-        for i in range(NUM_VIEWS)
+        look_at(f"{i:02d}.png", 2.6, 137.5 * i, np.degrees(np.arcsin(height)), (0, 0, z / 2), 0)
+        for i, height in enumerate(heights)
     ]
-    folder = tmp_path_factory.mktemp("box")
     for part in ("images", "sparse"):
         (folder / part).mkdir()
     posed_model(Rig(camera, views)).write(folder / "sparse")
-    lit, random = illuminate(stage, unite(stage.bodies), camera), np.random.default_rng(0)
-    sensor = Sensor(blur_px=0.5, noise=0.5, quality=0)
+    lit = kind(**illuminate(stage, unite(stage.bodies), camera).__dict__)
+    random, sensor = np.random.default_rng(0), Sensor(blur_px=blur_px, noise=0.5, quality=0)
     white = []
     for view in views:
         light = see(lit, view, Grid.of(camera))
         gray = write_image(folder / "images" / view.name, light, sensor, random)
         white.append((gray == 255).mean())
     assert np.mean(white) > 0.01  # the top
-    return folder
 
 
-def test_edges_of_an_overexposed_face_are_no_contours(scene):
-    found = colmap_edges.reconstruct(scene / "sparse", scene / "images")
+def shares(true, found):
+    """(S,) share of each segment (S, 2, 3) near found points, without what ends at its corners."""
+    inner = [
+        points[len(points) // 20 : -len(points) // 20] for points in map(sampled, true[:, None])
+    ]
+    if not len(found):
+        return np.zeros(len(true))
+    return np.array([(clouds.cloud_to_cloud(at, found) < THRESHOLD).mean() for at in inner])
+
+
+# Glare makes second edges in images; the last value is the largest share of an edge beside which
+# such a contour may be.
+@pytest.mark.parametrize(
+    ("kind", "num_views", "blur_px", "doubled"),
+    [(LampLit, 14, 0.5, 0.0), (Bright, 20, 0.65, 0.4)],
+    ids=["white", "glare"],
+)
+def test_edges_of_an_overexposed_face_are_no_contours(tmp_path, kind, num_views, blur_px, doubled):
+    write_box(tmp_path, kind, num_views, blur_px)
+    found = colmap_edges.reconstruct(tmp_path / "sparse", tmp_path / "images")
     true = edges_of_box()
     edges, every = points_of(found.edges), sampled(true)
     to_true, to_found = (clouds.cloud_to_cloud(*p) for p in ((edges, every), (every, edges)))
-    score = clouds.scores(to_true, to_found, [THRESHOLD])[0]
-    assert score.f_score >= 0.95
-    for top in true[(true[..., 2] == SIDES[2]).all(axis=1)]:
-        points = sampled(top[None])
-        assert (clouds.cloud_to_cloud(points, edges) < THRESHOLD).mean() > 0.9
-        contours = points_of(found.contours)
-        assert not (clouds.cloud_to_cloud(points, contours) < THRESHOLD).any()
+    assert clouds.scores(to_true, to_found, [THRESHOLD])[0].f_score >= 0.95
+    top = true[(true[..., 2] == SIDES[2]).all(axis=1)]
+    assert len(top) == 4
+    assert shares(top, edges).min() > 0.9
+    assert shares(top, points_of(found.contours)).max() <= doubled
