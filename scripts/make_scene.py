@@ -1,12 +1,9 @@
 #!/usr/bin/env python3
-r"""Make a scene with its truth: a random one of a FAMILY and a seed, or a fixed one of a name.
+"""Make a scene with its truth: a random one of a family, or a fixed one.
 
-\b
-FAMILY                                   SCENE
-rooms, facades, cad, smooth, clutter     a seed: 0, 1, ...
-rooms                                    living, attic, corridor
-cad                                      bracket, gear, shaft, tray, elbow, plate, ...
-demo                                     geometry, images, sparse, or all of them
+SCENE is a seed for a random scene of the families rooms, facades, cad, smooth and clutter. Fixed
+scenes have names: rooms living, attic, corridor; cad bracket, gear, shaft, tray, elbow, plate,
+impeller, wedge, knob; demo geometry, images, sparse, or all of these three.
 
 Needs manifold3d in addition to the extra "evaluation". The folder holds images/, sparse/,
 surface.ply and curves.npz; of random scenes also true_cameras.json, and all that was drawn in

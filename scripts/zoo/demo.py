@@ -169,14 +169,9 @@ def make_views() -> list[View]:
 def make_demo(
     stage: str, folder: Path, size: Size | None = None, num_views: int | None = None, seed: int = 0
 ) -> str:
-    """Write one stage of the scene, or all of them; returns what was made, in a few words.
+    """Write one stage of the scene, of `STAGES`; arguments are those of `fixed.make_room`.
 
-    Args:
-        stage: One of `STAGES`.
-        folder: Where to write; created.
-        size: Of the images, pixels; default: 1024x768.
-        num_views: The first views; default: all.
-        seed: Of the images' noise.
+    There are 24 views of 1024x768 pixels unless asked for others.
     """
     size = size or (1024, 768)
     rig = Rig(pinhole(size, 1100 * size[0] / 1024), make_views()[:num_views])

@@ -159,12 +159,7 @@ def machined(random: Random) -> Manifold:
             solid -= hole.translate((x, y, top - depth))
     if random.random() < 0.4:
         solid -= box((-0.07, 0.07), (-2, 2), (0.7 * top, 3)).rotate((0, 0, random.uniform(0, 180)))
-    return largest(solid)
-
-
-def largest(solid: Manifold) -> Manifold:
-    """The largest of its separate parts."""
-    return max(solid.decompose(), key=lambda part: part.volume())
+    return max(solid.decompose(), key=lambda part: part.volume())  # of its separate parts
 
 
 def made(random: Random) -> Manifold:
