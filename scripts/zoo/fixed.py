@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 from trimesh.graph import smooth_shade
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from zoo.camera import Grid, Rig, Size, View, look_at, pinhole
 from zoo.casting import Caster
@@ -126,6 +127,24 @@ def all_around(count: int) -> list[View]:
     ]
 
 
+class ObjectCaster(Caster):
+    """Scales rays as trimesh does, so that objects look as in docs/results.md."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        """Build the acceleration structure."""
+        vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
+        none = np.zeros(len(faces), np.int32)
+        super().__init__(Surface(vertices=vertices, faces=faces, face_body=none))
+        self.intersector = RayMeshIntersector(mesh)
+
+    def first(self, starts: Array, rays: Array) -> np.ndarray:
+        """First triangles (N,) that rays hit, -1 for none; see `hits`."""
+        origins, found = np.broadcast_to(starts, rays.shape), np.full(len(rays), -1)
+        faces, hit = self.intersector.intersects_id(origins, rays, multiple_hits=False)
+        found[hit] = faces
+        return found
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObjectLit(Lit):
     """A matte gray mesh under three lamps before white; `vectors` (K, 3) are its normals."""
@@ -134,10 +153,9 @@ class ObjectLit(Lit):
     def of(cls, mesh: trimesh.Trimesh) -> ObjectLit:
         """Smooth but for the creases."""
         smooth = smooth_shade(mesh, angle=CREASE)
-        vertices, faces = np.array(smooth.vertices), np.array(smooth.faces)
-        none = np.zeros(len(faces), np.int32)
-        caster = Caster(Surface(vertices=vertices, faces=faces, face_body=none))
-        return cls(caster=caster, corners=faces, vectors=smooth.vertex_normals, labels=none)
+        caster = ObjectCaster(smooth)
+        faces, labels = caster.surface.faces, caster.surface.face_body
+        return cls(caster=caster, corners=faces, vectors=smooth.vertex_normals, labels=labels)
 
     def shade(
         self, faces: np.ndarray, centre: Array, rays: np.ndarray, where: np.ndarray

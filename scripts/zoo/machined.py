@@ -103,8 +103,8 @@ def impeller() -> Manifold:
 def wedge() -> Manifold:
     """Slanted faces, a spherical hollow and a slot."""
     corners = [(0, 0, 0), (0.9, 0, 0), (0.8, 0.6, 0), (0.1, 0.7, 0), (0.3, 0.2, 0.6)]
-    solid = Manifold.hull_points(np.array([*corners, (0.6, 0.3, 0.5)]))
     hollow = ball(0.22, 97, SEGMENTS).translate((0.5, 0.2, 0.5))
+    solid = Manifold.hull_points(np.array([*corners, (0.6, 0.3, 0.5)]))
     return solid - hollow - box((0.1, 0.2), (-1, 1), (0.05, 0.12))
 
 
