@@ -40,7 +40,7 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
     """Read true curves of an .npz with `points`, `edges`, `curves`, `kinds` and `radii`.
 
     Args:
-        path: the file, as scripts/make_cad_objects.py writes it.
+        path: the file, as scripts/make_scene.py writes it.
         spacing: largest distance between samples along a curve.
 
     Returns:

@@ -1,12 +1,25 @@
-"""The objects as closed solids, in the unit box."""
+"""Hand-made CAD objects as closed solids."""
 
 from __future__ import annotations
 
 import numpy as np
-from demo_scene.bodies import arc, box, lathe, prism
 from manifold3d import CrossSection, Manifold
 
+from zoo.geometry import Array
+from zoo.solids import arc, ball, box, lathe, prism
+from zoo.solids import cylinder as coarse_cylinder
+
 SEGMENTS = 192  # around a full turn
+
+
+def cylinder(height: float, radius: float) -> Manifold:
+    """An upright cylinder from z = 0 on."""
+    return coarse_cylinder(height, radius, SEGMENTS)
+
+
+def polar(angle: Array, radius: float | Array) -> Array:
+    """(N, 2) points at (N,) angles and radii."""
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
 def bracket() -> Manifold:
@@ -16,7 +29,7 @@ def bracket() -> Manifold:
         for y in (0.15, 0.45):
             solid -= cylinder(1, 0.07).translate((x, y, -0.3))
     solid -= cylinder(1, 0.15).rotate((0, 90, 0)).translate((-0.3, 0.3, 0.45))
-    rib = prism(np.array([(0.1, 0.1), (0.5, 0.1), (0.1, 0.5)]), 0.08)
+    rib = prism([(0.1, 0.1), (0.5, 0.1), (0.1, 0.5)], 0.08)
     return solid + rib.rotate((90, 0, 0)).translate((0, 0.34, 0))
 
 
@@ -37,7 +50,7 @@ def shaft() -> Manifold:
     profile += [(0.09, 0.7), (0.09, 0.96), (0.05, 1), (0, 1)]
     keyway = box((-0.03, 0.03), (0.08, 0.3), (0.42, 0.62))
     flat = box((-0.3, 0.3), (0.06, 0.2), (0.78, 2)).rotate((0, 0, 30))
-    return lathe(np.array(profile), SEGMENTS) - keyway - flat
+    return lathe(profile, SEGMENTS) - keyway - flat
 
 
 def tray() -> Manifold:
@@ -54,10 +67,11 @@ def elbow() -> Manifold:
     """A bent pipe with two counterbored flanges: mostly smooth."""
     flanges = cylinder(0.08, 0.22).rotate((90, 0, 0)).translate((0.4, 0.06, 0))
     flanges += cylinder(0.08, 0.22).rotate((0, 90, 0)).translate((-0.04, 0.4, 0))
-    circles = (arc(radius, 0, 360, SEGMENTS + 1)[:-1] for radius in (0.12, 0.08))
     outside, inside = (
-        Manifold.revolve(CrossSection([np.add(circle, (0.4, 0))]), SEGMENTS, 90)
-        for circle in circles
+        Manifold.revolve(
+            CrossSection([np.add(arc(radius, 0, 360, SEGMENTS + 1)[:-1], (0.4, 0))]), SEGMENTS, 90
+        )
+        for radius in (0.12, 0.08)
     )
     bores = cylinder(0.4, 0.1).rotate((90, 0, 0)).translate((0.4, 0.03, 0))
     bores += cylinder(0.4, 0.1).rotate((0, 90, 0)).translate((-0.37, 0.4, 0))
@@ -80,7 +94,7 @@ def impeller() -> Manifold:
     middle = polar(0.9 * along, 0.08 + 0.38 * along)
     half = 0.012 * polar(0.9 * along + 0.6 + np.pi / 2, 1.0)
     blade = prism(np.concatenate([middle - half, (middle + half)[::-1]]), 0.22)
-    solid = cylinder(0.06, 0.5) + Manifold.cylinder(0.35, 0.12, 0.07, circular_segments=SEGMENTS)
+    solid = cylinder(0.06, 0.5) + coarse_cylinder(0.35, 0.12, SEGMENTS, 0.07)
     for k in range(7):
         solid += blade.rotate((0, 0, k * 360 / 7)).translate((0, 0, 0.03))
     return solid - cylinder(2, 0.035).translate((0, 0, -0.5))
@@ -89,9 +103,7 @@ def impeller() -> Manifold:
 def wedge() -> Manifold:
     """Slanted faces, a spherical hollow and a slot."""
     corners = [(0, 0, 0), (0.9, 0, 0), (0.8, 0.6, 0), (0.1, 0.7, 0), (0.3, 0.2, 0.6)]
-    profile = arc(0.22, -90, 90, 97)
-    profile[[0, -1], 0] = 0
-    hollow = lathe(profile, SEGMENTS).translate((0.5, 0.2, 0.5))
+    hollow = ball(0.22, 97, SEGMENTS).translate((0.5, 0.2, 0.5))
     solid = Manifold.hull_points(np.array([*corners, (0.6, 0.3, 0.5)]))
     return solid - hollow - box((0.1, 0.2), (-1, 1), (0.05, 0.12))
 
@@ -99,31 +111,13 @@ def wedge() -> Manifold:
 def knob() -> Manifold:
     """A turned knob with grooves and a hexagonal socket."""
     profile = [(0, 0), (0.3, 0), (0.3, 0.08), (0.22, 0.12), (0.22, 0.5), (0.26, 0.55)]
-    solid = lathe(np.array([*profile, (0.26, 0.68), (0.2, 0.74), (0, 0.74)]), SEGMENTS)
+    solid = lathe([*profile, (0.26, 0.68), (0.2, 0.74), (0, 0.74)], SEGMENTS)
     for x, y in polar(np.arange(12) * np.pi / 6, 0.27):
         solid -= cylinder(0.5, 0.035).translate((x, y, 0.5))
-    return solid - Manifold.cylinder(0.3, 0.1, circular_segments=6).translate((0, 0, 0.6))
+    return solid - coarse_cylinder(0.3, 0.1, 6).translate((0, 0, 0.6))
 
 
 OBJECTS = {
     make.__name__: make
     for make in (bracket, gear, shaft, tray, elbow, plate, impeller, wedge, knob)
 }
-
-
-def cylinder(height: float, radius: float) -> Manifold:
-    """An upright cylinder from z = 0 on."""
-    return Manifold.cylinder(height, radius, circular_segments=SEGMENTS)
-
-
-def polar(angle: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
-    """(N, 2) points at (N,) angles and radii."""
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-
-def in_unit_box(solid: Manifold) -> Manifold:
-    """The solid with its longest side 1, centred in the unit box."""
-    bounds = np.array(solid.bounding_box()).reshape(2, 3)
-    scale = 1 / float(np.ptp(bounds, axis=0).max())
-    centered = solid.translate(tuple(-bounds.mean(axis=0)))
-    return centered.scale((scale, scale, scale)).translate((0.5, 0.5, 0.5))

@@ -1,12 +1,74 @@
-"""Pieces of furniture as closed solids in metres, z up, standing about the origin."""
+"""Closed solids in metres, z up: simple ones, and furniture that stands about the origin."""
 
 from __future__ import annotations
 
-import numpy as np
-from demo_scene.bodies import box, lathe
-from manifold3d import Manifold, OpType
+from collections.abc import Iterable, Iterator
+from typing import Any
 
+import numpy as np
+from manifold3d import CrossSection, Manifold, OpType
+
+from zoo.geometry import Array, Body
+
+Span = tuple[float, float]
+Point = tuple[float, float, float]
+SEGMENTS = 96  # around a full turn; chord error under 0.001 of the radius
 SINK = 0.02  # depth by which a piece enters the floor, so that no two faces coincide
+
+
+def box(x: Span, y: Span, z: Span) -> Manifold:
+    """The axis-aligned box between the given bounds."""
+    low, high = zip(x, y, z, strict=True)
+    size = tuple(b - a for a, b in zip(low, high, strict=True))
+    return Manifold.cube(size).translate(low)
+
+
+def prism(outline: Any, height: float) -> Manifold:
+    """A counter-clockwise (N, 2) outline extruded from z = 0 to `height`."""
+    return Manifold.extrude(CrossSection([np.asarray(outline)]), height)
+
+
+def lathe(profile: Any, segments: int = SEGMENTS) -> Manifold:
+    """A counter-clockwise (N, 2) profile of radius and height turned about the z axis."""
+    return Manifold.revolve(CrossSection([np.asarray(profile)]), segments)
+
+
+def cylinder(height: float, radius: float, segments: int = SEGMENTS, top: float = -1.0) -> Manifold:
+    """An upright cylinder from z = 0 on; a cone with another radius at its top."""
+    return Manifold.cylinder(height, radius, top, segments)
+
+
+def ball(radius: float, count: int, segments: int = SEGMENTS) -> Manifold:
+    """A ball about the origin, with `count` points from pole to pole."""
+    profile = arc(radius, -90, 90, count)
+    profile[[0, -1], 0] = 0
+    return lathe(profile, segments)
+
+
+def arc(radius: float, start_deg: float, end_deg: float, count: int) -> Array:
+    """`count` points of a circle about the origin, shape (count, 2)."""
+    angles = np.radians(np.linspace(start_deg, end_deg, count))
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def unite_all(parts: Iterable[Manifold]) -> Manifold:
+    """The union of solids."""
+    return Manifold.batch_boolean(list(parts), OpType.Add)
+
+
+def body(name: str, material: str, solid: Manifold, at: Point = (0, 0, 0), turn: float = 0) -> Body:
+    """A body turned by `turn` degrees about z and moved to `at`."""
+    return Body(name, material, solid.rotate((0, 0, turn)).translate(at))
+
+
+def parts(
+    name: str, solid: Manifold, region: Manifold | None, materials: tuple[str, str]
+) -> Iterator[Body]:
+    """A body of two materials: the second is that of its part in a region, if there is one."""
+    inside, outside = (Manifold(), solid) if region is None else solid.split(region)
+    for material, part in zip(materials, (outside, inside), strict=True):
+        if not part.is_empty():
+            yield Body(name, material, part)
 
 
 def table(length: float, width: float, height: float) -> Manifold:
@@ -40,14 +102,14 @@ def stool(height: float = 0.46, radius: float = 0.17) -> Manifold:
     """A round seat on a turned foot."""
     profile = [(0, -SINK), (0.16, -SINK), (0.16, 0.03), (0.03, 0.05), (0.03, height - 0.05)]
     profile += [(radius, height - 0.04), (radius, height), (0, height)]
-    return lathe(np.array(profile))
+    return lathe(profile)
 
 
 def round_table(radius: float, height: float) -> Manifold:
     """A round top on one thick foot."""
     profile = [(0, -SINK), (0.28, -SINK), (0.28, 0.03), (0.06, 0.07), (0.06, height - 0.08)]
     profile += [(0.2, height - 0.03), (radius, height - 0.03), (radius, height), (0, height)]
-    return lathe(np.array(profile))
+    return lathe(profile)
 
 
 def shelf(width: float, depth: float, height: float, boards: int) -> Manifold:
@@ -116,17 +178,12 @@ def picture_frame(width: float, height: float) -> Manifold:
 
 def canvas(width: float, height: float) -> Manifold:
     """The picture inside such a frame."""
-    x, z, t = width / 2 - 0.03, height / 2 - 0.03, 0.0
-    return box((-x, x), (-0.015, 0.015), (-z + t, z - t))
+    x, z = width / 2 - 0.03, height / 2 - 0.03
+    return box((-x, x), (-0.015, 0.015), (-z, z))
 
 
 def pendant(radius: float, height: float, length: float) -> Manifold:
     """A shade (a truncated cone) that hangs on a rod from z = 0."""
-    shade = Manifold.cylinder(height, radius, 0.4 * radius, circular_segments=96)
+    shade = cylinder(height, radius, top=0.4 * radius)
     rod = box((-0.012, 0.012), (-0.012, 0.012), (-length, 0.02))
     return unite_all([shade.translate((0, 0, -length - height + 0.01)), rod])
-
-
-def unite_all(parts: list[Manifold]) -> Manifold:
-    """The union of solids."""
-    return Manifold.batch_boolean(parts, OpType.Add)
