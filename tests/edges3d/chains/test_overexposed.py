@@ -111,7 +111,7 @@ def test_edges_of_an_overexposed_face_are_no_contours(tmp_path, kind, num_views,
     true = edges_of_box()
     edges, every = points_of(found.edges), sampled(true)
     to_true, to_found = (clouds.cloud_to_cloud(*p) for p in ((edges, every), (every, edges)))
-    assert clouds.scores(to_true, to_found, [THRESHOLD])[0].f_score >= 0.95
+    assert clouds.scores(to_true, to_found, [THRESHOLD])[0]["f_score"] >= 0.95
     top = true[(true[..., 2] == SIDES[2]).all(axis=1)]
     assert len(top) == 4
     assert shares(top, edges).min() > 0.9
