@@ -24,7 +24,7 @@ from colmap_edges.report.contents import Contents
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder, write_whole
-from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
+from colmap_edges.runtime.ownership import OUTPUT, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
 
 
@@ -107,7 +107,7 @@ def write_record(folder: Path, report: dict[str, Any]) -> None:
     """Write report.json, with the list of the folder's files."""
     report["files"] = file_sizes(folder)
     text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
-    write_whole(folder / REPORT_NAME, text.encode(), "report")
+    write_whole(folder / OUTPUT.record, text.encode(), "report")
 
 
 def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:

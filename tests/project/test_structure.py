@@ -18,6 +18,7 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text()
 LIBRARIES = {
     "pycolmap": {"colmap", "evaluation"},
     "cv2": {"edges2d", "evaluation", "images", "report", "surfaces"},
+    "filelock": {"runtime"},
     "networkx": {"export"},
     "pandas": {"export"},
     "plotly": {"report"},
