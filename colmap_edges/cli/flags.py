@@ -102,6 +102,11 @@ def parameter_name(flag: str) -> str:
     return normalize(flag).replace(".", "__")
 
 
+def names_of_stages(*stages: str) -> set[str]:
+    """Names of the fields of PipelineOptions that belong to some stages."""
+    return {entry.name for entry in fields(PipelineOptions) if entry.metadata["stage"] in stages}
+
+
 def make_flags(names: set[str]) -> list[click.Option]:
     """Make the flags of the named fields of PipelineOptions; a group gives one flag per option."""
     flags = []

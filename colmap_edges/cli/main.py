@@ -16,12 +16,7 @@ from colmap_edges.cli.export_command import export
 from colmap_edges.cli.flags import normalize
 from colmap_edges.cli.help import Command, full_help_flag
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.run_commands import (
-    DETECT_FLAGS,
-    MESH_FLAGS,
-    RECONSTRUCT_FLAGS,
-    make_run_command,
-)
+from colmap_edges.cli.run_commands import make_run_command
 from colmap_edges.cli.terminal import (
     HEEDED,
     STOPPED,
@@ -105,17 +100,22 @@ def cli() -> None:
 
 
 cli.params.append(full_help_flag("Show this help; after a command, all of its options, and exit"))
-for name, help, names in (
-    ("detect", "Detect 2D edge graphs: one .npz and one overlay per image.", DETECT_FLAGS),
-    (
+for command in (
+    make_run_command(
+        "detect", "Detect 2D edge graphs: one .npz and one overlay per image.", "detect"
+    ),
+    make_run_command(
         "reconstruct",
         "Reconstruct 3D edges and write them into the COLMAP model.",
-        RECONSTRUCT_FLAGS,
+        *("detect", "trace", "refine", "write"),
     ),
-    ("mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS),
+    make_run_command(
+        "mesh",
+        "Reconstruct 3D edges, write them, and mesh points and edges.",
+        *("detect", "trace", "refine", "write", "mesh"),
+    ),
+    *(info, evaluate, export),
 ):
-    cli.add_command(make_run_command(name, help, names))
-for command in (info, evaluate, export):
     cli.add_command(command)
 
 
