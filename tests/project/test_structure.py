@@ -19,6 +19,7 @@ LIBRARIES = {
     "pycolmap": {"colmap", "evaluation"},
     "cv2": {"edges2d", "evaluation", "images", "report", "surfaces"},
     "filelock": {"runtime"},
+    "jinja2": {"report"},
     "networkx": {"export"},
     "pandas": {"export"},
     "plotly": {"report"},
