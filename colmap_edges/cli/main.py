@@ -29,9 +29,6 @@ from colmap_edges.cli.terminal import (
 from colmap_edges.cli.version import show_version
 from colmap_edges.runtime.memory import reuse_freed_memory
 
-# Objects between collections of cyclic garbage: libraries make many at import, and arrays are freed
-# without it.
-GARBAGE_THRESHOLD = 50_000
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -124,7 +121,8 @@ def main(argv: list[str] | None = None) -> NoReturn:
     # Images and views are processed by our own threads. BLAS threads would compete with them, and
     # make rounding depend on their number. BLAS reads the setting when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(GARBAGE_THRESHOLD)
+    # Libraries make many objects at import, and arrays are freed without collections of garbage.
+    gc.set_threshold(50_000)
     open_streams()
     HEEDED[:] = heeded_signals()
     heed(HEEDED)

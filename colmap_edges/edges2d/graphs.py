@@ -27,7 +27,6 @@ T = TypeVar("T")
 # Size of all graphs from which on freed memory is returned between steps: the system clears what is
 # requested again, which takes smaller scenes 2 % of a run.
 TRIM_BYTES = 1e8
-TRIM_EVERY = 64  # number of released graphs after which freed memory is returned to the system
 
 
 class Backend(Protocol):
@@ -199,7 +198,7 @@ class Graphs:
         del self.kept[view]
         self.num_bytes -= graph_bytes(graph)
         self.num_released += 1
-        if self.num_released % TRIM_EVERY == 0:
+        if self.num_released % 64 == 0:
             del graph
             return_freed_memory()
 

@@ -18,10 +18,7 @@ from colmap_edges.report.findings import (
 
 # Shares kept by a step below which the loss is reported.
 MIN_CONFIRMED_SHARE = 0.3
-MIN_DEPTH_SHARE = 0.1
-MIN_TRACED_SHARE = 0.3
 MIN_KEPT_SHARE = 0.4
-MIN_FOLLOWED_SHARE = 0.02
 LARGE_RESIDUAL_PX = 1.0
 CHECK_POSES = "check the poses (`colmap bundle_adjuster`); "
 NO_EDGES_OF_FOLIAGE = (
@@ -151,7 +148,7 @@ def chain_steps(options: PipelineOptions, fits: bool) -> list[tuple[str, str, fl
         (
             "samples",
             "samples_with_depth",
-            MIN_DEPTH_SHARE,
+            0.1,
             f"samples on 2D edges found no depth that views agree on{why}",
             f"{poses}compare more views with "
             f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors}), or allow "
@@ -169,7 +166,7 @@ def chain_steps(options: PipelineOptions, fits: bool) -> list[tuple[str, str, fl
         (
             "samples_confirmed",
             "samples_in_runs",
-            MIN_TRACED_SHARE,
+            0.3,
             "confirmed depths lie in runs that are too short or confirmed by too few views",
             f"lower --Tracing.min_agreeing_views (now {tracing.min_agreeing_views}) or "
             f"--ChainDepth.sample_step_points (now {options.chain_depth.sample_step_points})",
@@ -206,7 +203,7 @@ def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Itera
         return
     known = starts.get("on_covered_stretch", 0) + starts.get("on_known_edge", 0)
     tried, accepted = sum(starts.values()) - known, starts.get("accepted", 0)
-    if tried and accepted < MIN_FOLLOWED_SHARE * tried:
+    if tried and accepted < 0.02 * tried:
         reasons = {k: v for k, v in starts.items() if k not in PAPER_NOT_LOST}
         worst = max(reasons, key=lambda name: reasons[name])
         yield Finding(

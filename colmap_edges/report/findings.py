@@ -10,8 +10,6 @@ from colmap_edges.errors import counted
 from colmap_edges.options import PipelineOptions
 
 Counts = Mapping[str, Any]
-MIN_POSED_SHARE = 0.7  # share of images with poses below which the others are reported
-MAX_NAMES = 3
 MIN_VIEWS = 3  # minimum number of views of an edge: two always agree, the third confirms the depth
 
 
@@ -43,7 +41,7 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
             f"seen in {max(needed, MIN_VIEWS)}",
             remedy=f"{more}{lower}",
         )
-    if posed < MIN_POSED_SHARE * (posed + unposed):
+    if posed < 0.7 * (posed + unposed):
         yield Finding(
             text=f"images without a pose, which are not used: {unposed} of {posed + unposed}",
             remedy="register more of them with `colmap mapper` (more overlap, more features)",
@@ -98,7 +96,7 @@ def model_findings(read: Counts) -> Iterator[Finding]:
 
 def named(names: Sequence[str]) -> str:
     """The first of some names, as a list in a sentence."""
-    return f"{', '.join(names[:MAX_NAMES])}{', ...' if len(names) > MAX_NAMES else ''}"
+    return f"{', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"
 
 
 def needed_views(options: PipelineOptions) -> tuple[str, int]:
