@@ -208,8 +208,8 @@ def graph_bytes(graph: EdgeGraph) -> int:
     return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph))
 
 
-class Kept(Generic[T]):
-    """A cache of recently used values by key; pickled without its content."""
+class LRUCache(Generic[T]):
+    """The most recently used values by key; pickled without its content."""
 
     def __init__(self, num_kept: int) -> None:
         """Start empty; keep at most `num_kept` values."""
@@ -218,7 +218,7 @@ class Kept(Generic[T]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
-        return Kept, (self.num_kept,)
+        return LRUCache, (self.num_kept,)
 
     def clear(self) -> None:
         """Drop all values."""

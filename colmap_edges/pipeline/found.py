@@ -16,12 +16,12 @@ from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.contents import ImagePicture
-from colmap_edges.report.pictures import PictureTaker
+from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
-from colmap_edges.surfaces.faces.grids import GridTaker
+from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.silhouettes import Background
 
 
@@ -84,8 +84,8 @@ def find_edges(
         with_pictures: whether to take reduced pictures of the images.
         viewer: viewer that shows intermediate results.
     """
-    taker = PictureTaker(len(model.views)) if with_pictures else None
-    grids = GridTaker() if for_mesh and settings.use_faces else None
+    taker = PictureVisitor(len(model.views)) if with_pictures else None
+    grids = GridVisitor() if for_mesh and settings.use_faces else None
     visitor, others = Visitors.of(taker, grids), (paths.masks, paths.edge_maps)
     detection = detect_stage(model, paths.images, settings, stages, visitor, workers, *others)
     pictures = taker.pictures() if taker else ()

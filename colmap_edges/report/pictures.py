@@ -24,7 +24,7 @@ MAX_BYTES = 3_500_000  # maximum size of all pictures, before base 64
 OPACITY_BITS = 2  # fewer shades of a line compress better
 
 
-class PictureTaker:
+class PictureVisitor:
     """Makes reduced pictures while images are in memory, of as many views as a page can hold."""
 
     def __init__(self, num_views: int) -> None:
