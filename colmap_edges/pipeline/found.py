@@ -71,10 +71,9 @@ def find_edges(
     """
     taker = PictureVisitor(len(model.views)) if with_pictures else None
     grids = GridVisitor() if for_mesh and settings.use_faces else None
-    visitor, others = Visitors.of(taker, grids), (paths.mask_path, paths.edge_path)
-    detection = detect_stage(
-        model, image_folder(paths), settings, stages, visitor, workers, *others
-    )
+    images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
+    visitor = Visitors.of(taker, grids)
+    detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)
