@@ -25,7 +25,6 @@ T = TypeVar("T")
 ByView = Sequence[T] | Mapping[int, T]  # an item per view, of all or of those used by a task
 
 NUM_KEPT = 64  # least number of search indices that a worker keeps, more than a task needs
-WORKERS_SHARE = 0.25  # part of the memory for graphs that a worker may use: machines have several
 # On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
 KEPT_BY_WORKER: LRUCache[Any] = LRUCache(NUM_KEPT)
 
@@ -110,7 +109,8 @@ class TracingInput:
     def num_kept(self, workers: Workers) -> int:
         """Number of search indices that a process which runs tasks keeps."""
         if workers.remote:
-            return max(self.graphs.num_fitting(WORKERS_SHARE), NUM_KEPT)
+            # Machines have several workers.
+            return max(self.graphs.num_fitting(0.25), NUM_KEPT)
         return self.indexes.num_kept
 
     def key_of(self, view: int) -> str:
