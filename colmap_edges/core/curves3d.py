@@ -23,7 +23,6 @@ from colmap_edges.core.checks import (
     check_offsets,
     check_points,
     check_shape,
-    check_sigmas,
     check_values,
     checked,
 )
@@ -100,23 +99,19 @@ class Curves3D:
         check_values(f"{name}.wholes", self.wholes, 0, self.num_curves - 1)
         for entry in ("frames", "spans", "knots", "control_points"):
             check_points(f"{name}.{entry}", getattr(self, entry))
-        check_offsets(f"{name}.knot_offsets", self.knot_offsets, len(self.knots))
         counts, splines = np.diff(self.knot_offsets), self.kinds == SPLINE
         least = np.where(splines, 2 * DEGREE + 2, 0)
+        check_offsets(f"{name}.knot_offsets", self.knot_offsets, len(self.knots), least)
         num_control = int((counts - DEGREE - 1)[splines].sum())
-        if (
-            (counts < least).any()
-            or counts[~splines].any()
-            or num_control != len(self.control_points)
-        ):
+        if counts[~splines].any() or num_control != len(self.control_points):
             raise ColmapEdgesError(
-                f"{name}.knots must be at least {2 * DEGREE + 2} for each spline, four more than "
-                "its control points, and none for other curves"
+                f"{name}.knots must be four more than the control points of each spline, and none "
+                "for other curves"
             )
         self.check_geometry(name)
 
     def check_geometry(self, name: str) -> None:
-        """Check that knots rise, that round curves span a plane, and deviations.
+        """Check that knots rise, and that round curves span a plane.
 
         Raises:
             ColmapEdgesError: naming the first array that does not fit.
@@ -135,9 +130,6 @@ class Curves3D:
                 f"{name}.frames[{np.flatnonzero(flat)[0]}] has parallel axes, but its curve is "
                 "round; fit it again"
             )
-        for entry in fields(self):
-            if entry.name.endswith("_sigmas"):
-                check_sigmas(f"{name}.{entry.name}", getattr(self, entry.name))
 
     @classmethod
     def none(cls) -> Curves3D:

@@ -27,7 +27,6 @@ T = TypeVar("T")
 # Size of all graphs from which on freed memory is returned between steps: the system clears what is
 # requested again, which takes smaller scenes 2 % of a run.
 TRIM_BYTES = 1e8
-TRIM_EVERY = 64  # number of released graphs after which freed memory is returned to the system
 
 
 class Backend(Protocol):
@@ -199,7 +198,7 @@ class Graphs:
         del self.kept[view]
         self.num_bytes -= graph_bytes(graph)
         self.num_released += 1
-        if self.num_released % TRIM_EVERY == 0:
+        if self.num_released % 64 == 0:
             del graph
             return_freed_memory()
 
@@ -209,8 +208,8 @@ def graph_bytes(graph: EdgeGraph) -> int:
     return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph))
 
 
-class Kept(Generic[T]):
-    """A cache of recently used values by key; pickled without its content."""
+class LRUCache(Generic[T]):
+    """The most recently used values by key; pickled without its content."""
 
     def __init__(self, num_kept: int) -> None:
         """Start empty; keep at most `num_kept` values."""
@@ -219,7 +218,7 @@ class Kept(Generic[T]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
-        return Kept, (self.num_kept,)
+        return LRUCache, (self.num_kept,)
 
     def clear(self) -> None:
         """Drop all values."""

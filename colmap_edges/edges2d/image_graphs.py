@@ -358,9 +358,7 @@ def graph_from(arrays: Arrays) -> EdgeGraph:
     """
     graph = unflattened(EdgeGraph, arrays)
     check_arrays("graph", graph)
-    check_offsets("graph.polyline_offsets", graph.polyline_offsets, len(graph.points))
-    if (np.diff(graph.polyline_offsets) < 1).any():
-        raise ValueError("a polyline has no points")
+    check_offsets("graph.polyline_offsets", graph.polyline_offsets, len(graph.points), least=1)
     check_values("graph.undistorted", graph.undistorted, -MAX_COORDINATE, MAX_COORDINATE)
     check_values("graph.normals", graph.normals, -1.01, 1.01)
     return graph

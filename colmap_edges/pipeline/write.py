@@ -109,7 +109,7 @@ def make_report(
         "options": asdict(options),
         "settings": recorded(settings),
         "stages": stages.records(),
-        "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
+        "findings": [found._asdict() for found in diagnose(stages.records(), options)],
         "funnel": [asdict(step) for step in funnel(stages.records(), options)],
     }
 

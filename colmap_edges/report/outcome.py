@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from colmap_edges.errors import counted
-from colmap_edges.report.diagnosis import counts_by_stage
+from colmap_edges.report.funnel import counts_by_stage
 
 # Descriptions of output files, with programs that open them.
 VIEWERS = {
