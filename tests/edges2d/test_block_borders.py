@@ -1,4 +1,4 @@
-"""Steps at the borders of JPEG's blocks against simulated compression, and tables against Pillow's."""
+"""Steps at borders of JPEG's blocks in simulated compression, and tables against Pillow's."""
 
 from io import BytesIO
 
