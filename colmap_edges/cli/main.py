@@ -18,10 +18,10 @@ from colmap_edges.cli.help import Command, full_help_flag
 from colmap_edges.cli.imports import importing
 from colmap_edges.cli.run_commands import make_run_command
 from colmap_edges.cli.terminal import (
-    HEEDED,
-    STOPPED,
-    heed,
-    heeded_signals,
+    HANDLED,
+    RECEIVED,
+    handle_signals,
+    handled_signals,
     open_streams,
     say,
     show_usage_error,
@@ -124,8 +124,8 @@ def main(argv: list[str] | None = None) -> NoReturn:
     # Libraries make many objects at import, and arrays are freed without collections of garbage.
     gc.set_threshold(50_000)
     open_streams()
-    HEEDED[:] = heeded_signals()
-    heed(HEEDED)
+    HANDLED[:] = handled_signals()
+    handle_signals(HANDLED)
     reuse_freed_memory()
     run: Callable[..., Any] = cli.main
     try:
@@ -137,9 +137,9 @@ def main(argv: list[str] | None = None) -> NoReturn:
         say("Interrupted; nothing was written.", err=True)
         sys.exit(130)
     except Exception:
-        if not STOPPED:
+        if not RECEIVED:
             raise
         # Some libraries turn an interrupt into an exception of their own.
         say("Interrupted; nothing was written.", err=True)
-        sys.exit(128 + STOPPED[0])
+        sys.exit(128 + RECEIVED[0])
     sys.exit(code if isinstance(code, int) else 0)

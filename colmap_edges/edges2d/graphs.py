@@ -9,7 +9,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from math import prod
 from pathlib import Path
 from threading import Lock
 from typing import Any, Generic, Protocol, TypeVar
@@ -45,7 +44,7 @@ class DiskBackend:
     def __init__(self) -> None:
         """Start without a folder."""
         self.folder: Path | None = None
-        self.layouts: dict[int, list[tuple[np.dtype[Any], tuple[int, ...]]]] = {}
+        self.stored: set[int] = set()
 
     def path(self, view: int) -> Path:
         """The file of the graph of a view."""
@@ -60,28 +59,24 @@ class DiskBackend:
         Raises:
             ColmapEdgesError: if the disk is full.
         """
-        if view in self.layouts:
+        if view in self.stored:
             return
-        path, arrays = self.path(view), [getattr(graph, entry.name) for entry in fields(graph)]
+        path = self.path(view)
         try:
             with path.open("wb") as file:
-                for array in arrays:
-                    file.write(np.ascontiguousarray(array).data)
+                for entry in fields(graph):
+                    np.save(file, np.ascontiguousarray(getattr(graph, entry.name)))
         except OSError as error:
             raise ColmapEdgesError(
-                f"cannot keep edge graphs in {path.parent} ({error.strerror}); free space there, "
-                "set TMPDIR to another folder, or raise max_graph_memory_gb"
+                f"cannot keep edge graphs in {path.parent} ({error.strerror or error}); free space "
+                "there, set TMPDIR to another folder, or raise max_graph_memory_gb"
             ) from error
-        self.layouts[view] = [(array.dtype, array.shape) for array in arrays]
+        self.stored.add(view)
 
     def read(self, view: int) -> EdgeGraph:
         """Read the graph of a view."""
         with self.path(view).open("rb") as file:
-            arrays = [
-                np.fromfile(file, dtype, prod(shape)).reshape(shape)
-                for dtype, shape in self.layouts[view]
-            ]
-        return EdgeGraph(**{e.name: a for e, a in zip(fields(EdgeGraph), arrays, strict=True)})
+            return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
 
 
 @dataclass(frozen=True)

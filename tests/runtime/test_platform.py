@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from project import ROOT
 
-from colmap_edges.cli.terminal import heeded_signals
+from colmap_edges.cli.terminal import handled_signals
 from colmap_edges.errors import NotAFileError
 from colmap_edges.runtime import memory, platform
 from colmap_edges.runtime.input_files import open_file
@@ -30,7 +30,7 @@ def test_c_library_that_cannot_be_asked(monkeypatch):
 def test_signals_that_there_are_not(monkeypatch):
     monkeypatch.delattr(signal, "SIGHUP", raising=False)
     assert platform.ending_signals() == [signal.SIGINT, signal.SIGTERM]
-    assert set(heeded_signals()) <= {signal.SIGINT, signal.SIGTERM}
+    assert set(handled_signals()) <= {signal.SIGINT, signal.SIGTERM}
 
 
 def test_links_are_refused_without_o_nofollow(monkeypatch, tmp_path):
