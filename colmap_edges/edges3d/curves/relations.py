@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranges_of
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, SPLINE, Curves3D
-from colmap_edges.edges3d.curves.cutting import Noise
-from colmap_edges.edges3d.curves.stacks import MISFIT, Stack
+from colmap_edges.edges3d.curves.joints import foot_points
+from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
 # maximum growth of a curve's mean squared residual, beyond that explained by deviations
 MAX_GROWTH = 1.5
@@ -66,7 +67,7 @@ def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, In
         open_ = np.flatnonzero(groups < 0)
         cosines = directions[open_] @ directions[place]
         apart = np.arccos(np.minimum(np.abs(cosines), 1))
-        limit = np.minimum(MISFIT * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
+        limit = np.minimum(OUTLIER_SIGMAS * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
         members = open_[(apart <= limit) | (open_ == place)]
         signs = np.sign(directions[members] @ directions[place])
         weights = signs / sigmas[members] ** 2
@@ -92,7 +93,7 @@ def perpendicular(means: FloatArray, spreads: FloatArray, counts: IntArray) -> F
         fixed: list[int] = []
         for other in done:
             off = abs(float(np.arcsin(np.clip(turned[group] @ turned[other], -1, 1))))
-            limit = min(MISFIT * float(np.hypot(spreads[group], spreads[other])), MAX_ANGLE)
+            limit = min(OUTLIER_SIGMAS * float(np.hypot(spreads[group], spreads[other])), MAX_ANGLE)
             square = all(abs(turned[other] @ turned[f]) < 1e-9 for f in fixed)
             if off <= limit and square and len(fixed) < 2:
                 fixed.append(other)
@@ -169,10 +170,10 @@ def agreeing(places: FloatArray, sigmas: FloatArray) -> list[IntArray]:
     for place in np.argsort(sigmas, kind="stable").tolist():
         if not left[place]:
             continue
-        reach = MISFIT * float(np.hypot(sigmas[place], sigmas[left].max()))
+        reach = OUTLIER_SIGMAS * float(np.hypot(sigmas[place], sigmas[left].max()))
         near = np.array(sorted(tree.query_ball_point(places[place], reach)), dtype=np.int64)
         apart = np.linalg.norm(places[near] - places[place], axis=1)
-        near = near[left[near] & (apart <= MISFIT * np.hypot(sigmas[near], sigmas[place]))]
+        near = near[left[near] & (apart <= OUTLIER_SIGMAS * np.hypot(sigmas[near], sigmas[place]))]
         left[near] = False
         left[place] = False
         if len(near) > 1:
@@ -185,17 +186,9 @@ def residual_squares(curves: Curves3D, points: FloatArray, noise: Noise) -> Floa
 
     For ellipses, the distance from the point at the same angle; 0 for splines.
     """
-    lengths = np.diff(curves.ranges)[:, 0]
-    rows = ranges_of(curves.ranges[:, 0], curves.ranges[:, 1])
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    stack = Stack(points=points[rows], weights=noise.weights[rows], offsets=offsets)
-    origin, a, b = np.moveaxis(curves.frames[stack.owners], 1, 0)
-    q = stack.points - origin
-    along = np.einsum("ij,ij->i", q, a) / np.maximum(np.einsum("ij,ij->i", a, a), 1e-300)
-    aside = np.einsum("ij,ij->i", q, b) / np.maximum(np.einsum("ij,ij->i", b, b), 1e-300)
-    straight: BoolArray = (curves.kinds == LINE)[stack.owners]
-    angle = np.arctan2(aside, along)
-    x, y = np.where(straight, along, np.cos(angle)), np.where(straight, 0, np.sin(angle))
-    squares = ((q - x[:, None] * a - y[:, None] * b) ** 2).sum(axis=1)
-    means = stack.sums(np.minimum(stack.weights * squares, MISFIT**2)) / np.maximum(lengths, 1)
+    on_curves = noise.sequences(points, curves.ranges)
+    owners = on_curves.owners
+    feet = foot_points(curves.frames[owners], (curves.kinds == LINE)[owners], on_curves.points)
+    squares = on_curves.weights * ((on_curves.points - feet) ** 2).sum(axis=1)
+    means = on_curves.sums(np.minimum(squares, OUTLIER_SIGMAS**2)) / on_curves.lengths
     return np.where(curves.kinds == SPLINE, 0, means)

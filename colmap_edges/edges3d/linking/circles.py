@@ -19,19 +19,15 @@ from colmap_edges.core.arrays import (
     ranges_of,
     ranks_of,
 )
+from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import end_points, match_best_first
 from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
-from colmap_edges.edges3d.curves.cutting import (
-    ARC_FREEDOM,
-    LINE_FREEDOM,
-    Noise,
-    learn_noise,
-    log_counts,
-)
-from colmap_edges.edges3d.curves.rounds import Circles, fit_circles, fit_lines
-from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
+from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
+from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits
+from colmap_edges.edges3d.curves.segmentation import NUM_PARAMETERS, learn_noise
 from colmap_edges.edges3d.linking.joining import (
     REACH,
     SHORT_GAP,
@@ -140,51 +136,44 @@ def sagittas(edges: Edges3D) -> FloatArray:
     return np.asarray(aside / (np.linalg.norm(end - start, axis=1) + 1e-300))
 
 
-def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Circles, BoolArray]:
+def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Fits, BoolArray]:
     """Circles through (n, 2) pairs of edges, and (n,) whether a pair is one circle, by BIC."""
     each, place = np.unique(pairs, return_inverse=True)
-    single = stack_of(edges, noise, each)
-    fits_apart = ((fit_lines(single), LINE_FREEDOM), (fit_circles(single), ARC_FREEDOM))
-    both = stack_of(edges, noise, pairs.ravel())
+    bounds = np.column_stack([edges.edge_offsets[:-1], edges.edge_offsets[1:]])
+    single = noise.sequences(edges.points, bounds[each])
+    both = noise.sequences(edges.points, bounds[pairs.ravel()])
     steps = np.linalg.norm(np.diff(both.points, axis=0), axis=1)
     steps[both.offsets[1:-1] - 1] = 0
     both = replace(both, offsets=both.offsets[::2])
     fits = fit_circles(both)
-    turns = both.sums(np.append(steps, 0)) / fits.radii
-    logs = log_counts(np.diff(both.offsets), noise.correlation)
+    turns = both.sums(np.append(steps, 0)) / np.linalg.norm(fits.frames[:, 1], axis=1)
+    logs = noise.parameter_costs(both.lengths)
     apart = [
-        costs(single, fit.squares, noise)[place.reshape(-1, 2)] + freedom * logs[:, None]
-        for fit, freedom in fits_apart
+        noise.costs(single, fit(single).squares)[place.reshape(-1, 2)]
+        + NUM_PARAMETERS[kind] * logs[:, None]
+        for fit, kind in ((fit_lines, LINE), (fit_circles, ARC))
     ]
-    joint = costs(both, fits.squares, noise) + (ARC_FREEDOM + 1) * logs
+    joint = noise.costs(both, fits.squares) + 9 * logs
     return fits, (joint < np.minimum(*apart).sum(axis=1)) & (turns >= MIN_TURN)
 
 
-def stack_of(edges: Edges3D, noise: Noise, which: IntArray) -> Stack:
-    """Stack of the points of (n,) edges."""
-    first, end = edges.edge_offsets[which], edges.edge_offsets[which + 1]
-    rows, offsets = ranges_of(first, end), offsets_of(end - first)
-    return Stack(points=edges.points[rows], weights=noise.weights[rows], offsets=offsets)
-
-
-def costs(stack: Stack, squares: FloatArray, noise: Noise) -> FloatArray:
-    """(S,) costs of the (N,) squared distances of a stack's points."""
-    shares = noise.shares(np.diff(stack.offsets))[stack.owners]
-    return stack.sums(costs_of(stack.weights * squares, shares, noise.correlation))
-
-
-def num_strays(edges: Edges3D, noise: Noise, fits: Circles, of: IntArray) -> IntArray:
+def num_strays(edges: Edges3D, noise: Noise, fits: Fits, of: IntArray) -> IntArray:
     """(n,) number of points at the tips of ends that lie beside their circles, at most `REACH`.
 
     At least two points of an edge remain if both of its ends lose as many.
     """
     count = np.zeros(len(of), np.int64)
     sizes = np.diff(edges.edge_offsets)[of // 2]
+    radii = np.linalg.norm(fits.frames[:, 1], axis=1)
+    axes = fits.frames[:, 1:] / radii[:, None, None]
+    axes = np.concatenate([axes, np.cross(axes[:, 0], axes[:, 1])[:, None]], axis=1)
     for step in range(REACH):
         at = points_inward(edges, of, np.full(len(of), step))
-        local = np.einsum("nij,nj->ni", fits.axes, edges.points[at] - fits.centers)
-        off = np.hypot(np.hypot(local[:, 0], local[:, 1]) - fits.radii, local[:, 2])
-        count += (count == step) & (off > MISFIT * noise.sigmas[at]) & (2 * step + 3 < sizes)
+        local = np.einsum("nij,nj->ni", axes, edges.points[at] - fits.frames[:, 0])
+        off = np.hypot(np.hypot(local[:, 0], local[:, 1]) - radii, local[:, 2])
+        count += (
+            (count == step) & (off > OUTLIER_SIGMAS * noise.sigmas[at]) & (2 * step + 3 < sizes)
+        )
     return count
 
 
@@ -196,29 +185,30 @@ def points_inward(edges: Edges3D, of: IntArray, steps: IntArray) -> IntArray:
 
 
 def gaps_on(
-    edges: Edges3D, fits: Circles, pairs: IntArray, strays: IntArray, spacings: FloatArray
+    edges: Edges3D, fits: Fits, pairs: IntArray, strays: IntArray, spacings: FloatArray
 ) -> tuple[Gaps, FloatArray, BoolArray]:
     """The gaps between (n, 2) ends on circles, without their (n, 2) numbers of stray points.
 
     Returns:
         The gaps, (n,) their lengths in spacings, and (n,) whether the ends face each other.
     """
-    axes, angles, ways = fits.axes[:, :2], [], []
+    centers, radii = fits.frames[:, 0], np.linalg.norm(fits.frames[:, 1], axis=1)
+    axes, angles, ways = fits.frames[:, 1:] / radii[:, None, None], [], []
     for of, skip in zip(pairs.T, strays.T, strict=True):
         tips, inner = (edges.points[points_inward(edges, of, skip + more)] for more in (0, REACH))
-        local = np.einsum("nij,nj->ni", axes, tips - fits.centers)
+        local = np.einsum("nij,nj->ni", axes, tips - centers)
         outward = np.einsum("nij,nj->ni", axes, tips - inner)
         angles.append(np.arctan2(local[:, 1], local[:, 0]))
         ways.append(np.sign(local[:, 0] * outward[:, 1] - local[:, 1] * outward[:, 0]))
     turns = (angles[1] - angles[0] + np.pi) % (2 * np.pi) - np.pi
-    lengths = ways[0] * turns * fits.radii / spacings
+    lengths = ways[0] * turns * radii / spacings
     facing = (ways[0] == -ways[1]) & (lengths > -MAX_OVERLAP_SPACINGS)
     counts = np.where(facing & (lengths > SHORT_GAP), np.ceil(lengths) - 1, 0).astype(np.int64)
     owners = np.repeat(np.arange(len(pairs)), counts)
     t = angles[0][owners] + turns[owners] * (ranks_of(counts) + 1) / (counts[owners] + 1)
     radial = np.einsum("nk,nki->ni", np.column_stack([np.cos(t), np.sin(t)]), axes[owners])
     tangents = np.einsum("nk,nki->ni", np.column_stack([-np.sin(t), np.cos(t)]), axes[owners])
-    points = fits.centers[owners] + fits.radii[owners, None] * radial
+    points = centers[owners] + radii[owners, None] * radial
     gaps = Gaps(ends=pairs[owners], points=points, tangents=tangents, owners=owners)
     return gaps, lengths, facing
 
