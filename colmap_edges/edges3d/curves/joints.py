@@ -43,11 +43,10 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
         at_right = nearest_on(curves, right, middle, starts[1])
     sigmas = noise.sigmas[curves.ranges[left, 1] - 1] + noise.sigmas[curves.ranges[right, 0]]
     allowed = (1 + REACH) * np.maximum(gaps, np.median(gaps))
-    extended = [
-        np.linalg.norm(a - b, axis=1) for a, b in zip((at_left, at_right), starts, strict=True)
-    ]
+    moved = at_left - starts[0], at_right - starts[1]
+    extended = np.maximum(*(np.linalg.norm(shift, axis=1) for shift in moved))
     meet = np.linalg.norm(at_left - at_right, axis=1) < OUTLIER_SIGMAS * sigmas
-    meet &= np.maximum(*extended) < allowed
+    meet &= extended < allowed
     place = np.where(is_line(curves, right)[:, None], at_left, at_right)
     both = is_line(curves, left) & is_line(curves, right)
     place[both] = ((at_left + at_right) / 2)[both]

@@ -1,7 +1,7 @@
 """Circles that several edges share: pieces of one circle, with gaps or other edges in between.
 
-A piece of a few points determines its circle badly, and is often classified as a line. If it lies on
-the circle of another edge, one circle for both needs fewer parameters, and is chosen by the same
+A piece of a few points does not determine its circle, and is often classified as a line. If it lies
+on the circle of another edge, one circle for both needs fewer parameters, and is chosen by the same
 criterion (BIC) as the kinds.
 """
 
@@ -76,7 +76,8 @@ def doubts_of(curves: SelectedCurves, noise: Noise) -> FloatArray:
 def relative_sigmas(frames: FloatArray, sigmas: FloatArray, noise: Noise) -> FloatArray:
     """(n,) standard deviations of the radii of circles, relative to the radii."""
     radii = np.maximum(np.linalg.norm(frames[:, 1], axis=1), 1e-300)
-    return np.nan_to_num(sigmas[:, 3] * np.sqrt(noise.correlation) / radii, nan=np.inf)
+    doubts = sigmas[:, 3] * np.sqrt(noise.correlation) / radii
+    return np.asarray(np.nan_to_num(doubts, nan=np.inf), np.float64)
 
 
 def candidate_pairs(
