@@ -1,13 +1,13 @@
 """Joining of the pieces of one circle, with points on it where views observe the gap.
 
 Pieces of a small circle are short, and their ends are their least certain points, so directions of
-ends do not tell whether they face each other. One circle through both pieces does: it must describe
-them at less cost (BIC) than a line or a circle for each.
+ends do not determine whether they face each other. One circle through both pieces does: it must
+describe them at less cost (BIC) than a line or a circle for each.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -21,22 +21,26 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import ChainObservations, Observations
+from colmap_edges.core.observations import Observations
 from colmap_edges.core.polylines import end_points, match_best_first
-from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
+from colmap_edges.edges2d.edge_index import IndexedGraphs
+from colmap_edges.edges3d.curves.joints import coordinates_in, foot_points
 from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
 from colmap_edges.edges3d.curves.noise import Noise
-from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 from colmap_edges.edges3d.curves.segmentation import NUM_PARAMETERS, learn_noise
-from colmap_edges.edges3d.linking.joining import (
+from colmap_edges.edges3d.curves.shared_circles import joint_circles
+from colmap_edges.edges3d.linking.ends import (
     REACH,
     SHORT_GAP,
     Ends,
     find_ends,
-    joined,
     near_pairs,
+    points_inward,
     views_near,
 )
+from colmap_edges.edges3d.linking.gaps import observed_along
+from colmap_edges.edges3d.linking.joining import joined
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 MIN_POINTS = (3, 8)  # minimum numbers of points of the shorter and the longer piece of a circle
@@ -63,12 +67,7 @@ class Gaps:
 
     def select(self, rows: IntArray) -> Gaps:
         """The selected points."""
-        return Gaps(
-            points=self.points[rows],
-            tangents=self.tangents[rows],
-            ends=self.ends[rows],
-            owners=self.owners[rows],
-        )
+        return replace(self, **{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 def join_circles(
@@ -89,17 +88,24 @@ def join_circles(
     if not len(pairs):
         return edges
     noise = learn_noise(edges, num_threads)
-    fits, same = circles_through(edges, noise, pairs // 2)
-    strays = np.column_stack([num_strays(edges, noise, fits, of) for of in pairs.T])
+    frames, same = circles_through(edges, noise, pairs // 2)
+    strays = np.column_stack([num_strays(edges, noise, frames, of) for of in pairs.T])
     spacings = ends.spacings[pairs].min(axis=1)
-    gaps, lengths, facing = gaps_on(edges, fits, pairs, strays, spacings)
+    gaps, lengths, facing = gaps_on(edges, frames, pairs, strays, spacings)
     facing &= same
     gaps = gaps.select(np.flatnonzero(facing[gaps.owners]))
-    observed = observe(edges, gaps, given, options, num_threads)
+    observed = observed_along(
+        given,
+        views_near(edges, gaps.ends, given.num_views),
+        gaps.points[:, None],
+        gaps.tangents[:, None],
+        options.refinement.max_residual_px,
+        (options.refinement.max_tangent_angle_deg,),
+        num_threads,
+    )
     seen = observed.counts >= options.tracing.min_observations
     everywhere = np.bincount(gaps.owners[~seen], minlength=len(pairs)) == 0
-    near = lengths <= options.linking.max_gap_spacings
-    allowed = facing & (near | everywhere)
+    allowed = facing & ((lengths <= options.linking.max_gap_spacings) | everywhere)
     partner = match_best_first(len(ends.positions), pairs[:, 0], pairs[:, 1], allowed, lengths)
     used = partner[pairs[:, 0]] == pairs[:, 1]
     skip = np.zeros(len(partner), np.int64)
@@ -136,107 +142,72 @@ def sagittas(edges: Edges3D) -> FloatArray:
     return np.asarray(aside / (np.linalg.norm(end - start, axis=1) + 1e-300))
 
 
-def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Fits, BoolArray]:
-    """Circles through (n, 2) pairs of edges, and (n,) whether a pair is one circle, by BIC."""
-    each, place = np.unique(pairs, return_inverse=True)
+def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[FloatArray, BoolArray]:
+    """(n, 3, 3) circles through (n, 2) pairs of edges, (n,) whether a pair is one circle (BIC)."""
     bounds = np.column_stack([edges.edge_offsets[:-1], edges.edge_offsets[1:]])
+    each, place = np.unique(pairs, return_inverse=True)
     single = noise.sequences(edges.points, bounds[each])
     both = noise.sequences(edges.points, bounds[pairs.ravel()])
-    steps = np.linalg.norm(np.diff(both.points, axis=0), axis=1)
-    steps[both.offsets[1:-1] - 1] = 0
+    steps = np.append(np.linalg.norm(np.diff(both.points, axis=0), axis=1), 0)
+    steps[both.offsets[1:] - 1] = 0
     both = replace(both, offsets=both.offsets[::2])
-    fits = fit_circles(both)
-    turns = both.sums(np.append(steps, 0)) / np.linalg.norm(fits.frames[:, 1], axis=1)
-    logs = noise.parameter_costs(both.lengths)
-    apart = [
+    prices = noise.parameter_costs(both.lengths)
+    separate = [
         noise.costs(single, fit(single).squares)[place.reshape(-1, 2)]
-        + NUM_PARAMETERS[kind] * logs[:, None]
+        + NUM_PARAMETERS[kind] * prices[:, None]
         for fit, kind in ((fit_lines, LINE), (fit_circles, ARC))
     ]
-    joint = noise.costs(both, fits.squares) + 9 * logs
-    return fits, (joint < np.minimum(*apart).sum(axis=1)) & (turns >= MIN_TURN)
+    fits, gains, _ = joint_circles(noise, both, 1, np.minimum(*separate).sum(axis=1))
+    turns = both.sums(steps) / np.linalg.norm(fits.frames[:, 1], axis=1)
+    return fits.frames, (gains > 0) & (turns >= MIN_TURN)
 
 
-def num_strays(edges: Edges3D, noise: Noise, fits: Fits, of: IntArray) -> IntArray:
+def num_strays(edges: Edges3D, noise: Noise, frames: FloatArray, of: IntArray) -> IntArray:
     """(n,) number of points at the tips of ends that lie beside their circles, at most `REACH`.
 
     At least two points of an edge remain if both of its ends lose as many.
     """
-    count = np.zeros(len(of), np.int64)
+    count, straight = np.zeros(len(of), np.int64), np.zeros(len(of), bool)
     sizes = np.diff(edges.edge_offsets)[of // 2]
-    radii = np.linalg.norm(fits.frames[:, 1], axis=1)
-    axes = fits.frames[:, 1:] / radii[:, None, None]
-    axes = np.concatenate([axes, np.cross(axes[:, 0], axes[:, 1])[:, None]], axis=1)
     for step in range(REACH):
-        at = points_inward(edges, of, np.full(len(of), step))
-        local = np.einsum("nij,nj->ni", axes, edges.points[at] - fits.frames[:, 0])
-        off = np.hypot(np.hypot(local[:, 0], local[:, 1]) - radii, local[:, 2])
-        count += (
-            (count == step) & (off > OUTLIER_SIGMAS * noise.sigmas[at]) & (2 * step + 3 < sizes)
-        )
+        at = points_inward(edges, of, step)
+        off = edges.points[at] - foot_points(frames, straight, edges.points[at])
+        stray = np.linalg.norm(off, axis=1) > OUTLIER_SIGMAS * noise.sigmas[at]
+        count += (count == step) & stray & (2 * step + 3 < sizes)
     return count
 
 
-def points_inward(edges: Edges3D, of: IntArray, steps: IntArray) -> IntArray:
-    """(n,) points `steps` inward of the tips of ends, at most as far as the opposite tips."""
-    first, last = edges.edge_offsets[of // 2], edges.edge_offsets[of // 2 + 1] - 1
-    inward = np.where(of % 2 == 0, first + steps, last - steps)
-    return np.clip(inward, first, last)
-
-
 def gaps_on(
-    edges: Edges3D, fits: Fits, pairs: IntArray, strays: IntArray, spacings: FloatArray
+    edges: Edges3D, frames: FloatArray, pairs: IntArray, strays: IntArray, spacings: FloatArray
 ) -> tuple[Gaps, FloatArray, BoolArray]:
     """The gaps between (n, 2) ends on circles, without their (n, 2) numbers of stray points.
 
     Returns:
         The gaps, (n,) their lengths in spacings, and (n,) whether the ends face each other.
     """
-    centers, radii = fits.frames[:, 0], np.linalg.norm(fits.frames[:, 1], axis=1)
-    axes, angles, ways = fits.frames[:, 1:] / radii[:, None, None], [], []
+    angles, ways = [], []
     for of, skip in zip(pairs.T, strays.T, strict=True):
-        tips, inner = (edges.points[points_inward(edges, of, skip + more)] for more in (0, REACH))
-        local = np.einsum("nij,nj->ni", axes, tips - centers)
-        outward = np.einsum("nij,nj->ni", axes, tips - inner)
-        angles.append(np.arctan2(local[:, 1], local[:, 0]))
-        ways.append(np.sign(local[:, 0] * outward[:, 1] - local[:, 1] * outward[:, 0]))
+        tips, inner = (
+            coordinates_in(frames, edges.points[points_inward(edges, of, skip + more)])
+            for more in (0, REACH)
+        )
+        angles.append(np.arctan2(tips[1], tips[0]))
+        ways.append(np.sign(tips[1] * inner[0] - tips[0] * inner[1]))
     turns = (angles[1] - angles[0] + np.pi) % (2 * np.pi) - np.pi
-    lengths = ways[0] * turns * radii / spacings
+    lengths = ways[0] * turns * np.linalg.norm(frames[:, 1], axis=1) / spacings
     facing = (ways[0] == -ways[1]) & (lengths > -MAX_OVERLAP_SPACINGS)
     counts = np.where(facing & (lengths > SHORT_GAP), np.ceil(lengths) - 1, 0).astype(np.int64)
     owners = np.repeat(np.arange(len(pairs)), counts)
     t = angles[0][owners] + turns[owners] * (ranks_of(counts) + 1) / (counts[owners] + 1)
-    radial = np.einsum("nk,nki->ni", np.column_stack([np.cos(t), np.sin(t)]), axes[owners])
-    tangents = np.einsum("nk,nki->ni", np.column_stack([-np.sin(t), np.cos(t)]), axes[owners])
-    points = centers[owners] + radii[owners, None] * radial
-    gaps = Gaps(ends=pairs[owners], points=points, tangents=tangents, owners=owners)
-    return gaps, lengths, facing
-
-
-def observe(
-    edges: Edges3D,
-    gaps: Gaps,
-    given: IndexedGraphs,
-    options: PipelineOptions,
-    num_threads: int,
-) -> ChainObservations:
-    """Observations of the points in gaps, in the views that observe one of both ends."""
-    asked = views_near(edges, gaps.ends, given.num_views)
-    radius = options.refinement.max_residual_px
-    cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
-    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
-    for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
-        rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
-        places = gaps.points[rows, None], gaps.tangents[rows, None]
-        at = positions_near(given.index(view), radius, num_threads, *places, cosine)[:, 0]
-        found.append((np.full((at >= 0).sum(), view), at[at >= 0], rows[at >= 0]))
-    views, positions, points = (np.concatenate(of) for of in zip(*found, strict=True))
-    order = np.argsort(points, kind="stable")
-    return ChainObservations(
-        offsets=offsets_of(np.bincount(points, minlength=len(gaps.points))),
-        views=views[order].astype(np.int32),
-        positions=positions[order],
+    centers, a, b = np.moveaxis(frames[owners], 1, 0)
+    cosines, sines = np.cos(t)[:, None], np.sin(t)[:, None]
+    gaps = Gaps(
+        points=centers + cosines * a + sines * b,
+        tangents=cosines * b - sines * a,
+        ends=pairs[owners],
+        owners=owners,
     )
+    return gaps, lengths, facing
 
 
 def without_tips(edges: Edges3D, skip: IntArray) -> Edges3D:

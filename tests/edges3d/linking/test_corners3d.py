@@ -7,7 +7,7 @@ import pytest
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.edge_index import look_up
-from colmap_edges.edges3d.linking.corners3d import meet_at_corners
+from colmap_edges.edges3d.linking.corners import meet_at_corners
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 VIEWS = known.ring(6)
