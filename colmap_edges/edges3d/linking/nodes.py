@@ -90,7 +90,7 @@ def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings, radius: floa
     keep &= a // 2 != b // 2
     keep[keep] = (at_corner[a] & at_corner[b])[keep] | ~go_on_smoothly(edges, a[keep], b[keep])
     links = nearest_links(a[keep], b[keep], np.linalg.norm(gap[keep], axis=1))
-    meetings = Meetings.of_links(*links.T, len(lines.centers))
+    meetings = Meetings.of_links(links[:, 0], links[:, 1], len(lines.centers))
     # Ends extended to a corner determine its position; otherwise all ends, then those near it.
     placed = at_corner[meetings.members]
     firm = placed | (np.bincount(meetings.owners, placed) == 0)[meetings.owners]
