@@ -1,23 +1,16 @@
-"""Pieces of one circle are told as such, and as one curve where nothing ends between them."""
+"""Pieces of one circle are classified as such, and as one curve where nothing ends between them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from curve_edges import arc, edges_of, frame, segment
+from curve_edges import arc, edges_of, frame, lines_around
 
 from colmap_edges.core.curves3d import ARC, CIRCLE, LINE
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.export.curve_records import curve_records, curves_of_records
 
 SIGMA = 1e-3
-
-
-def lines_around(count=30):
-    """Straight edges far away, from which the noise is learned."""
-    random = np.random.default_rng(7)
-    starts, ends = 50 + random.normal(size=(2, count, 3))
-    return [segment(a, b, 25) for a, b in zip(starts, ends, strict=True)]
 
 
 def pieces(*spans, radius=0.5, axes=1, center=1.0):

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from colmap_edges.core.arrays import offsets_of
-from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.linking.gaps import are_observed, hermite_weights
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import PipelineOptions
@@ -30,21 +27,7 @@ ARC = part_of(known.circle((0.5, 0, 0), 0.8), 0.0, 0.4)
 def pieces_of(curve, views):
     """The two pieces of a curve as edges that each of some views observes."""
     t = [np.arange(first, last, STEP) for first, last in (BEFORE, AFTER)]
-    points = curve(np.concatenate(t))
-    count = len(points) * len(views)
-    return Edges3D(
-        points=points,
-        edge_offsets=offsets_of(np.array([len(of) for of in t])),
-        closed=np.zeros(2, bool),
-        observations=Observations.of_pixels(
-            offsets=np.arange(0, count + 1, len(views)),
-            views=np.tile(np.array(views, np.int32), len(points)),
-            pixels=np.zeros((count, 2)),
-        ),
-        sigmas=np.zeros(len(points)),
-        end_nodes=np.full((2, 2), -1, np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
+    return known.observed_edges([curve(of) for of in t], views)
 
 
 def num_linked(curve, chains, observing=range(6), num_threads=1):

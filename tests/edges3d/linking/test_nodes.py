@@ -6,7 +6,6 @@ import curves as known
 import numpy as np
 import pytest
 
-from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.edge_index import look_up
 from colmap_edges.edges3d.linking.nodes import meet_at_nodes
@@ -50,19 +49,7 @@ def views_of(chains):
 
 def met(pieces, chains, num_threads=1, observing=range(6), closed=False, sigmas=SIGMA, **linking):
     """Edges that some views observe, in views with such chains each, with nodes."""
-    points, lengths = np.concatenate(pieces), [len(piece) for piece in pieces]
-    count, observing = len(points) * len(observing), np.array(observing, np.int32)
-    edges = Edges3D(
-        points=points,
-        edge_offsets=offsets_of(np.array(lengths)),
-        closed=np.full(len(pieces), closed),
-        observations=known.unplaced(
-            np.arange(0, count + 1, len(observing)), np.tile(observing, len(points))
-        ),
-        sigmas=np.repeat(np.full(len(pieces), sigmas), lengths),
-        end_nodes=np.full((len(pieces), 2), -1, np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
+    edges = known.observed_edges(pieces, observing, sigmas, closed)
     options = PipelineOptions(linking=LinkingOptions(**linking))
     return meet_at_nodes(edges, views_of(chains), options, num_threads)
 
