@@ -38,8 +38,7 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
         return curves
     directions, groups = shared_directions(curves, which)
     moved = with_directions(curves, which, directions)
-    moved = with_shared_axes(moved, which, groups, directions)
-    moved = with_shared_planes(moved, which, groups, directions)
+    moved = with_shared_axes_and_planes(moved, which, groups, directions)
     worse = residual_squares(moved, points, noise) > MAX_GROWTH * np.maximum(
         residual_squares(curves, points, noise), 1.0
     )
@@ -122,43 +121,28 @@ def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -
     return replace(curves, frames=frames)
 
 
-def with_shared_axes(
+def with_shared_axes_and_planes(
     curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
 ) -> Curves3D:
-    """Move circles and arcs whose axes agree within the noise to a common axis."""
-    frames = curves.frames.copy()
-    for group in np.unique(groups).tolist():
-        members = np.flatnonzero((groups == group) & (curves.kinds[which] != LINE))
-        if len(members) < 2:
-            continue
-        normal = directions[members[0]]
-        chosen = which[members]
-        sigmas = np.maximum(curves.position_sigmas[chosen, 0], 1e-300)
-        across = frames[chosen, 0] - np.outer(frames[chosen, 0] @ normal, normal)
-        for part in agreeing(across, sigmas):
-            mean = np.average(across[part], axis=0, weights=1 / sigmas[part] ** 2)
-            frames[chosen[part], 0] += mean - across[part]
-    return replace(curves, frames=frames)
+    """Move curves to a common axis or plane where they agree within the noise.
 
-
-def with_shared_planes(
-    curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
-) -> Curves3D:
-    """Move arcs, and lines in their planes, to a common plane where they agree within the noise."""
-    frames = curves.frames.copy()
-    lines = curves.kinds[which] == LINE
+    Circles and arcs are moved to common axes; they, and lines in their planes, to common planes.
+    """
+    frames, lines = curves.frames.copy(), curves.kinds[which] == LINE
     for group in np.unique(groups[~lines]).tolist():
         normal = directions[groups == group][0]
+        circular = (groups == group) & ~lines
         flat = lines & (np.abs(directions @ normal) < 1e-9)
-        members = np.flatnonzero(((groups == group) & ~lines) | flat)
-        chosen = which[members]
-        middle = frames[chosen, 0] + np.where(lines[members, None], frames[chosen, 1] / 2, 0)
-        column = np.where(lines[members], 0, 1)
-        sigmas = np.maximum(curves.position_sigmas[chosen, column], 1e-300)
-        heights = middle @ normal
-        for part in agreeing(heights[:, None], sigmas):
-            mean = np.average(heights[part], weights=1 / sigmas[part] ** 2)
-            frames[chosen[part], 0] += np.outer(mean - heights[part], normal)
+        for members, on_axis in ((circular, True), (circular | flat, False)):
+            chosen, straight = which[members], lines[members]
+            middle = frames[chosen, 0] + np.where(straight[:, None], frames[chosen, 1] / 2, 0)
+            places = np.outer(middle @ normal, normal)
+            places = middle - places if on_axis else places
+            column = np.where(straight | on_axis, 0, 1)
+            sigmas = np.maximum(curves.position_sigmas[chosen, column], 1e-300)
+            for part in agreeing(places, sigmas):
+                mean = np.average(places[part], axis=0, weights=1 / sigmas[part] ** 2)
+                frames[chosen[part], 0] += mean - places[part]
     return replace(curves, frames=frames)
 
 

@@ -100,17 +100,11 @@ def candidate_pairs(
     centers, radii = groups.frames[known, 0], np.linalg.norm(groups.frames[known, 1], axis=1)
     most = np.maximum(doubts[known], MAX_RADIUS_DOUBT)
     rounded = np.isfinite(doubts[members])
-    rows, found = np.zeros(0, np.int64), np.zeros(0, np.int64)
-    for which, among in (
-        (most <= MAX_RADIUS_DOUBT, np.ones(len(first), bool)),
-        (most > MAX_RADIUS_DOUBT, rounded),
-    ):
-        circles, others = np.flatnonzero(which), np.flatnonzero(among)
-        reach = (1 + most[circles]) * radii[circles]
-        lists = cKDTree(samples[others, 1]).query_ball_point(centers[circles], reach)
-        rows = np.concatenate([rows, np.repeat(circles, [len(near) for near in lists])])
-        found = np.concatenate([found, *(others[near] for near in lists)])
-    other = members[found] != known[rows]
+    lists = cKDTree(samples[:, 1]).query_ball_point(centers, (1 + most) * radii)
+    rows = np.repeat(np.arange(len(known)), [len(near) for near in lists])
+    found = np.concatenate([np.asarray(near, np.int64) for near in lists])
+    other = (most[rows] <= MAX_RADIUS_DOUBT) | rounded[found]
+    other &= members[found] != known[rows]
     rows, found = rows[other], found[other]
     away = samples[found] - centers[rows, None]
     normals = np.cross(groups.frames[known[rows], 1], groups.frames[known[rows], 2])
