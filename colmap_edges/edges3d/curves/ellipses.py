@@ -13,7 +13,7 @@ MAX_STEP = 0.3  # maximum change per step, relative to the smaller radius
 MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lines
 
 
-def fit_ellipses(points: PointSequences, steps: int = STEPS) -> Fits:
+def fit_ellipses(points: PointSequences) -> Fits:
     """Fit an ellipse to every sequence, by distances in its plane and across it."""
     owners = points.owners
     origins, axes = points.planes(points.weights)
@@ -23,7 +23,7 @@ def fit_ellipses(points: PointSequences, steps: int = STEPS) -> Fits:
     slopes, flat_inverse = points.least_squares(flat_weights, rows, local[:, 2])
     height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
     shapes, found = algebraic_ellipses(points, local[:, :2])
-    for _ in range(steps):
+    for _ in range(STEPS):
         distances, jacobian = residuals(shapes[owners], local[:, :2])
         weights = points.robust_weights(distances**2 + height**2)
         moves, inverse = points.least_squares(weights, jacobian, distances)

@@ -19,19 +19,13 @@ from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 from colmap_edges.edges3d.curves.segmentation import NOTHING, NUM_PARAMETERS, Segmentation
-from colmap_edges.edges3d.curves.splines import fit_splines, num_parameters, smooth_squares
+from colmap_edges.edges3d.curves.splines import fit_splines, num_parameters
 
 MAX_ROW = 6  # maximum number of segments fitted as one curve
 # maximum turn between the chords before and after a point that is no corner
 MAX_TURN = np.radians(40)
 CHORD = 4  # length of these chords, in points
 MAX_RADIUS_DOUBT = 0.03  # maximum standard deviation of a radius, relative to the radius
-TRIAL_STEPS = 2  # Gauss-Newton steps after which the cost of an ellipse is estimated
-TRIAL_RATIO = 2.0  # factor up to which that estimate may be too large
-# Smallest numbers of control points of splines, with the degree of polynomials that contain all
-# splines of up to one (second entry: four) more control points: their residuals plus the price of
-# the smallest spline are a lower bound of the splines' costs.
-PROBES = ((4, 5), (6, 9))
 FREEDOM = NUM_PARAMETERS | {CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
@@ -222,9 +216,6 @@ def fit_ellipses_and_splines(
     bent = bends[last + 1] > bends[first]
     for kind, mask in ((ELLIPTIC_ARC, ~rows.whole), (ELLIPSE, rows.whole)):
         which, part = model.part(bent & mask & (FREEDOM[kind] * prices < limit), kind)
-        near = model.costs(which, part, fit_ellipses(part, TRIAL_STEPS), kind)
-        which = which[near < TRIAL_RATIO * limit[which]]
-        part = model.points.select(which)
         fits = fit_ellipses(part)
         costs = model.costs(which, part, fits, kind)
         radii = np.linalg.norm(fits.frames[:, 1:], axis=2)
@@ -233,12 +224,7 @@ def fit_ellipses_and_splines(
         curves.keep_better(which, kind, fits, costs)
     limit = np.minimum(limit, curves.costs)
     which, part = model.part(bent & (num_parameters(DEGREE + 1) * prices < limit), SPLINE)
-    least = np.full(len(which), np.inf)
-    for size, degree in PROBES:
-        costs = noise.costs(part, smooth_squares(part, degree))
-        least = np.minimum(least, costs + num_parameters(size) * prices[which])
-    which = which[least < limit[which]]
-    found = fit_splines(model.points.select(which), noise, prices[which], limit[which])
+    found = fit_splines(part, noise, prices[which], limit[which])
     for place, spline in found.items():
         row = int(which[place])
         curves.kinds[row], curves.costs[row], curves.splines[row] = SPLINE, spline.cost, spline

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import DEGREE
 from colmap_edges.edges3d.curves.noise import Noise
-from colmap_edges.edges3d.curves.point_sequences import PointSequences, solved
+from colmap_edges.edges3d.curves.point_sequences import PointSequences
 
 STEPS = 3  # iterations of reweighting and of updating the parameters of points
 GROWTH = 1.35  # ratio of consecutive candidate numbers of control points
@@ -68,25 +67,6 @@ def fit_splines(
         before[rows], most[rows] = costs, np.minimum(most[rows], costs)
         rows = rows[going_on]
         size = max(size + 1, round(size * GROWTH))
-
-
-def smooth_squares(points: PointSequences, degree: int) -> FloatArray:
-    """(N,) squared distances of points from polynomials fitted to each sequence.
-
-    A lower bound for splines with few control points: if it is too large, none need be fitted.
-    """
-    along = lengths_along(points)
-    half = np.maximum(along[points.offsets[1:] - 1] / 2, 1e-300)
-    rows = np.asarray(chebvander(along / half[points.owners] - 1, degree), np.float64)
-    weights = points.weights
-    for _ in range(2):
-        matrices = points.products(weights, rows, rows)
-        values = points.products(weights, rows, points.points)
-        _, inverses = solved(matrices, values[:, :, 0])
-        found = np.einsum("ij,ijk->ik", rows, (inverses @ values)[points.owners])
-        squares: FloatArray = ((points.points - found) ** 2).sum(axis=1)
-        weights = points.robust_weights(squares)
-    return squares
 
 
 def num_parameters(size: int) -> int:
