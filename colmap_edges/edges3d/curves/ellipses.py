@@ -7,8 +7,6 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 
-STEPS = 10  # Gauss-Newton steps
-FOOT_STEPS = 4  # Newton steps for the nearest point of an ellipse
 MAX_STEP = 0.3  # maximum change per step, relative to the smaller radius
 MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lines
 
@@ -23,7 +21,7 @@ def fit_ellipses(points: PointSequences) -> Fits:
     slopes, flat_inverse = points.least_squares(flat_weights, rows, local[:, 2])
     height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
     shapes, found = algebraic_ellipses(points, local[:, :2])
-    for _ in range(STEPS):
+    for _ in range(10):
         distances, jacobian = residuals(shapes[owners], local[:, :2])
         weights = points.robust_weights(distances**2 + height**2)
         moves, inverse = points.least_squares(weights, jacobian, distances)
@@ -86,7 +84,7 @@ def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatA
     x, y = (plane - shapes[:, :2]).T
     u, v = x * c + y * s, y * c - x * s
     t = np.arctan2(v * a, u * b)
-    for _ in range(FOOT_STEPS):
+    for _ in range(4):
         cos, sin = np.cos(t), np.sin(t)
         slope = (u - a * cos) * a * sin - (v - b * sin) * b * cos
         bend = (a * sin) ** 2 + (b * cos) ** 2 + (u - a * cos) * a * cos + (v - b * sin) * b * sin

@@ -33,10 +33,7 @@ from colmap_edges.edges3d.curves.relations import regularized
 from colmap_edges.edges3d.curves.segmentation import NOTHING, learn_noise, segmented
 from colmap_edges.edges3d.curves.selection import SelectedCurves, select_curves
 from colmap_edges.edges3d.curves.shared_circles import with_shared_circles
-
-# Largest gap of an arc that is closed to a circle, in distances between points; the value of
-# Linking.max_gap_spacings.
-MAX_GAP_SPACINGS = 8.0
+from colmap_edges.options import LinkingOptions
 
 
 @checked
@@ -164,7 +161,9 @@ def bounded_arcs(curves: Curves3D, points: FloatArray) -> Curves3D:
             angles = -angles
         step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
         open_kind = kinds[curve] in (ARC, ELLIPTIC_ARC)
-        if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > MAX_GAP_SPACINGS * step:
+        # A gap across which edges are joined is closed.
+        largest = LinkingOptions().max_gap_spacings * step
+        if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > largest:
             spans[curve] = angles[0], angles[-1]
         else:
             kinds[curve] = CIRCLE if kinds[curve] in (ARC, CIRCLE) else ELLIPSE

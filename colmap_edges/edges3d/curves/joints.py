@@ -11,7 +11,6 @@ from colmap_edges.core.curves3d import CIRCLE, ELLIPSE, LINE, SPLINE, Curves3D
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
-STEPS = 30  # iterations of the search for the common point
 # maximum number of points between two curves that meet, such as at a rounded corner
 MAX_POINTS_BETWEEN = 8
 REACH = 3.0  # maximum extension of a curve beyond the gap, in distances between points
@@ -37,7 +36,7 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
     ends = curves.ends()
     at_left, at_right = ends[left, 1], ends[right, 0]
     starts = at_left.copy(), at_right.copy()
-    for _ in range(STEPS):
+    for _ in range(30):
         middle = (at_left + at_right) / 2
         at_left = nearest_on(curves, left, middle, starts[0])
         at_right = nearest_on(curves, right, middle, starts[1])

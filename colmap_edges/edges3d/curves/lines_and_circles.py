@@ -7,15 +7,11 @@ import numpy as np
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 
-LINE_STEPS = 4  # iterations of the fit of a line
-CIRCLE_STEPS = 6  # iterations of the fit of a circle
-RADIUS_STEPS = 8  # Gauss-Newton steps for the radius of a tangent arc
-
 
 def fit_lines(points: PointSequences) -> Fits:
     """Fit a line to every sequence by total least squares with robust weights (Huber)."""
     weights = points.weights
-    for _ in range(LINE_STEPS):
+    for _ in range(4):
         origins, vectors = points.principal_axes(weights)
         directions = vectors[:, 2]
         q = points.points - origins[points.owners]
@@ -40,7 +36,7 @@ def fit_circles(points: PointSequences) -> Fits:
     owners = points.owners
     centers, axes = points.planes(points.weights)
     centers, radii = algebraic_circles(points, centers, axes)
-    for _ in range(CIRCLE_STEPS):
+    for _ in range(6):
         local = points.coordinates(centers, axes)
         distance = np.hypot(local[:, 0], local[:, 1])
         squares = (distance - radii[owners]) ** 2 + local[:, 2] ** 2
@@ -119,14 +115,15 @@ def fit_tangent_arcs(
     off = (away**2).sum(axis=1) - aside**2 - ahead**2
     # The middle of the arc is (slope - 1) radii from the corner.
     radii = np.minimum.reduceat(np.abs(aside), points.offsets[:-1]) / (slopes - 1)
-    for step in range(RADIUS_STEPS + 1):
+    change_of_radii = np.zeros(points.size)
+    for _ in range(9):
+        radii = radii + change_of_radii
         across = aside - (slopes * radii)[points.owners]
         distance = np.maximum(np.hypot(across, ahead), 1e-300)
         rest = distance - radii[points.owners]
         change = -slopes[points.owners] * across / distance - 1
         information = np.maximum(points.sums(points.weights * change**2), 1e-300)
-        if step < RADIUS_STEPS:
-            radii = radii - points.sums(points.weights * change * rest) / information
+        change_of_radii = -points.sums(points.weights * change * rest) / information
     centers = corners + (slopes * radii)[:, None] * axes[:, 0]
     half = radii[:, None, None] * axes * np.array([[-1], [1]])
     sigmas = np.where(radii > 0, 1 / np.sqrt(information), 1e300)

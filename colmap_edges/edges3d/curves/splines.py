@@ -11,7 +11,6 @@ from colmap_edges.core.curves3d import DEGREE
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import PointSequences
 
-STEPS = 3  # iterations of reweighting and of updating the parameters of points
 GROWTH = 1.35  # ratio of consecutive candidate numbers of control points
 MIN_SPAN = 2.5  # minimum number of points per control point
 
@@ -87,7 +86,7 @@ def splines_of(
     places = lengths_along(points)
     knots = knots_of(places, offsets, size)
     weights, at = points.weights, places
-    for _ in range(STEPS):
+    for _ in range(3):  # reweighting, and updates of the parameters of points
         rows = basis_of(knots, owners, at)
         matrices = points.products(weights, rows, rows)
         traces = np.trace(matrices, axis1=1, axis2=2)
