@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.curves3d import ARC, CIRCLE, ELLIPSE, ELLIPTIC_ARC, LINE
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, PointSequences
 
+# Numbers of parameters of curves; those of open ones include the end along the edge.
+NUM_PARAMETERS = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_LOG = 2.0  # minimum logarithm of the number of points in the BIC
 # Maximum number of independent points of a curve, since errors of poses and light are shared.
 MAX_INDEPENDENT = 16.0

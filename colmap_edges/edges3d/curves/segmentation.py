@@ -16,13 +16,11 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_o
 from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.curves.lines_and_circles import fit_lines
-from colmap_edges.edges3d.curves.noise import MAX_INDEPENDENT, Noise
+from colmap_edges.edges3d.curves.noise import MAX_INDEPENDENT, NUM_PARAMETERS, Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 NOTHING = -1  # kind of ranges of outliers
-# Numbers of parameters, one of which is the end of the curve along the edge.
-NUM_PARAMETERS = {LINE: 5, ARC: 8}
 FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # candidate factors of the standard deviations
 TAILS = 3.0  # factor for heavy tails: 1 point in 100 has errors this many times as large
 MAX_SAMPLE = 400  # maximum number of edges from which the noise is estimated
@@ -72,7 +70,10 @@ def segmented_by_factor(
     """
     lengths = np.diff(offsets)
     costs = np.zeros((len(factors), len(lengths), 5))  # in the kernel's order
-    costs[:, :, :2] = noise.parameter_costs(lengths)[:, None] * list(NUM_PARAMETERS.values())
+    costs[:, :, :2] = noise.parameter_costs(lengths)[:, None] * [
+        NUM_PARAMETERS[LINE],
+        NUM_PARAMETERS[ARC],
+    ]
     # The likelihood of an outlier does not depend on the factor; that of inliers does.
     costs[:, :, 2] = np.maximum(stray - 4 * np.log(factors), 1)[:, None] / noise.correlation
     costs[:, :, 3] = (factors**2 * noise.correlation)[:, None]

@@ -16,9 +16,9 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, ELLIPTIC_ARC, LINE, SPLINE
 from colmap_edges.edges3d.curves.ellipses import fit_ellipses
 from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
-from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.noise import NUM_PARAMETERS, Noise
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
-from colmap_edges.edges3d.curves.segmentation import NOTHING, NUM_PARAMETERS, Segmentation
+from colmap_edges.edges3d.curves.segmentation import NOTHING, Segmentation
 from colmap_edges.edges3d.curves.splines import fit_splines, num_parameters
 
 MAX_ROW = 6  # maximum number of segments fitted as one curve
@@ -26,7 +26,6 @@ MAX_ROW = 6  # maximum number of segments fitted as one curve
 MAX_TURN = np.radians(40)
 CHORD = 4  # length of these chords, in points
 MAX_RADIUS_DOUBT = 0.03  # maximum standard deviation of a radius, relative to the radius
-FREEDOM = NUM_PARAMETERS | {CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
 
@@ -92,7 +91,7 @@ class CostModel:
 
     def costs(self, which: IntArray, part: PointSequences, fits: Fits, kind: int) -> FloatArray:
         """(n,) costs of fits of a kind to the points of (n,) rows."""
-        return self.noise.costs(part, fits.squares) + FREEDOM[kind] * self.prices[which]
+        return self.noise.costs(part, fits.squares) + NUM_PARAMETERS[kind] * self.prices[which]
 
     def part(self, mask: BoolArray, kind: int) -> tuple[IntArray, PointSequences]:
         """The rows of a mask with enough points for a kind, and their points."""
@@ -215,7 +214,7 @@ def fit_ellipses_and_splines(
     bends = np.concatenate([[0], np.cumsum(segments.kinds != LINE)])
     bent = bends[last + 1] > bends[first]
     for kind, mask in ((ELLIPTIC_ARC, ~rows.whole), (ELLIPSE, rows.whole)):
-        which, part = model.part(bent & mask & (FREEDOM[kind] * prices < limit), kind)
+        which, part = model.part(bent & mask & (NUM_PARAMETERS[kind] * prices < limit), kind)
         fits = fit_ellipses(part)
         costs = model.costs(which, part, fits, kind)
         radii = np.linalg.norm(fits.frames[:, 1:], axis=2)

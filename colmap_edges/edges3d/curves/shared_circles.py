@@ -23,11 +23,10 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.curves3d import ARC, CIRCLE
 from colmap_edges.edges3d.curves.joints import MAX_POINTS_BETWEEN
 from colmap_edges.edges3d.curves.lines_and_circles import fit_circles
-from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.noise import NUM_PARAMETERS, Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits, PointSequences
-from colmap_edges.edges3d.curves.selection import FREEDOM, MAX_RADIUS_DOUBT, SelectedCurves
+from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurves
 
-END_FREEDOM = 2  # parameters of an arc of a known circle: its ends
 MAX_REPEATS = 8  # maximum number of times that groups are combined in pairs
 # maximum relative standard deviation of the radius of an arc that is compared with other arcs;
 # those of `MAX_RADIUS_DOUBT` and less are compared with all curves
@@ -178,7 +177,8 @@ def joint_circles(
     """
     fits = fit_circles(joint)
     prices = noise.parameter_costs(joint.lengths)
-    costs = noise.costs(joint, fits.squares) + (FREEDOM[CIRCLE] + END_FREEDOM * num_arcs) * prices
+    num_parameters = NUM_PARAMETERS[CIRCLE] + 2 * num_arcs  # an arc has two ends
+    costs = noise.costs(joint, fits.squares) + num_parameters * prices
     fitting = joint.weights * fits.squares <= OUTLIER_SIGMAS**2
     return fits, separate - costs, joint.sums(fitting.astype(np.float64)) / joint.lengths
 

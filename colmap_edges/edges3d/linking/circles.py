@@ -26,9 +26,9 @@ from colmap_edges.core.polylines import end_points, match_best_first
 from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.edges3d.curves.joints import coordinates_in, foot_points
 from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
-from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.noise import NUM_PARAMETERS, Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
-from colmap_edges.edges3d.curves.segmentation import NUM_PARAMETERS, learn_noise
+from colmap_edges.edges3d.curves.segmentation import learn_noise
 from colmap_edges.edges3d.curves.shared_circles import joint_circles
 from colmap_edges.edges3d.linking.ends import (
     REACH,
@@ -45,7 +45,6 @@ from colmap_edges.options import LinkingOptions, PipelineOptions
 
 MIN_POINTS = (3, 8)  # minimum numbers of points of the shorter and the longer piece of a circle
 MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cover
-MAX_OVERLAP_SPACINGS = 2.0  # maximum length by which the pieces overlap
 LONG_GAP = 2.0  # maximum gap that is observed everywhere, relative to other gaps
 
 
@@ -183,7 +182,7 @@ def gaps_on(
         ways.append(np.sign(tips[1] * inner[0] - tips[0] * inner[1]))
     turns = (angles[1] - angles[0] + np.pi) % (2 * np.pi) - np.pi
     lengths = ways[0] * turns * np.linalg.norm(frames[:, 1], axis=1) / spacings
-    facing = (ways[0] == -ways[1]) & (lengths > -MAX_OVERLAP_SPACINGS)
+    facing = (ways[0] == -ways[1]) & (lengths > -SHORT_GAP)
     counts = np.where(facing & (lengths > SHORT_GAP), np.ceil(lengths) - 1, 0).astype(np.int64)
     owners = np.repeat(np.arange(len(pairs)), counts)
     t = angles[0][owners] + turns[owners] * (ranks_of(counts) + 1) / (counts[owners] + 1)

@@ -31,6 +31,7 @@ from colmap_edges.core.observations import ChainObservations
 from colmap_edges.core.polylines import curve_tangents, unit
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_index import IndexedGraphs
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
@@ -39,7 +40,6 @@ MIN_COSINE = float(np.cos(np.radians(15.0)))  # minimum cosine of the angle betw
 MAX_ALONG_SPACINGS = 0.75  # tolerance along a piece within which it overlaps another
 SAMPLES = 3  # positions along a pair of pieces at which observations are compared
 CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
-MAX_DUPLICATE_SIGMAS = 3.0  # distance of duplicates that count as the same position
 BLOCK = 1 << 11  # number of points or matches per block, which limits memory
 PAIRS = 1 << 9  # number of pairs of pieces per block, which limits memory
 OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
@@ -142,7 +142,7 @@ def merge_pieces(
     same = ratios[pairs] <= 0
     matches, pairs = matches.select(same), pairs[same]
     offset, scale = offsets_in_pixels(pieces, matches, options)
-    apart = mean_of(pairs, offset / scale)[pairs] > MAX_DUPLICATE_SIGMAS
+    apart = mean_of(pairs, offset / scale)[pairs] > OUTLIER_SIGMAS
     ghosts = weaker_points(pieces, matches.select(apart), pairs[apart])
     return keep_best(pieces, ghosts, matches.select(~apart), options.tracing.min_curve_points)
 

@@ -17,7 +17,7 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, unit
 
 REACH = 4  # points from an end over which its direction and spacing are measured
-SHORT_GAP = 2.0  # length, in spacings, below which a gap need not be observed
+SHORT_GAP = 2.0  # length of gaps and overlaps, in spacings, that need not be observed
 MAX_MISS_SPACINGS = 0.5  # maximum distance of the line of an end to the point where it meets others
 MIN_ANGLE_DEG = 20.0  # minimum angle between lines; nearly parallel ones have no defined corner
 
