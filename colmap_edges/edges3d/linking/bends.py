@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtri
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
 from colmap_edges.edges3d.linking.ends import MAX_MISS_SPACINGS, MIN_ANGLE_DEG
@@ -36,21 +36,17 @@ def cut_at_bends(edges: Edges3D) -> Edges3D:
     bends = find_bends(edges)
     if not len(bends):
         return edges
-    starts = [np.searchsorted(bends, edges.edge_offsets[:-1]), 0]
-    starts[1] = np.searchsorted(bends, edges.edge_offsets[1:])
-    order, lengths, closed = [], [], []
-    for edge, (first, last) in enumerate(zip(*starts, strict=True)):
-        rows = np.arange(*edges.edge_offsets[edge : edge + 2])
-        places = bends[first:last] - edges.edge_offsets[edge]
-        is_loop = bool(edges.closed[edge]) and not len(places)
-        if edges.closed[edge] and len(places):
-            rows, places = np.roll(rows, -places[0]), places[1:] - places[0]
-        pieces = np.split(rows, places)
-        order += pieces
-        lengths += [len(piece) for piece in pieces]
-        closed += [is_loop] * len(pieces)
-    offsets = offsets_of(np.array(lengths))
-    return edges.reordered(np.concatenate(order), offsets, np.array(closed))
+    owners, offsets, sizes = edges.edge_ids, edges.edge_offsets, np.diff(edges.edge_offsets)
+    first, last = (np.searchsorted(bends, of) for of in (offsets[:-1], offsets[1:]))
+    # A closed edge begins at its first bend.
+    shifts, rolled = np.zeros(edges.num_edges, np.int64), edges.closed & (last > first)
+    shifts[rolled] = bends[first[rolled]] - offsets[:-1][rolled]
+    ranks = np.arange(edges.num_points) - offsets[owners]
+    order = offsets[owners] + (ranks + shifts[owners]) % sizes[owners]
+    of = owners[bends]
+    cuts = offsets[of] + (ranks[bends] - shifts[of]) % sizes[of]
+    pieces = np.unique(np.append(offsets, cuts))
+    return edges.reordered(order, pieces, (edges.closed & ~rolled)[owners[pieces[:-1]]])
 
 
 def find_bends(edges: Edges3D) -> IntArray:
