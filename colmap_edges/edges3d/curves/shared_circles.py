@@ -31,7 +31,6 @@ MAX_REPEATS = 8  # maximum number of times that groups are combined in pairs
 # maximum relative standard deviation of the radius of an arc that is compared with other arcs;
 # those of `MAX_RADIUS_DOUBT` and less are compared with all curves
 MAX_TRIAL_DOUBT = 1 / 3
-MIN_INLIERS = 0.75  # minimum share of a curve's points within the noise of the shared circle
 SAMPLES = (0.0, 0.5, 1.0)  # places along a curve that are compared with a circle first
 
 
@@ -146,9 +145,9 @@ def combine(
     order = np.argsort(members, kind="stable")
     offsets = offsets_of(np.bincount(members, minlength=len(members)))
     joint, num_arcs = joint_sequences(points, noise, curves, order, offsets, pairs)
-    fits, gains, inliers = joint_circles(noise, joint, num_arcs, groups.costs[pairs].sum(axis=1))
+    fits, gains = joint_circles(noise, joint, num_arcs, groups.costs[pairs].sum(axis=1))
     doubts = relative_sigmas(fits.frames, fits.sigmas, noise)
-    fine = (gains > 0) & (inliers >= MIN_INLIERS) & (doubts <= MAX_RADIUS_DOUBT)
+    fine = (gains > 0) & (doubts <= MAX_RADIUS_DOUBT)
     changed = np.zeros(len(members), bool)
     for row in np.flatnonzero(fine)[np.argsort(-gains[fine], kind="stable")].tolist():
         kept, gone = np.sort(pairs[row]).tolist()
@@ -163,7 +162,7 @@ def combine(
 
 def joint_circles(
     noise: Noise, joint: PointSequences, num_arcs: IntArray | int, separate: FloatArray
-) -> tuple[Fits, FloatArray, FloatArray]:
+) -> tuple[Fits, FloatArray]:
     """Fit one circle to the points of several curves, and compare its cost with theirs (BIC).
 
     Args:
@@ -173,14 +172,13 @@ def joint_circles(
         separate: (S,) costs of the curves by themselves.
 
     Returns:
-        The circles, (S,) by how much they cost less, and (S,) shares of points that lie on them.
+        The circles, and (S,) by how much they cost less.
     """
     fits = fit_circles(joint)
     prices = noise.parameter_costs(joint.lengths)
     num_parameters = NUM_PARAMETERS[CIRCLE] + 2 * num_arcs  # an arc has two ends
     costs = noise.costs(joint, fits.squares) + num_parameters * prices
-    fitting = joint.weights * fits.squares <= OUTLIER_SIGMAS**2
-    return fits, separate - costs, joint.sums(fitting.astype(np.float64)) / joint.lengths
+    return fits, separate - costs
 
 
 def joint_sequences(

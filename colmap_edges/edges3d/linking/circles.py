@@ -144,7 +144,7 @@ def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Floa
         + NUM_PARAMETERS[kind] * prices[:, None]
         for fit, kind in ((fit_lines, LINE), (fit_circles, ARC))
     ]
-    fits, gains, _ = joint_circles(noise, both, 1, np.minimum(*separate).sum(axis=1))
+    fits, gains = joint_circles(noise, both, 1, np.minimum(*separate).sum(axis=1))
     turns = both.sums(steps) / np.linalg.norm(fits.frames[:, 1], axis=1)
     return fits.frames, (gains > 0) & (turns >= MIN_TURN)
 
