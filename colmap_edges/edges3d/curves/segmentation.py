@@ -28,7 +28,8 @@ MIN_SAMPLE_POINTS = 8  # minimum number of points of such an edge
 MAX_PLACES = 64  # candidate cuts of an edge in the exact search; the others are refined afterwards
 FIRST_CORRELATION = 2.0  # initial number of correlated points that count as one
 MAX_LAG = 2  # maximum lag of the correlation; beyond it errors of poses dominate
-STRAY_COST = 16.0  # of an outlier while the factor is estimated: 4 standard deviations, squared
+# Cost of an outlier while the factor is estimated: 4 standard deviations, squared.
+FIRST_OUTLIER_COST = 16.0
 MIN_RELATIVE_SIGMA = 1e-7  # minimum deviation relative to the scene's size, for rounding errors
 
 
@@ -61,12 +62,12 @@ def segmented_by_factor(
     offsets: IntArray,
     noise: Noise,
     factors: FloatArray,
-    stray: float,
+    outlier_cost: float,
     num_threads: int,
 ) -> tuple[FloatArray, Segmentation]:
     """(F,) costs with deviations times each of (F,) factors, and a segmentation by the first.
 
-    `stray` is the cost of an outlier at factor 1.
+    `outlier_cost` is the cost of an outlier at factor 1.
     """
     lengths = np.diff(offsets)
     costs = np.zeros((len(factors), len(lengths), 5))  # in the kernel's order
@@ -75,7 +76,7 @@ def segmented_by_factor(
         NUM_PARAMETERS[ARC],
     ]
     # The likelihood of an outlier does not depend on the factor; that of inliers does.
-    costs[:, :, 2] = np.maximum(stray - 4 * np.log(factors), 1)[:, None] / noise.correlation
+    costs[:, :, 2] = np.maximum(outlier_cost - 4 * np.log(factors), 1)[:, None] / noise.correlation
     costs[:, :, 3] = (factors**2 * noise.correlation)[:, None]
     costs[:, :, 4] = MAX_INDEPENDENT * noise.correlation
     totals, bounds, kinds, piece_offsets = _kernels.cut_pieces(
@@ -95,7 +96,7 @@ def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
     rows = ranges_of(edges.edge_offsets[chosen], edges.edge_offsets[chosen + 1])
     points, offsets = edges.points[rows], offsets_of(lengths[chosen])
     part = replace(noise, sigmas=noise.sigmas[rows])
-    totals, _ = segmented_by_factor(points, offsets, part, FACTORS, STRAY_COST, num_threads)
+    totals, _ = segmented_by_factor(points, offsets, part, FACTORS, FIRST_OUTLIER_COST, num_threads)
     misses = 4 * np.log(FACTORS) * len(rows) / FIRST_CORRELATION
     factor = TAILS * FACTORS[int(np.argmin(totals + misses))]
     part = replace(part, sigmas=factor * part.sigmas)

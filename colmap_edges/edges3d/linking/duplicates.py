@@ -143,8 +143,8 @@ def merge_pieces(
     matches, pairs = matches.select(same), pairs[same]
     offset, scale = offsets_in_pixels(pieces, matches, options)
     apart = mean_of(pairs, offset / scale)[pairs] > OUTLIER_SIGMAS
-    ghosts = weaker_points(pieces, matches.select(apart), pairs[apart])
-    return keep_best(pieces, ghosts, matches.select(~apart), options.tracing.min_curve_points)
+    displaced = weaker_points(pieces, matches.select(apart), pairs[apart])
+    return keep_best(pieces, displaced, matches.select(~apart), options.tracing.min_curve_points)
 
 
 def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
@@ -345,12 +345,12 @@ def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
     return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
 
 
-def keep_best(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) -> Merging:
+def keep_best(pieces: Pieces, displaced: BoolArray, same: Matches, min_points: int) -> Merging:
     """Of duplicates, keep the points of the piece with the most observations.
 
     Args:
         pieces: the pieces.
-        ghosts: (N,) points of displaced duplicates, which are dropped.
+        displaced: (N,) points of displaced duplicates, which are dropped.
         same: the matches between duplicates, in both directions.
         min_points: minimum length of the remaining runs of a piece.
     """
@@ -359,7 +359,7 @@ def keep_best(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int)
     order = np.argsort(-worth, kind="stable")
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    kept = ~ghosts
+    kept = ~displaced
     begins = np.searchsorted(same.points, pieces.offsets)
     for piece in order.tolist():
         rows = slice(begins[piece], begins[piece + 1])
@@ -369,6 +369,6 @@ def keep_best(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int)
         kept[points[better & kept[others]]] = False
         if not kept[first:last].all():
             left = kept[first:last]
-            kept[first:last] = long_runs(grown(left) & ~ghosts[first:last], min_points)
+            kept[first:last] = long_runs(grown(left) & ~displaced[first:last], min_points)
     gives = ~kept[same.others] & kept[same.points]
     return Merging(kept=kept, takers=same.points[gives], givers=same.others[gives])

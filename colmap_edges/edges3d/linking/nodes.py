@@ -93,8 +93,8 @@ def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings, radius: floa
     meetings = Meetings.of_links(links[:, 0], links[:, 1], len(lines.centers))
     # Ends extended to a corner determine its position; otherwise all ends, then those near it.
     placed = at_corner[meetings.members]
-    firm = placed | (np.bincount(meetings.owners, placed) == 0)[meetings.owners]
-    rows = replace(meetings, members=meetings.members[firm], owners=meetings.owners[firm])
+    certain = placed | (np.bincount(meetings.owners, placed) == 0)[meetings.owners]
+    rows = replace(meetings, members=meetings.members[certain], owners=meetings.owners[certain])
     for _ in range(2):
         tips, sigmas = lines.ends.positions[rows.members], lines.sigmas[rows.members]
         meetings = replace(meetings, positions=meeting_points(lines, rows, tips, sigmas)[0])
