@@ -9,7 +9,7 @@ observe both at different positions, and duplicates at one position.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import chain
 
@@ -28,9 +28,10 @@ from colmap_edges.core.arrays import (
     owners_of,
 )
 from colmap_edges.core.observations import ChainObservations
-from colmap_edges.core.polylines import curve_tangents
+from colmap_edges.core.polylines import curve_tangents, unit
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_index import IndexedGraphs
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
@@ -39,8 +40,6 @@ MIN_COSINE = float(np.cos(np.radians(15.0)))  # minimum cosine of the angle betw
 MAX_ALONG_SPACINGS = 0.75  # tolerance along a piece within which it overlaps another
 SAMPLES = 3  # positions along a pair of pieces at which observations are compared
 CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
-MAX_COPY_SIGMAS = 3.0  # distance of duplicates that count as the same position
-WEAK_RATIO = 1.0  # ratio of observations
 BLOCK = 1 << 11  # number of points or matches per block, which limits memory
 PAIRS = 1 << 9  # number of pairs of pieces per block, which limits memory
 OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
@@ -72,9 +71,7 @@ class Pieces:
     @cached_property
     def tangents(self) -> FloatArray:
         """(N, 3) unit directions along the pieces."""
-        along = curve_tangents(self.points, self.offsets)
-        lengths = np.linalg.norm(along, axis=1, keepdims=True)
-        return np.asarray(along / (lengths + 1e-300), np.float64)
+        return unit(curve_tangents(self.points, self.offsets))
 
     @cached_property
     def spacings(self) -> FloatArray:
@@ -82,11 +79,6 @@ class Pieces:
         apart = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         apart[np.diff(self.ids) != 0] = 0
         return np.asarray(np.maximum(np.append(apart, 0), np.append(0, apart)), np.float64)
-
-    @property
-    def steps(self) -> FloatArray:
-        """(N, 3) tangents scaled to the spacings."""
-        return self.spacings[:, None] * self.tangents
 
     @cached_property
     def pixel_sizes(self) -> FloatArray:
@@ -115,9 +107,7 @@ class Matches:
 
     def select(self, rows: IntArray | BoolArray) -> Matches:
         """The matches at a numpy index."""
-        return Matches(
-            points=self.points[rows], others=self.others[rows], offsets=self.offsets[rows]
-        )
+        return Matches(**{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,9 +141,10 @@ def merge_pieces(
     ratios = log_ratios(pieces, matches, pairs, given, options, num_threads)
     same = ratios[pairs] <= 0
     matches, pairs = matches.select(same), pairs[same]
-    apart = mean_of(pairs, offsets_in_noise(pieces, matches, options))[pairs] > MAX_COPY_SIGMAS
-    ghosts = weaker_points(pieces, matches.select(apart), pairs[apart])
-    return choose(pieces, ghosts, matches.select(~apart), options.tracing.min_curve_points)
+    offset, scale = offsets_in_pixels(pieces, matches, options)
+    apart = mean_of(pairs, offset / scale)[pairs] > OUTLIER_SIGMAS
+    displaced = weaker_points(pieces, matches.select(apart), pairs[apart])
+    return keep_best(pieces, displaced, matches.select(~apart), options.tracing.min_curve_points)
 
 
 def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
@@ -165,17 +156,17 @@ def pairs_of(pieces: Pieces, matches: Matches) -> IntArray:
 
 def mean_of(groups: IntArray, values: FloatArray) -> FloatArray:
     """(G,) means of (M,) values by group."""
-    means: FloatArray = np.bincount(groups, values) / np.maximum(np.bincount(groups), 1)
-    return means
+    return np.asarray(np.bincount(groups, values) / np.maximum(np.bincount(groups), 1))
 
 
-def offsets_in_noise(pieces: Pieces, matches: Matches, options: PipelineOptions) -> FloatArray:
-    """(M,) distances between the pieces, in standard deviations."""
+def offsets_in_pixels(
+    pieces: Pieces, matches: Matches, options: PipelineOptions
+) -> tuple[FloatArray, FloatArray]:
+    """(M,) distances between the pieces and (M,) their standard deviations, in pixels."""
     size = pieces.pixel_sizes[matches.points]
     offset = np.linalg.norm(matches.offsets, axis=1) / size
     known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
-    noise = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
-    return np.asarray(offset / noise, np.float64)
+    return offset, np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
 
 
 def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArray:
@@ -188,7 +179,7 @@ def weaker_points(pieces: Pieces, matches: Matches, pairs: IntArray) -> BoolArra
     gain = mean_of(pairs, lower) / np.maximum(mean_of(pairs, upper), 1e-9)
     ratio = np.where(first, gain[pairs], 1 / np.maximum(gain[pairs], 1e-9))
     weaker = np.zeros(len(pieces.points), bool)
-    weaker[matches.points[ratio <= WEAK_RATIO]] = True
+    weaker[matches.points[ratio <= 1]] = True
     return weaker
 
 
@@ -270,15 +261,11 @@ def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) 
 
     Neighbouring edges have any distance; duplicates, except outliers, are within the noise.
     """
-    size = pieces.pixel_sizes[matches.points]
-    offset = np.linalg.norm(matches.offsets, axis=1) / size
-    known = np.hypot(pieces.sigmas[matches.points], pieces.sigmas[matches.others]) / size
-    scale = np.hypot(np.sqrt(2) * options.refinement.noise_px, known)
+    offset, scale = offsets_in_pixels(pieces, matches, options)
     anywhere = 1 / MAX_OFFSET_PX
     half_normal = np.sqrt(2 / np.pi) / scale * np.exp(-0.5 * (offset / scale) ** 2)
-    copies = (1 - OUTLIER_RATE) * half_normal + OUTLIER_RATE * anywhere
-    ratio: FloatArray = np.log(anywhere / copies)
-    return ratio
+    duplicates = (1 - OUTLIER_RATE) * half_normal + OUTLIER_RATE * anywhere
+    return np.asarray(np.log(anywhere / duplicates))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,32 +285,24 @@ class Seen:
 
 def seen_by(pieces: Pieces, matches: Matches) -> Seen:
     """The views that observe either point of each match."""
-    none = np.zeros(0, np.int32)
-    parts = [Seen(matches=none, views=none, positions=np.zeros((0, 2)))]
-    for start in range(0, len(matches.points), BLOCK):
-        part = seen_at(
-            pieces, matches.points[start : start + BLOCK], matches.others[start : start + BLOCK]
-        )
-        parts.append(replace(part, matches=part.matches + start))
-    names = [entry.name for entry in fields(Seen)]
-    return Seen(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-
-def seen_at(pieces: Pieces, first: IntArray, second: IntArray) -> Seen:
-    """The views that observe either of two points, given as (M,) and (M,) indices."""
     observed, num_views = pieces.observations, len(pieces.views)
-    parts = []
-    for side, points in enumerate((first, second)):
-        rows = entries_of(observed.offsets, points)
-        owners = np.repeat(np.arange(len(points)), observed.counts[points])
-        keys = owners * num_views + observed.views[rows]
-        parts.append((keys, np.full(len(rows), side), observed.positions[rows]))
-    keys, sides, positions = (np.concatenate(of) for of in zip(*parts, strict=True))
-    each, place = np.unique(keys, return_inverse=True)
-    table = np.full((len(each), 2), -1.0)
-    table[place, sides] = positions
-    matches, views = (of.astype(np.int32) for of in np.divmod(each, num_views))
-    return Seen(matches=matches, views=views, positions=table)
+    parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 2)))]
+    for start in range(0, len(matches.points), BLOCK):
+        found = []
+        for side, of in enumerate((matches.points, matches.others)):
+            points = of[start : start + BLOCK]
+            rows = entries_of(observed.offsets, points)
+            owners = np.repeat(np.arange(len(points)), observed.counts[points])
+            keys = owners * num_views + observed.views[rows]
+            found.append((keys, np.full(len(rows), side), observed.positions[rows]))
+        keys, sides, positions = (np.concatenate(of) for of in zip(*found, strict=True))
+        each, place = np.unique(keys, return_inverse=True)
+        table = np.full((len(each), 2), -1.0)
+        table[place, sides] = positions
+        owners, views = np.divmod(each, num_views)
+        parts.append(((owners + start).astype(np.int32), views.astype(np.int32), table))
+    of_matches, of_views, tables = (np.concatenate(of) for of in zip(*parts, strict=True))
+    return Seen(matches=of_matches, views=of_views, positions=tables)
 
 
 def view_ratios(
@@ -345,7 +324,8 @@ def view_ratios(
     both, one = seen_ratios(options)
     llr = np.zeros(len(seen.views))
     points = matches.points
-    places = pieces.points[points], matches.offsets, pieces.steps[points]
+    steps = pieces.spacings[points, None] * pieces.tangents[points]
+    places = pieces.points[points], matches.offsets, steps
     order = order_of(seen.views, len(pieces.views))
     for rows in np.split(order, np.flatnonzero(np.diff(seen.views[order])) + 1):
         if len(rows) == 0:
@@ -365,12 +345,12 @@ def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
     return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
 
 
-def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) -> Merging:
+def keep_best(pieces: Pieces, displaced: BoolArray, same: Matches, min_points: int) -> Merging:
     """Of duplicates, keep the points of the piece with the most observations.
 
     Args:
         pieces: the pieces.
-        ghosts: (N,) points of displaced duplicates, which are dropped.
+        displaced: (N,) points of displaced duplicates, which are dropped.
         same: the matches between duplicates, in both directions.
         min_points: minimum length of the remaining runs of a piece.
     """
@@ -379,7 +359,7 @@ def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) ->
     order = np.argsort(-worth, kind="stable")
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    kept = ~ghosts
+    kept = ~displaced
     begins = np.searchsorted(same.points, pieces.offsets)
     for piece in order.tolist():
         rows = slice(begins[piece], begins[piece + 1])
@@ -389,6 +369,6 @@ def choose(pieces: Pieces, ghosts: BoolArray, same: Matches, min_points: int) ->
         kept[points[better & kept[others]]] = False
         if not kept[first:last].all():
             left = kept[first:last]
-            kept[first:last] = long_runs(grown(left) & ~ghosts[first:last], min_points)
+            kept[first:last] = long_runs(grown(left) & ~displaced[first:last], min_points)
     gives = ~kept[same.others] & kept[same.points]
     return Merging(kept=kept, takers=same.points[gives], givers=same.others[gives])

@@ -1,4 +1,4 @@
-"""Arcs that are one curve: parts of one circle, with gaps that views do not see."""
+"""Groups of arcs that are one curve: parts of one circle, with unobserved gaps between them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 
 
-def wholes_of(curves: Curves3D, circles: IntArray, edges: Edges3D) -> IntArray:
-    """(C,) first curve of the whole that each curve is part of.
+def find_arc_groups(curves: Curves3D, circles: IntArray, edges: Edges3D) -> IntArray:
+    """(C,) first curve of the group of arcs that each curve belongs to.
 
     Arcs of one circle are one curve if they overlap, or if both ends at the gap between them are
     free ends of edges: an edge that ends at a node ends there, others go on unseen.

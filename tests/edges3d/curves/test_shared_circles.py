@@ -1,23 +1,16 @@
-"""Pieces of one circle are told as such, and as one curve where nothing ends between them."""
+"""Pieces of one circle are classified as such, and as one curve where nothing ends between them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from curve_edges import arc, edges_of, frame, segment
+from curve_edges import arc, edges_of, frame, lines_around
 
 from colmap_edges.core.curves3d import ARC, CIRCLE, LINE
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.export.curve_records import curve_records, curves_of_records
 
 SIGMA = 1e-3
-
-
-def lines_around(count=30):
-    """Straight edges far away, from which the noise is learned."""
-    random = np.random.default_rng(7)
-    starts, ends = 50 + random.normal(size=(2, count, 3))
-    return [segment(a, b, 25) for a, b in zip(starts, ends, strict=True)]
 
 
 def pieces(*spans, radius=0.5, axes=1, center=1.0):
@@ -55,7 +48,7 @@ def test_pieces_of_other_circles_stay():
     curves = fit_curves(edges_of([*lines_around(), *two], sigma=SIGMA))
     assert len(np.unique(curves.radii[-3:, 0])) == 3
     np.testing.assert_allclose(curves.radii[-3:, 0], [0.5, 0.52, 0.5], rtol=0.02)
-    np.testing.assert_array_equal(curves.wholes, np.arange(curves.num_curves))
+    np.testing.assert_array_equal(curves.arc_groups, np.arange(curves.num_curves))
 
 
 @pytest.mark.parametrize("at_node", [False, True])
@@ -71,8 +64,8 @@ def test_arcs_are_one_curve_unless_one_ends_at_a_node(at_node, reversed_):
     curves = fit_curves(replace(edges, end_nodes=nodes))
     assert curves.kinds[-2:].tolist() == [ARC, ARC]
     first = curves.num_curves - 2
-    assert curves.wholes[-2:].tolist() == [first, first + 1 if at_node else first]
-    np.testing.assert_array_equal(curves.wholes[:-2], np.arange(first))
+    assert curves.arc_groups[-2:].tolist() == [first, first + 1 if at_node else first]
+    np.testing.assert_array_equal(curves.arc_groups[:-2], np.arange(first))
 
 
 def test_one_gap_of_two_suffices():
@@ -80,7 +73,7 @@ def test_one_gap_of_two_suffices():
     nodes = edges.end_nodes.copy()
     nodes[30, 1] = 0
     curves = fit_curves(replace(edges, end_nodes=nodes))
-    assert curves.wholes[-1] == curves.num_curves - 2
+    assert curves.arc_groups[-1] == curves.num_curves - 2
 
 
 def test_a_piece_on_a_closed_circle_is_part_of_it():
@@ -88,7 +81,7 @@ def test_a_piece_on_a_closed_circle_is_part_of_it():
     edges = edges_of(polylines, [False] * 30 + [True, False], sigma=SIGMA)
     curves = fit_curves(edges)
     assert curves.kinds[-2:].tolist() == [CIRCLE, ARC]
-    assert curves.wholes[-1] == curves.wholes[-2] == curves.num_curves - 2
+    assert curves.arc_groups[-1] == curves.arc_groups[-2] == curves.num_curves - 2
 
 
 def test_parts_are_written_and_read():
@@ -97,6 +90,6 @@ def test_parts_are_written_and_read():
     records = curve_records(curves, edges.edge_offsets)
     assert ["part_of" in record for record in records] == [False] * 31 + [True]
     back = curves_of_records(records, edges.edge_offsets)
-    np.testing.assert_array_equal(back.wholes, curves.wholes)
+    np.testing.assert_array_equal(back.arc_groups, curves.arc_groups)
     with pytest.raises(ValueError, match="part of"):
         curves_of_records([record | {"part_of": 99} for record in records], edges.edge_offsets)
