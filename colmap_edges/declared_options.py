@@ -28,6 +28,7 @@ def option(
     choices: tuple[str, ...] | None = None,
     basic: bool = False,
     given_px: bool = False,
+    stage: str = "",
 ) -> Any:
     """Declare an option: a dataclass field with default, range and help.
 
@@ -41,6 +42,7 @@ def option(
         basic: whether the short help of the command line shows the option.
         given_px: whether it is a length in pixels of the given images, which
             `colmap_edges.options.resolved` converts to pixels of the upsampled images.
+        stage: the stage of an option of the whole run.
 
     Raises:
         TypeError: if a number has no range, or another type has one.
@@ -49,7 +51,12 @@ def option(
     if is_number != (within is not None):
         raise TypeError(f"{help!r}: numbers need a range, other types must not have one")
     declared = {"within": within, "choices": choices, "basic": basic, "given_px": given_px}
-    return field(default=default, metadata={"help": help, **declared})
+    return field(default=default, metadata={"help": help, "stage": stage, **declared})
+
+
+def group(kind: type[T], stage: str) -> Any:
+    """Declare a group of options of a stage."""
+    return field(default_factory=kind, metadata={"stage": stage})
 
 
 def constant(default: Any, **declared: Any) -> Any:

@@ -25,8 +25,7 @@ import pycolmap
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from colmap_edges.cli.flags import make_flags, normalize, options_from_flags
-from colmap_edges.cli.run_commands import RECONSTRUCT_FLAGS
+from colmap_edges.cli.flags import make_flags, names_of_stages, normalize, options_from_flags
 from colmap_edges.colmap.appending import NewPoints, append_points
 from colmap_edges.colmap.model import Model, load_model, observation_residuals
 from colmap_edges.colmap.writing import write_model
@@ -355,7 +354,7 @@ def parse_options(flags: list[str]) -> PipelineOptions:
     """Options from the flags of `colmap-edges reconstruct`."""
     command = click.Command(
         "reconstruct",
-        params=[*make_flags(RECONSTRUCT_FLAGS)],
+        params=[*make_flags(names_of_stages("detect", "trace", "refine", "write"))],
         context_settings={"token_normalize_func": normalize},
     )
     return options_from_flags(command.make_context("reconstruct", flags).params)

@@ -19,7 +19,7 @@ import numpy as np
 from trials import pictures, rules, running, summary
 from trials.rules import Record
 from trials.running import Store, TrialError, Version
-from zoo.make import FAMILIES
+from zoo import FAMILIES
 
 NUM_PICTURES = 10
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import click
 
 from colmap_edges.cli.flags import with_dashes
-from colmap_edges.cli.terminal import STOPPED, say, silence, start_logging
+from colmap_edges.cli.terminal import RECEIVED, say, silence, start_logging
 from colmap_edges.errors import ColmapEdgesError, OptionError
 
 # What libraries say of their own errors when the system refuses memory or threads.
@@ -34,7 +34,7 @@ def one_line_errors(verbose: bool) -> Iterator[None]:
         raise click.exceptions.Exit(1) from error
     except Exception as error:
         text = one_line(error)
-        if STOPPED or text is None:
+        if RECEIVED or text is None:
             raise
         if verbose:
             say(*traceback.format_exc().rstrip().split("\n"), err=True)

@@ -12,8 +12,6 @@ from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
 from colmap_edges.cli.terminal import say
 
-STRUCTURES = "structures"  # folder name required by LIMAP
-
 
 @click.command(cls=Command, name="export")
 @click.option(
@@ -80,7 +78,7 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
 
 def format_of(output_path: Path) -> str:
     """Name of the format of a file or folder of this name."""
-    if output_path.name == STRUCTURES:
+    if output_path.name == "structures":  # as LIMAP requires
         return "limap"
     suffix = output_path.suffix.lower().removeprefix(".")
     return {"stp": "step", "limap": ""}.get(suffix, suffix)

@@ -22,8 +22,6 @@ from colmap_edges.options import PipelineOptions, chosen_preset
 from colmap_edges.runtime.input_files import read_text
 
 T = TypeVar("T", bound=Options)
-NOT_IN_FILES = ("--config", "--help", "--help_full", "--version")
-MAX_KEY = 60  # characters of a key in a message
 
 
 class ZeroOrOne(click.ParamType):  # type: ignore[type-arg, unused-ignore]
@@ -102,6 +100,11 @@ def parameter_name(flag: str) -> str:
     return normalize(flag).replace(".", "__")
 
 
+def names_of_stages(*stages: str) -> set[str]:
+    """Names of the fields of PipelineOptions that belong to some stages."""
+    return {entry.name for entry in fields(PipelineOptions) if entry.metadata["stage"] in stages}
+
+
 def make_flags(names: set[str]) -> list[click.Option]:
     """Make the flags of the named fields of PipelineOptions; a group gives one flag per option."""
     flags = []
@@ -153,7 +156,7 @@ def flags_by_name(command: click.Command) -> dict[str, click.Parameter]:
         normalize(flag.removeprefix("--")): param
         for param in command.params
         for flag in param.opts
-        if flag.startswith("--") and flag not in NOT_IN_FILES
+        if flag.startswith("--") and flag not in ("--config", "--help", "--help_full", "--version")
     }
     inner = command.commands.values() if isinstance(command, click.Group) else ()
     return {name: param for each in inner for name, param in flags_by_name(each).items()} | own
@@ -182,9 +185,9 @@ def read_config(ctx: click.Context, path: Path) -> dict[str, str]:
         param = known.get(normalize(key))
         if param is None:
             spelled = {n: p.opts[0].removeprefix("--") for n, p in known.items()}
-            near = difflib.get_close_matches(normalize(key)[:MAX_KEY], known, 1, 0)
+            near = difflib.get_close_matches(normalize(key)[:60], known, 1, 0)
             hint = f"; did you mean {spelled[near[0]]}?" if near else ""
-            raise click.UsageError(f"{path}: unknown key {key[:MAX_KEY]}{hint}")
+            raise click.UsageError(f"{path}: unknown key {key[:60]}{hint}")
         kinds, what = toml_kinds(param.type)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
             raise click.UsageError(f"{path}: {key} is {shown(value)}; it must be {what}")

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from colmap_edges.cli.terminal import HEEDED, heed
+from colmap_edges.cli.terminal import HANDLED, handle_signals
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.platform import address_space_mb, signals_deferred
 
@@ -32,7 +32,7 @@ def importing() -> Iterator[None]:
     """
     check_address_space()
     check_opencv_variables()
-    with signals_deferred(HEEDED):
+    with signals_deferred(HANDLED):
         try:
             yield
         except (ImportError, RuntimeError, OSError) as error:
@@ -41,7 +41,7 @@ def importing() -> Iterator[None]:
                 "memory (ulimit -v), or install colmap-edges again"
             ) from error
         finally:
-            heed(HEEDED)
+            handle_signals(HANDLED)
 
 
 def check_address_space() -> None:

@@ -12,7 +12,7 @@ from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.colmap.workspace import find_model, is_model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import read_text
-from colmap_edges.runtime.ownership import REPORT_NAME
+from colmap_edges.runtime.ownership import OUTPUT
 
 
 def describe(path: Path) -> str:
@@ -21,7 +21,7 @@ def describe(path: Path) -> str:
     Raises:
         ColmapEdgesError: if `path` is neither.
     """
-    if (path / REPORT_NAME).is_file():
+    if (path / OUTPUT.record).is_file():
         return describe_output(path)
     if is_model(path) or not (path / "sparse").is_dir():
         return describe_model(load_model(path))
@@ -47,10 +47,10 @@ def describe_model(model: Model) -> str:
 def describe_output(path: Path) -> str:
     """The command, stages, edges and model of an output folder."""
     try:
-        lines = report_lines(read_json(path / REPORT_NAME))
+        lines = report_lines(read_json(path / OUTPUT.record))
     except (KeyError, TypeError, AttributeError) as error:
         raise ColmapEdgesError(
-            f"{path / REPORT_NAME} is damaged: the key {error} is missing; run again"
+            f"{path / OUTPUT.record} is damaged: the key {error} is missing; run again"
         ) from error
     if (path / "sparse").is_dir():
         model = describe_model(load_model(path / "sparse"))

@@ -16,17 +16,12 @@ from colmap_edges.cli.export_command import export
 from colmap_edges.cli.flags import normalize
 from colmap_edges.cli.help import Command, full_help_flag
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.run_commands import (
-    DETECT_FLAGS,
-    MESH_FLAGS,
-    RECONSTRUCT_FLAGS,
-    make_run_command,
-)
+from colmap_edges.cli.run_commands import make_run_command
 from colmap_edges.cli.terminal import (
-    HEEDED,
-    STOPPED,
-    heed,
-    heeded_signals,
+    HANDLED,
+    RECEIVED,
+    handle_signals,
+    handled_signals,
     open_streams,
     say,
     show_usage_error,
@@ -34,9 +29,6 @@ from colmap_edges.cli.terminal import (
 from colmap_edges.cli.version import show_version
 from colmap_edges.runtime.memory import reuse_freed_memory
 
-# Objects between collections of cyclic garbage: libraries make many at import, and arrays are freed
-# without it.
-GARBAGE_THRESHOLD = 50_000
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
@@ -105,17 +97,22 @@ def cli() -> None:
 
 
 cli.params.append(full_help_flag("Show this help; after a command, all of its options, and exit"))
-for name, help, names in (
-    ("detect", "Detect 2D edge graphs: one .npz and one overlay per image.", DETECT_FLAGS),
-    (
+for command in (
+    make_run_command(
+        "detect", "Detect 2D edge graphs: one .npz and one overlay per image.", "detect"
+    ),
+    make_run_command(
         "reconstruct",
         "Reconstruct 3D edges and write them into the COLMAP model.",
-        RECONSTRUCT_FLAGS,
+        *("detect", "trace", "refine", "write"),
     ),
-    ("mesh", "Reconstruct 3D edges, write them, and mesh points and edges.", MESH_FLAGS),
+    make_run_command(
+        "mesh",
+        "Reconstruct 3D edges, write them, and mesh points and edges.",
+        *("detect", "trace", "refine", "write", "mesh"),
+    ),
+    *(info, evaluate, export),
 ):
-    cli.add_command(make_run_command(name, help, names))
-for command in (info, evaluate, export):
     cli.add_command(command)
 
 
@@ -124,10 +121,11 @@ def main(argv: list[str] | None = None) -> NoReturn:
     # Images and views are processed by our own threads. BLAS threads would compete with them, and
     # make rounding depend on their number. BLAS reads the setting when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(GARBAGE_THRESHOLD)
+    # Libraries make many objects at import, and arrays are freed without collections of garbage.
+    gc.set_threshold(50_000)
     open_streams()
-    HEEDED[:] = heeded_signals()
-    heed(HEEDED)
+    HANDLED[:] = handled_signals()
+    handle_signals(HANDLED)
     reuse_freed_memory()
     run: Callable[..., Any] = cli.main
     try:
@@ -139,9 +137,9 @@ def main(argv: list[str] | None = None) -> NoReturn:
         say("Interrupted; nothing was written.", err=True)
         sys.exit(130)
     except Exception:
-        if not STOPPED:
+        if not RECEIVED:
             raise
         # Some libraries turn an interrupt into an exception of their own.
         say("Interrupted; nothing was written.", err=True)
-        sys.exit(128 + STOPPED[0])
+        sys.exit(128 + RECEIVED[0])
     sys.exit(code if isinstance(code, int) else 0)

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from colmap_edges.cli.errors import one_line_errors
-from colmap_edges.cli.flags import Word, make_flags, options_from_flags, read_config
+from colmap_edges.cli.flags import (
+    Word,
+    make_flags,
+    names_of_stages,
+    options_from_flags,
+    read_config,
+)
 from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
 from colmap_edges.cli.terminal import progress_bars, say
 from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
 from colmap_edges.runtime.stages import Progress
-
-# Options of each command.
-MESH_FLAGS = {entry.name for entry in fields(PipelineOptions)}
-ONLY_MESH_FLAGS = {"meshing", "use_edges", "use_faces", "masks_are_background"}
-RECONSTRUCT_FLAGS = MESH_FLAGS - ONLY_MESH_FLAGS
-DETECT_FLAGS = {"num_threads", "max_graph_memory_gb", "detection", "edge_graph"}
 
 
 def load_config(ctx: click.Context, _param: click.Parameter, value: Path | None) -> None:
@@ -74,8 +73,8 @@ def recording_target(value: str) -> str:
     raise click.BadParameter(f"{value!r} is neither 0, 1 nor a FILE.rrd")
 
 
-def run_flags(names: set[str]) -> list[click.Parameter]:
-    """Make the flags of a command that runs stages."""
+def run_flags(stages: Sequence[str]) -> list[click.Parameter]:
+    """Make the flags of a command that runs these stages."""
     return [
         path_flag(
             "workspace_path",
@@ -104,7 +103,7 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             metavar="ADDRESS",
             help="dask cluster, such as tcp://host:8786; needs --cache_path",
         ),
-        *([*preset_flags(), export_flag()] if "tracing" in names else []),
+        *([*preset_flags(), export_flag()] if "trace" in stages else []),
         click.Option(
             ["--config"],
             type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -126,18 +125,18 @@ def run_flags(names: set[str]) -> list[click.Parameter]:
             is_flag=True,
             help="Log each step, list the results of each stage, show the traceback of errors",
         ),
-        *make_flags(names),
+        *make_flags(names_of_stages(*stages)),
     ]
 
 
-def make_run_command(name: str, help: str, names: set[str]) -> click.Command:
-    """Make the command `name`, which runs the pipeline up to that stage."""
+def make_run_command(name: str, help: str, *stages: str) -> click.Command:
+    """Make the command `name`, which runs these stages of the pipeline."""
 
     def callback(**values: Any) -> None:
         with one_line_errors(values["verbose"]):
             run_command(name, values)
 
-    return Command(name, params=run_flags(names), callback=callback, help=help)
+    return Command(name, params=run_flags(stages), callback=callback, help=help)
 
 
 def run_command(name: str, values: dict[str, Any]) -> None:

@@ -8,14 +8,6 @@ from typing import Any
 
 from colmap_edges.report.outcome import VIEWERS, outcome
 
-# The summary points to the first of these files that exists.
-LOOK_AT = {
-    "report.html": "in any web browser",
-    "mesh.ply": "in MeshLab, Blender or CloudCompare",
-    "edges.ply": "in MeshLab or Blender",
-    "overlays": "with any viewer of pictures",
-}
-
 
 def summary(report: dict[str, Any], output: Path, seconds: float, verbose: bool) -> list[str]:
     """The lines of the summary: findings, results and, last, the file to open.
@@ -31,8 +23,9 @@ def summary(report: dict[str, Any], output: Path, seconds: float, verbose: bool)
         lines.append(f"Note: {finding['text']}. To change that: {finding['remedy']}.")
     for name, text in outcome(report).items():
         lines.append(f"{name + ':':9} {text}")
-    found = ((name, how) for name, how in LOOK_AT.items() if (output / name).exists())
-    name, how = next(found, ("", "the results"))
+    names = ("report.html", "mesh.ply", "edges.ply", "overlays")
+    name = next((name for name in names if (output / name).exists()), "")
+    how = f"in {VIEWERS[name].rpartition(': ')[2]}" if name else "the results"
     return [*lines, f"{'Look at:':9} {output / name} ({how})"]
 
 

@@ -17,8 +17,8 @@ from colmap_edges.errors import printable
 from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
-HEEDED: list[int] = []  # signals handled during a run
-STOPPED: list[int] = []  # signals received so far
+HANDLED: list[int] = []  # signals handled during a run
+RECEIVED: list[int] = []  # signals received so far
 
 
 def show_usage_error(error: click.ClickException) -> None:
@@ -117,12 +117,12 @@ def progress_bars() -> Iterator[Progress]:
         yield show
 
 
-def heeded_signals() -> list[int]:
+def handled_signals() -> list[int]:
     """The signals that end a run, without those that the parent ignores (as nohup does)."""
     return [number for number in ending_signals() if signal.getsignal(number) != signal.SIG_IGN]
 
 
-def heed(signals: list[int]) -> None:
+def handle_signals(signals: list[int]) -> None:
     """Install signal handlers that end the run with its output cleaned up."""
     for number in signals:
         signal.signal(number, on_signal)
@@ -130,7 +130,7 @@ def heed(signals: list[int]) -> None:
 
 def on_signal(number: int, _frame: Any) -> None:
     """Raise an exception so that unfinished output is cleaned up."""
-    if STOPPED and number not in (signal.SIGINT, signal.SIGTERM):
+    if RECEIVED and number not in (signal.SIGINT, signal.SIGTERM):
         return  # both shell and kernel send SIGHUP when a terminal closes
-    STOPPED.append(number)
+    RECEIVED.append(number)
     raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)

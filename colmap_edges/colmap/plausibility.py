@@ -15,16 +15,6 @@ from colmap_edges.core.checks import MAX_COORDINATE
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 
-MAX_SIDE_PX = 2**31 - 1
-MIN_FOCAL, MAX_FOCAL = 1e-3, 1e6  # in image sides; fisheye lenses have 0.2, telescopes 1e4
-MAX_PARAMETER = 1e12
-# Distance beyond which a point is at infinity, relative to the distances between cameras and from
-# cameras to points: its viewing rays are parallel up to a hundredth of a pixel.
-MAX_REACH = 1e6
-# Magnification of a lens at its axis, relative to its focal length: lenses have 1, COLMAP's FOV
-# model a little more. It is negative or huge for parameters beyond their range.
-MIN_MAGNIFICATION, MAX_MAGNIFICATION = 0.2, 5.0
-GRID = 9  # pixels a side at which undistortion is tried
 MAX_POINT3D_ID = 2**62  # larger ids leave none for edge points
 
 
@@ -34,7 +24,7 @@ def check_camera(camera: Any, name: str) -> None:
     Raises:
         ColmapEdgesError: if it is not; `name` is the name of one of its images.
     """
-    if not (0 < camera.width <= MAX_SIDE_PX and 0 < camera.height <= MAX_SIDE_PX):
+    if not (0 < camera.width < 2**31 and 0 < camera.height < 2**31):
         raise ColmapEdgesError(
             f"the camera of image {name} has the impossible size {camera.width}x{camera.height}; "
             "write the model again"
@@ -52,11 +42,9 @@ def check_camera(camera: Any, name: str) -> None:
             f"the camera of image {name} has the parameters {camera.params_to_string()}; they "
             "must be finite and the focal length > 0"
         )
+    # In image sides, fisheye lenses have 0.2, telescopes 1e4.
     ratios = focal_lengths / max(camera.width, camera.height)
-    if (
-        np.abs(params).max() > MAX_PARAMETER
-        or not ((ratios >= MIN_FOCAL) & (ratios <= MAX_FOCAL)).all()
-    ):
+    if np.abs(params).max() > 1e12 or not ((ratios >= 1e-3) & (ratios <= 1e6)).all():
         raise ColmapEdgesError(
             f"the camera of image {name}, {camera.width}x{camera.height}, has implausible "
             f"parameters: {camera.params_to_string()}; calibrate it again or deregister the image"
@@ -71,9 +59,11 @@ def check_lens(view: View) -> None:
     """
     steps = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # undistorted pixels
     moved = view.image_from_undistorted(steps) - view.image_from_undistorted(np.zeros((1, 2)))
+    # Relative to the focal length, lenses have 1, COLMAP's FOV model a little more. It is negative
+    # or huge for parameters beyond their range.
     magnification = (moved * steps).sum(axis=1)
-    is_plain = (magnification >= MIN_MAGNIFICATION) & (magnification <= MAX_MAGNIFICATION)
-    sides = (np.linspace(0, side, GRID) for side in (view.width, view.height))
+    is_plain = (magnification >= 0.2) & (magnification <= 5)
+    sides = (np.linspace(0, side, 9) for side in (view.width, view.height))
     pixels = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
     if not is_plain.all() or not np.isfinite(view.rays(pixels)).all(axis=1).any():
         raise ColmapEdgesError(
@@ -131,5 +121,6 @@ def within_reach(points: FloatArray, centers: FloatArray) -> BoolArray:
     middle = np.median(centers, axis=0)
     distances = np.linalg.norm(points[near] - middle, axis=1)
     extent = np.linalg.norm(centers - middle, axis=1).max()
-    near[near] = distances <= MAX_REACH * max(float(extent), float(np.median(distances)))
+    # Beyond it, viewing rays are parallel up to a hundredth of a pixel.
+    near[near] = distances <= 1e6 * max(float(extent), float(np.median(distances)))
     return near

@@ -14,15 +14,6 @@ from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import read_bytes
 
-MIN_OBSERVED = 10  # minimum number of observations of a view that can contradict its pose
-NUM_SAMPLES = 1000  # observations of a view that are projected
-# Median reprojection error beyond which the points contradict a pose, as a share of the image's
-# larger side, and in terms of the errors that the model states for its points. COLMAP's mapper
-# drops observations beyond 4 px; models with rough poses have medians of a few pixels.
-MAX_ERROR_RATIO = 0.02
-MAX_ERROR_TIMES = 10.0
-MAX_ROUNDING = 1e-6  # largest difference of equal poses, relative to the largest translation
-
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
@@ -49,8 +40,8 @@ class Observed:
         """
         found = np.full((2, len(views)), np.nan)
         for index, (view, rows) in enumerate(views_with_rows(views, self.views)):
-            if len(rows) >= MIN_OBSERVED:
-                rows = rows[:: 1 + len(rows) // NUM_SAMPLES]
+            if len(rows) >= 10:
+                rows = rows[:: 1 + len(rows) // 1000]
                 projected, _ = view.project(self.xyz[self.points[rows]])
                 errors = np.linalg.norm(projected - self.points2D[rows], axis=1)
                 found[0, index] = np.median(np.where(np.isfinite(errors), errors, np.inf))
@@ -61,7 +52,9 @@ class Observed:
         """Indices of the views whose poses the points contradict, and all median errors."""
         errors, stated = self.medians(views)
         sides = np.array([max(view.width, view.height) for view in views], np.float64)
-        limits = np.fmax(MAX_ERROR_RATIO * sides, MAX_ERROR_TIMES * stated)
+        # COLMAP's mapper drops observations beyond 4 px; models with rough poses have medians of a
+        # few pixels.
+        limits = np.fmax(0.02 * sides, 10 * stated)
         return np.flatnonzero(errors > limits), errors
 
 
@@ -156,7 +149,7 @@ def same_poses(views: Sequence[View], others: Sequence[View]) -> BoolArray:
         for of in (views, others)
     )
     units = np.append(np.ones(3), np.abs(first[:, :, 3]).max())  # of rotation and translation
-    return np.asarray((np.abs(first - second) <= MAX_ROUNDING * units).all(axis=(1, 2)))
+    return np.asarray((np.abs(first - second) <= 1e-6 * units).all(axis=(1, 2)))
 
 
 def pixels(error: float) -> str:

@@ -29,10 +29,8 @@ from colmap_edges.colmap.binary_files import (
 )
 from colmap_edges.colmap.text_lines import POSE, Line, integer, is_number, lines_of
 
-MAX_COUNT = 2**63 - 1
 IMAGE_WORDS = 10  # of a pose: image id, quaternion, translation, camera id, name
 POINT3D_WORDS = 8  # before the track: id, position, color, error
-POINT3D_HEAD = struct.Struct("<Q3d3BdQ")
 REMEDY_OF_TRACKS = (
     "write the model again with its points2D, or delete the points3D and run `colmap "
     "point_triangulator`"
@@ -110,7 +108,7 @@ def cameras_of(
                 f"camera {camera_id} has {len(line.words) - 4} parameters, but {name} needs "
                 f"{count}; write the model again"
             )
-        size = line.whole(2, "width", MAX_COUNT), line.whole(3, "height", MAX_COUNT)
+        size = line.whole(2, "width", 2**63 - 1), line.whole(3, "height", 2**63 - 1)
         params = line.reals(4, count, "camera's parameter")
         cameras[camera_id] = CAMERA_HEAD.pack(camera_id, model, *size) + struct.pack(
             f"<{count}d", *params
@@ -211,7 +209,7 @@ def points3D_of(
     records, known = [], set()
     for line in lines:
         line.need(POINT3D_WORDS, "a point's id, position, color, error and track")
-        point3D_id, track = line.whole(0, "point3D id", MAX_COUNT), line.words[POINT3D_WORDS:]
+        point3D_id, track = line.whole(0, "point3D id", 2**63 - 1), line.words[POINT3D_WORDS:]
         if point3D_id in known:
             line.fail(f"a second point has the id {point3D_id}; give it another")
         known.add(point3D_id)
@@ -225,7 +223,7 @@ def points3D_of(
             )
         elements = track_of(line, point3D_id, images, images_path)
         head = (point3D_id, *xyz, *color, *line.reals(7, 1, "error"), len(track) // 2)
-        records.append(POINT3D_HEAD.pack(*head) + elements)
+        records.append(struct.Struct("<Q3d3BdQ").pack(*head) + elements)
     return records
 
 

@@ -12,10 +12,7 @@ from colmap_edges.colmap.binary_files import CAMERA_SENSOR
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import read_bytes
 
-MARK = b"\xef\xbb\xbf"  # byte order mark, which editors of Windows write
-WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")  # those of UTF-16
 SENSORS = {b"CAMERA": CAMERA_SENSOR, b"IMU": 1}  # COLMAP's sensor types
-MAX_ID = 2**32 - 2  # of cameras, images, rigs and frames; COLMAP reserves the next
 POSE = struct.Struct("<7d")
 
 Value = TypeVar("Value")
@@ -50,7 +47,8 @@ class Line:
         if len(self.words) < count:
             self.fail(f"it has {len(self.words)} values, but needs {what}; write the model again")
 
-    def whole(self, at: int, what: str, most: int = MAX_ID) -> int:
+    # By default up to the largest id; COLMAP reserves the next.
+    def whole(self, at: int, what: str, most: int = 2**32 - 2) -> int:
         """The word `at` as an integer from 0 to `most`."""
         value = self.number_at(at, what, integer)
         if not 0 <= value <= most:
@@ -98,8 +96,9 @@ def lines_of(path: Path, with_empty: bool = False) -> Iterator[Line]:
     Raises:
         ColmapEdgesError: if it is not a text of bytes.
     """
-    data = read_bytes(path).removeprefix(MARK)
-    if data.startswith(WIDE_MARKS):
+    # Editors of Windows write byte order marks.
+    data = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ColmapEdgesError(f"{path} is in UTF-16; save it as UTF-8")
     for number, text in enumerate(data.split(b"\n"), 1):
         line = Line(path, number, text.strip())

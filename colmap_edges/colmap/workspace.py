@@ -8,8 +8,6 @@ from pathlib import Path
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import open_file
 
-MODEL_FILES = ("cameras.bin", "cameras.txt")
-
 
 def find_images(workspace: Path) -> Path:
     """The folder of the images in a workspace.
@@ -25,7 +23,7 @@ def find_images(workspace: Path) -> Path:
 
 def is_model(folder: Path) -> bool:
     """Whether a folder holds a COLMAP model's files."""
-    return any((folder / name).is_file() for name in MODEL_FILES)
+    return any((folder / name).is_file() for name in ("cameras.bin", "cameras.txt"))
 
 
 def find_model(workspace: Path) -> Path:

@@ -30,6 +30,7 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
+from colmap_edges.core.arrays import IntArray
 from colmap_edges.declared_options import shown
 from colmap_edges.errors import ColmapEdgesError, check_type
 
@@ -131,6 +132,8 @@ def check_number(name: str, value: Any, low: float, *, integer: bool = True) -> 
 def check_arrays(name: str, record: Any, **sizes: int) -> None:
     """Check that arrays of an object have the declared dtypes and shapes.
 
+    Values are checked, too, of `points` and of standard deviations, whose names end with `sigmas`.
+
     Args:
         name: name of the object.
         record: the object, of a class whose annotations declare them.
@@ -145,6 +148,10 @@ def check_arrays(name: str, record: Any, **sizes: int) -> None:
             array, *shape = get_args(hint)
             values = check_array(f"{name}.{entry}", getattr(record, entry), array)
             check_shape(f"{name}.{entry}", values.shape, tuple(shape), sizes)
+            if entry.endswith("sigmas"):
+                check_sigmas(f"{name}.{entry}", values)
+            elif entry == "points":
+                check_points(f"{name}.{entry}", values)
 
 
 def check_array(name: str, values: Any, array: Any) -> NDArray[Any]:
@@ -185,15 +192,21 @@ def size_of(of: str | int, sizes: dict[str, int]) -> str | int:
     return sizes[letter] + int(more or 0) if letter in sizes else of
 
 
-def check_offsets(name: str, offsets: NDArray[Any], count: int) -> None:
-    """Check that (n + 1,) offsets rise from 0 to a number of entries.
+def check_offsets(name: str, offsets: NDArray[Any], count: int, least: int | IntArray = 0) -> None:
+    """Check that (n + 1,) offsets rise from 0 to a number of entries, each by at least `least`.
 
     Raises:
         ColmapEdgesError: if they do not.
     """
-    ends = [0, count]
-    if offsets[[0, -1]].tolist() != ends or (np.diff(offsets) < 0).any():
+    if offsets[[0, -1]].tolist() != [0, count] or (np.diff(offsets) < 0).any():
         raise ColmapEdgesError(f"{name} must rise from 0 to the number of entries, {count}")
+    short = np.flatnonzero(np.diff(offsets) < least)
+    if len(short):
+        row = short[0]
+        raise ColmapEdgesError(
+            f"{name} gives {np.diff(offsets)[row]} entries to row {row}; give it at least "
+            f"{np.broadcast_to(least, len(offsets) - 1)[row]}"
+        )
 
 
 def check_values(name: str, values: NDArray[Any], low: float, high: float) -> None:

@@ -23,7 +23,6 @@ from colmap_edges.core.checks import (
     check_offsets,
     check_points,
     check_shape,
-    check_sigmas,
     check_values,
     checked,
 )
@@ -52,8 +51,8 @@ class Curves3D:
         edges: (C,) int64 edge of each curve.
         ranges: (C, 2) int64 half-open range of the curve's edge points in `Edges3D.points`; on
             closed edges, indices beyond the edge's last point wrap around to its first.
-        wholes: (C,) int64 first of the curves that are parts of one curve: arcs of one circle with
-            unseen gaps between them; for all others, the curve itself.
+        arc_groups: (C,) int64 first of the curves that are parts of one curve: arcs of one circle
+            with unobserved gaps between them; for all others, the curve itself.
         frames: (C, 3, 3) float64 rows o, a and b, world units; b is 0 of lines, all of splines.
         spans: (C, 2) float64 first and last t: radians of arcs.
         knot_offsets: (C + 1,) int64; curve c has knots[knot_offsets[c]:knot_offsets[c + 1]].
@@ -69,7 +68,7 @@ class Curves3D:
     kinds: Annotated[ByteArray, "C"]
     edges: Annotated[IntArray, "C"]
     ranges: Annotated[IntArray, "C", 2]
-    wholes: Annotated[IntArray, "C"]
+    arc_groups: Annotated[IntArray, "C"]
     frames: Annotated[FloatArray, "C", 3, 3]
     spans: Annotated[FloatArray, "C", 2]
     knot_offsets: Annotated[IntArray, "C+1"]
@@ -97,26 +96,22 @@ class Curves3D:
         check_values(f"{name}.edges", self.edges, 0, num_edges - 1)
         check_values(f"{name}.ranges", self.ranges[:, 0], 0, num_points - 1)
         check_values(f"{name}.ranges", np.diff(self.ranges)[:, 0], 1, num_points + 1)
-        check_values(f"{name}.wholes", self.wholes, 0, self.num_curves - 1)
+        check_values(f"{name}.arc_groups", self.arc_groups, 0, self.num_curves - 1)
         for entry in ("frames", "spans", "knots", "control_points"):
             check_points(f"{name}.{entry}", getattr(self, entry))
-        check_offsets(f"{name}.knot_offsets", self.knot_offsets, len(self.knots))
         counts, splines = np.diff(self.knot_offsets), self.kinds == SPLINE
         least = np.where(splines, 2 * DEGREE + 2, 0)
+        check_offsets(f"{name}.knot_offsets", self.knot_offsets, len(self.knots), least)
         num_control = int((counts - DEGREE - 1)[splines].sum())
-        if (
-            (counts < least).any()
-            or counts[~splines].any()
-            or num_control != len(self.control_points)
-        ):
+        if counts[~splines].any() or num_control != len(self.control_points):
             raise ColmapEdgesError(
-                f"{name}.knots must be at least {2 * DEGREE + 2} for each spline, four more than "
-                "its control points, and none for other curves"
+                f"{name}.knots must be four more than the control points of each spline, and none "
+                "for other curves"
             )
         self.check_geometry(name)
 
     def check_geometry(self, name: str) -> None:
-        """Check that knots rise, that round curves span a plane, and deviations.
+        """Check that knots rise, and that round curves span a plane.
 
         Raises:
             ColmapEdgesError: naming the first array that does not fit.
@@ -135,9 +130,6 @@ class Curves3D:
                 f"{name}.frames[{np.flatnonzero(flat)[0]}] has parallel axes, but its curve is "
                 "round; fit it again"
             )
-        for entry in fields(self):
-            if entry.name.endswith("_sigmas"):
-                check_sigmas(f"{name}.{entry.name}", getattr(self, entry.name))
 
     @classmethod
     def none(cls) -> Curves3D:
@@ -146,7 +138,7 @@ class Curves3D:
             kinds=np.zeros(0, np.uint8),
             edges=np.zeros(0, np.int64),
             ranges=np.zeros((0, 2), np.int64),
-            wholes=np.zeros(0, np.int64),
+            arc_groups=np.zeros(0, np.int64),
             frames=np.zeros((0, 3, 3)),
             spans=np.zeros((0, 2)),
             knot_offsets=np.zeros(1, np.int64),
@@ -171,7 +163,7 @@ class Curves3D:
             if entry.name != "knot_offsets"
         }
         counts = [part.num_curves for part in parts]
-        arrays["wholes"] += np.repeat(offsets_of(np.array(counts))[:-1], counts)
+        arrays["arc_groups"] += np.repeat(offsets_of(np.array(counts))[:-1], counts)
         lengths = np.concatenate([np.diff(part.knot_offsets) for part in parts])
         return cls(knot_offsets=offsets_of(lengths), **arrays)
 

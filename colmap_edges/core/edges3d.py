@@ -21,13 +21,11 @@ from colmap_edges.core.checks import (
     MAX_INTEGER,
     check_arrays,
     check_offsets,
-    check_points,
-    check_sigmas,
     check_values,
     checked,
 )
 from colmap_edges.core.observations import Observations
-from colmap_edges.errors import ColmapEdgesError, check_type
+from colmap_edges.errors import check_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +54,6 @@ class Nodes:
             ColmapEdgesError: naming the first array that does not fit.
         """
         check_arrays(name, self)
-        check_points(f"{name}.points", self.points)
-        check_sigmas(f"{name}.sigmas", self.sigmas)
         check_values(f"{name}.through_points", self.through_points, -1, num_points - 1)
         check_type(f"{name}.observations", self.observations, (Observations,))
         self.observations.check(f"{name}.observations", num_views, N=len(self.points))
@@ -110,11 +106,7 @@ class Edges3D:
             ColmapEdgesError: naming the first array that does not fit.
         """
         check_arrays(name, self)
-        check_points(f"{name}.points", self.points)
-        check_offsets(f"{name}.edge_offsets", self.edge_offsets, self.num_points)
-        if (np.diff(self.edge_offsets) < 1).any():
-            raise ColmapEdgesError(f"{name}.edge_offsets holds an edge of no points; drop it")
-        check_sigmas(f"{name}.sigmas", self.sigmas)
+        check_offsets(f"{name}.edge_offsets", self.edge_offsets, self.num_points, least=1)
         check_type(f"{name}.nodes", self.nodes, (Nodes,))
         self.nodes.check(f"{name}.nodes", self.num_points, num_views)
         last = len(self.nodes.points) - 1 if len(self.nodes.points) else MAX_INTEGER

@@ -124,6 +124,9 @@ class Observations(ChainObservations):
         pixels: (T, 2) float64 observed image pixels, COLMAP's origin.
         normals: (T, 2) float32 unit normals of the chain there, in undistorted pixels; NaN if
             unknown.
+
+    While edges are linked, the last three hold no column, (T, 0), since they take most of the
+    memory: `of_positions` makes such observations, and `edges2d.edge_index.look_up` fills them in.
     """
 
     chains: Annotated[Int32Array, "T"]
@@ -153,10 +156,7 @@ class Observations(ChainObservations):
 
     @classmethod
     def of_positions(cls, observed: ChainObservations) -> Observations:
-        """Observations whose chains, pixels and normals are arrays without columns.
-
-        `edges2d.edge_index.look_up` finds these in the end, since they take most of the memory.
-        """
+        """Observations whose chains, pixels and normals are arrays without columns."""
         count = len(observed.views)
         return cls(
             offsets=observed.offsets,

@@ -91,3 +91,22 @@ def curve_tangents(points: FloatArray, offsets: IntArray) -> FloatArray:
 def unit(vectors: FloatArray) -> FloatArray:
     """(..., k) vectors scaled to length 1; zero vectors are unchanged."""
     return np.asarray(vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + 1e-300))
+
+
+def nearest_on_lines(
+    origins_a: FloatArray, a: FloatArray, origins_b: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where (n,) pairs of lines are nearest to each other: (n, 3) points of the first and second.
+
+    Args:
+        origins_a: (n, 3) points of the first lines.
+        a: (n, 3) their unit directions.
+        origins_b: (n, 3) points of the second lines.
+        b: (n, 3) their unit directions.
+    """
+    offset, cosine = origins_b - origins_a, np.einsum("ij,ij->i", a, b)
+    on_a, on_b = (np.einsum("ij,ij->i", offset, way) for way in (a, b))
+    sine2 = np.maximum(1 - cosine**2, 1e-12)
+    near_a = origins_a + ((on_a - cosine * on_b) / sine2)[:, None] * a
+    near_b = origins_b + ((cosine * on_a - on_b) / sine2)[:, None] * b
+    return near_a, near_b

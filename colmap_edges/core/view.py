@@ -19,14 +19,8 @@ def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> Flo
     return np.asarray((rays / inverse_depths[:, None] - view.translation) @ view.rotation)
 
 
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
-MAX_LENS_ERROR_PX = 0.1  # maximum round-trip error of undistorting and distorting
 # Points that are projected at once: the overhead of a call is small, the arrays stay in the cache.
 GROUP_SIZE = 5_000
-
-
-FOLD_RADII = np.geomspace(1e-2, 1e2, 256)  # tangents of angles off axis at which a fold is found
-FOLDS: dict[tuple[str, tuple[float, ...]], float] = {}  # of cameras by model and parameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +52,25 @@ class View:
         """(3,) projection centre in world coordinates."""
         return np.asarray(-self.rotation.T @ self.translation)
 
+    @cached_property
+    def fold(self) -> float:
+        """The tangent of the angle off axis at which the lens folds back.
+
+        Beyond it, polynomials of the distortion project rays back into the image. Infinite if the
+        distance from the principal point grows everywhere, as it does without distortion.
+        """
+        if self.camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):
+            return np.inf
+        turns, radii = np.arange(8) * np.pi / 4, np.geomspace(1e-2, 1e2, 256)
+        rays = np.ones((len(turns), len(radii), 3))
+        rays[:, :, :2] = np.column_stack([np.cos(turns), np.sin(turns)])[:, None] * radii[:, None]
+        pixels = np.asarray(self.camera.img_from_cam(rays.reshape(-1, 3)))
+        center = self.camera.img_from_cam(np.array([[0.0, 0.0, 1.0]]))
+        with np.errstate(invalid="ignore"):
+            away = np.linalg.norm(pixels.reshape(*rays.shape[:2], 2) - center, axis=2)
+            folds = ~(np.diff(away, axis=1) > 0).all(axis=0)
+        return float(radii[np.argmax(folds)]) if folds.any() else np.inf
+
     def undistorted_from_image(self, points2D: FloatArray) -> FloatArray:
         """Undistort (N, 2) image pixels; NaN where the camera model cannot.
 
@@ -65,15 +78,23 @@ class View:
         """
         points2D = np.ascontiguousarray(points2D, np.float64)
         undistorted = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
-        if self.camera.model.name not in PINHOLES:  # COLMAP undistorts some pixels wrongly
+        if self.camera.model.name not in ("PINHOLE", "SIMPLE_PINHOLE"):
+            # COLMAP undistorts some pixels wrongly: distorted again, they are elsewhere.
             off = np.abs(self.image_from_undistorted(undistorted) - points2D).max(axis=1, initial=0)
-            undistorted[~(off < MAX_LENS_ERROR_PX)] = np.nan
+            undistorted[~(off < 0.1)] = np.nan
         return undistorted
 
     def image_from_undistorted(self, undistorted: FloatArray) -> FloatArray:
         """Distort (N, 2) undistorted pixels to image pixels; NaN beyond the lens's fold."""
         rays = np.column_stack([np.asarray(undistorted) / self.focal_px, np.ones(len(undistorted))])
-        return distorted(self.camera, rays)
+        return self.distorted(rays)
+
+    def distorted(self, rays: FloatArray) -> FloatArray:
+        """(N, 2) image pixels of (N, 3) rays of depth 1; NaN beyond the lens's fold."""
+        pixels = np.asarray(self.camera.img_from_cam(rays)).reshape(-1, 2)
+        if np.isfinite(self.fold):
+            pixels[rays[:, 0] ** 2 + rays[:, 1] ** 2 >= self.fold**2] = np.nan
+        return pixels
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """(N, 3) viewing rays in world coordinates, of depth 1, of (N, 2) image pixels; or NaN."""
@@ -109,35 +130,6 @@ class View:
         return np.asarray(inside & (depths > 0))
 
 
-def distorted(camera: Any, rays: FloatArray) -> FloatArray:
-    """(N, 2) image pixels of (N, 3) rays of depth 1 in a pycolmap.Camera; NaN beyond its fold."""
-    pixels = np.asarray(camera.img_from_cam(rays)).reshape(-1, 2)
-    if camera.model.name not in PINHOLES:
-        limit = fold_of(camera)
-        pixels[rays[:, 0] ** 2 + rays[:, 1] ** 2 >= limit * limit] = np.nan
-    return pixels
-
-
-def fold_of(camera: Any) -> float:
-    """The tangent of the angle off axis at which the lens of a pycolmap.Camera folds back.
-
-    Beyond it, polynomials of the distortion project rays back into the image. Infinite if the
-    distance from the principal point grows everywhere, as it does without distortion.
-    """
-    key = camera.model.name, tuple(camera.params)
-    if key not in FOLDS:
-        turns = np.arange(8) * np.pi / 4
-        ways = np.column_stack([np.cos(turns), np.sin(turns)])
-        rays = np.ones((len(ways), len(FOLD_RADII), 3))
-        rays[:, :, :2] = ways[:, None] * FOLD_RADII[:, None]
-        pixels = np.asarray(camera.img_from_cam(rays.reshape(-1, 3))).reshape(*rays.shape[:2], 2)
-        with np.errstate(invalid="ignore"):
-            away = np.linalg.norm(pixels - camera.img_from_cam(np.array([[0.0, 0.0, 1.0]])), axis=2)
-            folds = ~(np.diff(away, axis=1) > 0).all(axis=0)
-        FOLDS[key] = float(FOLD_RADII[np.argmax(folds)]) if folds.any() else np.inf
-    return FOLDS[key]
-
-
 def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
     """(V, N) whether (N, 3) world points are in the images of V views.
 
@@ -157,7 +149,7 @@ def in_images(views: Sequence[View], points: FloatArray) -> BoolArray:
             depths = local[:, 2]
             with np.errstate(divide="ignore", invalid="ignore"):
                 rays = local / np.where(depths > 0, depths, np.nan)[:, None]
-            pixels = distorted(group[0].camera, rays)
+            pixels = group[0].distorted(rays)
             inside[rows] = group[0].holds(pixels, depths).reshape(len(rows), -1)
     return inside
 

@@ -8,13 +8,10 @@ from scipy.special import ndtri
 
 from colmap_edges.core.arrays import FloatArray, Picture
 
-NUM_PROFILES = 4000  # number of intensity profiles measured across the edges of an image
 REACH_PX, STEP_PX = 4.0, 0.25  # half length of a profile, and distance of its samples
 PLATEAU = 5  # samples averaged at each end of a profile as the intensity of that side
 SAMPLES_PER_PX = round(1 / STEP_PX)
-MAX_SHARE = 1 - 1e-6  # maximum share of a step's contrast within one pixel
 WIDEST_PX = 1.6  # largest measured blur for which profiles are long enough
-STRONGEST = 0.25  # share of the profiles, by contrast, that are used
 
 
 def blur_of_edges(gray: Picture, points: FloatArray, normals: FloatArray) -> float:
@@ -47,7 +44,7 @@ def blur_of_wide_edges(gray: Picture, points: FloatArray, normals: FloatArray) -
     if len(profiles) == 0:
         return 0.0
     rises = (profiles[:, SAMPLES_PER_PX:] - profiles[:, :-SAMPLES_PER_PX]).max(axis=1)
-    shares = np.clip(rises / contrasts, 0, MAX_SHARE)
+    shares = np.clip(rises / contrasts, 0, 1 - 1e-6)
     return float(np.median(0.5 / ndtri((1 + shares) / 2)))
 
 
@@ -57,10 +54,10 @@ def strongest_profiles(
     """(N, S) intensity profiles across the edges of highest contrast, and (N,) contrasts."""
     if len(points) == 0:
         return np.zeros((0, 2 * PLATEAU)), np.zeros(0)
-    every = np.arange(0, len(points), max(1, len(points) // NUM_PROFILES))
+    every = np.arange(0, len(points), max(1, len(points) // 4000))
     profiles = profiles_across(gray, points[every], normals[every])
     contrasts = profiles[:, -PLATEAU:].mean(axis=1) - profiles[:, :PLATEAU].mean(axis=1)
-    strong = (contrasts >= np.quantile(contrasts, 1 - STRONGEST)) & (contrasts > 0)
+    strong = (contrasts >= np.quantile(contrasts, 0.75)) & (contrasts > 0)
     return profiles[strong], contrasts[strong]
 
 

@@ -17,12 +17,7 @@ from colmap_edges.edges2d.detection import Chains
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 ROUNDED = 3  # points on each side of a corner that may be displaced by blur
-ARM = 6  # points beyond these to which a line is fitted
 NOISE_DEG = 10.0  # tolerance between the chord of an arm and the line fitted to it
-MAX_SCATTER_PX = 0.35  # maximum root mean square distance of an arm's points to its line
-MAX_RADIUS_PX = 4.0  # maximum radius of a blurred corner; larger arcs are bends of the edge
-SLACK_PX = 0.5  # tolerance of the distance between a chain and its corner
-MAX_CUT_PX = 5.0  # maximum distance between a chain and its corner
 
 
 def cut_at_corners(
@@ -54,13 +49,13 @@ def find_corners(
         chains.offsets,
         closed,
         ROUNDED,
-        ARM,
+        6,  # points beyond these to which a line is fitted
         np.cos(np.radians(min_angle_deg - NOISE_DEG)),
         np.cos(np.radians(min_angle_deg)),
-        MAX_SCATTER_PX,
-        SLACK_PX,
-        MAX_RADIUS_PX,
-        MAX_CUT_PX,
+        0.35,  # maximum root mean square distance of an arm's points to its line
+        0.5,  # tolerance of the distance between a chain and its corner
+        4.0,  # maximum radius of a blurred corner; larger arcs are bends of the edge
+        5.0,  # maximum distance between a chain and its corner
     )
     return corners, crossings
 

@@ -28,11 +28,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import DetectionOptions
 
 _Picture = TypeVar("_Picture", Picture, Float32Array)
-MAX_BLUR_PX = (
-    2.0  # upper limit of the measured blur when displacements by nearby edges are corrected
-)
-REFINEMENT_PX, TOLERANCE_PX = 1.0, 1e-6  # maximum displacement of a point by a refinement
-SIDE_DISTANCE_PX = 3.0  # distance from the edge at which the intensities of its sides are sampled
 LIGHT_STEPS = 1 << 16  # fine enough to restore dark intensities
 
 
@@ -87,11 +82,11 @@ def detect_chains(
     points, normals = _kernels.refine_subpixel(light, pixels)
     if pixel_chains:
         points, normals = followed_further(light, pixels, points, normals)
-    blur_px = min(blur_of_edges(image, points + 0.5, normals), MAX_BLUR_PX)
+    blur_px = min(blur_of_edges(image, points + 0.5, normals), 2.0)
     blur_px = float(np.hypot(options.sigma_px, blur_px))
     points = _kernels.undo_displacement(light, points, normals, blur_px)
     table = gray_table(options.gamma)
-    sides = _kernels.sample_sides(light, points, normals, SIDE_DISTANCE_PX, table)
+    sides = _kernels.sample_sides(light, points, normals, 3.0, table)  # 3 px from the edge
     return Chains(
         points=points + 0.5,
         normals=normals,
@@ -108,7 +103,7 @@ def followed_further(
     EdgeDrawing's pixels are maxima of the image's gradient; those of other detectors, learned ones
     in particular, can be farther off.
     """
-    far = np.linalg.norm(points - pixels, axis=1) > REFINEMENT_PX - TOLERANCE_PX
+    far = np.linalg.norm(points - pixels, axis=1) > 1.0 - 1e-6  # as far as it goes
     points[far], normals[far] = _kernels.refine_subpixel(light, points[far])
     return points, normals
 

@@ -31,8 +31,6 @@ from colmap_edges.edges2d.detection import Chains
 from colmap_edges.edges2d.topology import NODE_RADIUS_PX, regular_polylines, topology_of
 from colmap_edges.options import EdgeGraphOptions
 
-DIRECTION_STEP = 5  # points over which the direction of a chain's end is measured
-
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeGraph:
@@ -155,7 +153,8 @@ def chain_ends(chains: Chains) -> tuple[FloatArray, FloatArray, IntArray]:
 
     The bright side is +1 if the normal is to the left of the outward direction, else -1.
     """
-    tips, inner = end_points(chains.offsets, DIRECTION_STEP)
+    # Points over which the direction of a chain's end is measured.
+    tips, inner = end_points(chains.offsets, 5)
     outward = chains.points[tips] - chains.points[inner]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-12
     normals = chains.normals[inner]

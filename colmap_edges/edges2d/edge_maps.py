@@ -14,9 +14,6 @@ from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, IntArr
 from colmap_edges.images.edge_maps import EdgeMap
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
-CREST_SIGMA_PX = 1.0  # blur that moves the crest of a plateau to its middle
-DIRECTION_SIGMA_PX = 2.0  # blur for measuring the direction across a crest
-HYSTERESIS = 0.5  # ratio of the lower threshold to the upper one; Canny: 1/2 to 1/3
 BRANCH_PX = 6  # length over which directions of the branches of a junction are measured
 GRAYS = 255  # bins of the histogram for Otsu's threshold
 
@@ -55,8 +52,9 @@ def thinned(edges: BoolArray) -> BoolArray:
 
 def crests_of(strengths: Float32Array) -> BoolArray:
     """(H, W) mask of pixels with locally maximal edge strength above the threshold."""
-    smooth = cv2.GaussianBlur(strengths, (0, 0), CREST_SIGMA_PX)
-    broad = cv2.GaussianBlur(strengths, (0, 0), DIRECTION_SIGMA_PX)
+    # The first blur moves the crest of a plateau to its middle; the second shows its direction.
+    smooth = cv2.GaussianBlur(strengths, (0, 0), 1.0)
+    broad = cv2.GaussianBlur(strengths, (0, 0), 2.0)
     xx, xy, yy = (cv2.Sobel(broad, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
     along = 0.5 * np.arctan2(2 * xy, xx - yy)  # direction of the larger second derivative
     across_x, across_y = -np.sin(along), np.cos(along)
@@ -77,7 +75,8 @@ def linked_crests(heights: Float32Array) -> BoolArray:
     if len(found) == 0:
         return np.zeros(heights.shape, bool)
     threshold, _ = cv2.threshold(found, 0, GRAYS, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    above = (grays > HYSTERESIS * threshold).astype(np.uint8)
+    # Hysteresis; Canny: 1/2 to 1/3 of the upper threshold.
+    above = (grays > 0.5 * threshold).astype(np.uint8)
     count, labels = cv2.connectedComponents(above, connectivity=8)
     strong = np.zeros(count, bool)
     strong[labels[grays > threshold]] = True

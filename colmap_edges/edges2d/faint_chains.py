@@ -22,19 +22,10 @@ from colmap_edges.edges2d.edge_maps import BRANCH_PX, rescaled
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 # Pixels are those of the given image, which is not upsampled: faint edges are blurred anyway.
-SIGMA_PX = 1.0  # blur under which noise of pixels averages out
-MIN_SLOPE = 0.6  # gray levels a pixel: rounding to whole levels makes steps of 0.4
 MAX_SLOPE = 1.8  # EdgeDrawing's own threshold: 11 of Prewitt's sums, which are 6 times the slope
 SAMPLE = 4  # spacing of the pixels at which noise is measured
-BAND, EVERY = 16, 8  # rows of a band of the image, every eighth of which is measured first
-INNER = slice(6, 11, SAMPLE)  # rows of a band that no row beyond it affects
-SURELY = 1.5  # times MAX_SLOPE beyond which bands decide; they differ from all by 0.7 to 1.4
-HYSTERESIS = 0.5  # of the slope for pixels linked to one above it; Canny: a half to a third
+BAND = 16  # rows of a band of the image, every eighth of which is measured first
 STEPS = 256  # of a gray level a pixel, in 16 bits
-STRAIGHT_PX = 24.0  # minimum length of a straight stretch
-TOLERANCE_PX = 1.0  # distance of its pixels from a line: they are rounded, and noise moves them
-TAKEN_PX = 3.0  # radius around EdgeDrawing's chains, in pixels of the upsampled image
-MAD = 0.6745  # median absolute deviation of a normal distribution, in standard deviations
 
 
 def faint_pixel_chains(
@@ -59,7 +50,8 @@ def faint_pixel_chains(
     found = np.zeros_like(edges)
     height, width = edges.shape
     found[np.clip(taken[:, 1], 0, height - 1), np.clip(taken[:, 0], 0, width - 1)] = 1
-    radius = round(TAKEN_PX / scale)
+    # Radius around EdgeDrawing's chains, in pixels of the upsampled image.
+    radius = round(3.0 / scale)
     edges[cv2.dilate(found, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) > 0] = 0
     chains = _kernels.link_pixels(without_stairs(edges), BRANCH_PX)
     return rescaled(*straight_stretches(*chains), scale)
@@ -70,39 +62,44 @@ def faint_pixels(image: Picture, noises: float) -> Picture | None:
 
     None if noise and texture are as strong as EdgeDrawing's threshold.
     """
-    if noises * noise_of_bands(image) >= SURELY * MAX_SLOPE:
+    # The noise of bands is 0.7 to 1.4 times that of all.
+    if noises * noise_of_bands(image) >= 1.5 * MAX_SLOPE:
         return None
     slopes = slopes_of(image)
     noise = noise_of([slope[::SAMPLE, ::SAMPLE] for slope in slopes])
-    limit = STEPS * max(noises * noise, MIN_SLOPE)
+    # Gray levels a pixel: rounding to whole levels makes steps of 0.4.
+    limit = STEPS * max(noises * noise, 0.6)
     if limit >= STEPS * MAX_SLOPE:
         return None
     across, down = (
         cv2.addWeighted(slope, STEPS, slope, 0, 0, dtype=cv2.CV_16S) for slope in slopes
     )
-    return np.asarray(cv2.Canny(across, down, HYSTERESIS * limit, limit, L2gradient=True), np.uint8)
+    # Hysteresis; Canny: a half to a third.
+    return np.asarray(cv2.Canny(across, down, 0.5 * limit, limit, L2gradient=True), np.uint8)
 
 
 def slopes_of(image: Picture) -> list[Float32Array]:
     """(H, W) slopes of the blurred image (H, W) across and down, in gray levels a pixel."""
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SIGMA_PX)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     axes = ((1, 0), (0, 1))
     return [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / 8)) for axis in axes]
 
 
 def noise_of(slopes: list[Float32Array]) -> float:
     """Standard deviation of slopes, of which few are edges."""
-    return float(np.median(np.abs(slopes))) / MAD
+    # Median absolute deviation of a normal distribution, in standard deviations.
+    return float(np.median(np.abs(slopes))) / 0.6745
 
 
 def noise_of_bands(image: Picture) -> float:
     """Standard deviation of slopes in an eighth of the image (H, W); 0 for small images."""
     height, width = image.shape
-    bands = image[: height // BAND * BAND].reshape(-1, BAND, width)[::EVERY]
+    bands = image[: height // BAND * BAND].reshape(-1, BAND, width)[::8]
     if len(bands) == 0:
         return 0.0
     slopes = slopes_of(bands.reshape(-1, width))
-    return noise_of([s.reshape(bands.shape)[:, INNER, ::SAMPLE] for s in slopes])
+    # In the middle of a band, no row beyond it has an effect.
+    return noise_of([s.reshape(bands.shape)[:, slice(6, 11, SAMPLE), ::SAMPLE] for s in slopes])
 
 
 def without_stairs(edges: Picture) -> Picture:
@@ -120,10 +117,11 @@ def without_stairs(edges: Picture) -> Picture:
 
 def straight_stretches(points: FloatArray, offsets: IntArray) -> tuple[FloatArray, IntArray]:
     """The straight stretches of chains (N, 2), one chain each, and their offsets."""
-    vertices, by_chain = _kernels.douglas_peucker(points, offsets, TOLERANCE_PX)
+    # Pixels are rounded, and noise moves them.
+    vertices, by_chain = _kernels.douglas_peucker(points, offsets, 1.0)
     starts, ends = vertices[:-1], vertices[1:]
     inner = np.ones(len(starts), bool)
     inner[by_chain[1:-1] - 1] = False  # from one chain to the next
-    long = np.linalg.norm(points[ends] - points[starts], axis=1) >= STRAIGHT_PX
+    long = np.linalg.norm(points[ends] - points[starts], axis=1) >= 24.0
     starts, ends = starts[inner & long], ends[inner & long] + 1
     return points[ranges_of(starts, ends)], offsets_of(ends - starts)

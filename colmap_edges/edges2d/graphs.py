@@ -9,7 +9,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from math import prod
 from pathlib import Path
 from threading import Lock
 from typing import Any, Generic, Protocol, TypeVar
@@ -27,7 +26,6 @@ T = TypeVar("T")
 # Size of all graphs from which on freed memory is returned between steps: the system clears what is
 # requested again, which takes smaller scenes 2 % of a run.
 TRIM_BYTES = 1e8
-TRIM_EVERY = 64  # number of released graphs after which freed memory is returned to the system
 
 
 class Backend(Protocol):
@@ -46,7 +44,7 @@ class DiskBackend:
     def __init__(self) -> None:
         """Start without a folder."""
         self.folder: Path | None = None
-        self.layouts: dict[int, list[tuple[np.dtype[Any], tuple[int, ...]]]] = {}
+        self.stored: set[int] = set()
 
     def path(self, view: int) -> Path:
         """The file of the graph of a view."""
@@ -61,28 +59,24 @@ class DiskBackend:
         Raises:
             ColmapEdgesError: if the disk is full.
         """
-        if view in self.layouts:
+        if view in self.stored:
             return
-        path, arrays = self.path(view), [getattr(graph, entry.name) for entry in fields(graph)]
+        path = self.path(view)
         try:
             with path.open("wb") as file:
-                for array in arrays:
-                    file.write(np.ascontiguousarray(array).data)
+                for entry in fields(graph):
+                    np.save(file, np.ascontiguousarray(getattr(graph, entry.name)))
         except OSError as error:
             raise ColmapEdgesError(
-                f"cannot keep edge graphs in {path.parent} ({error.strerror}); free space there, "
-                "set TMPDIR to another folder, or raise max_graph_memory_gb"
+                f"cannot keep edge graphs in {path.parent} ({error.strerror or error}); free space "
+                "there, set TMPDIR to another folder, or raise max_graph_memory_gb"
             ) from error
-        self.layouts[view] = [(array.dtype, array.shape) for array in arrays]
+        self.stored.add(view)
 
     def read(self, view: int) -> EdgeGraph:
         """Read the graph of a view."""
         with self.path(view).open("rb") as file:
-            arrays = [
-                np.fromfile(file, dtype, prod(shape)).reshape(shape)
-                for dtype, shape in self.layouts[view]
-            ]
-        return EdgeGraph(**{e.name: a for e, a in zip(fields(EdgeGraph), arrays, strict=True)})
+            return EdgeGraph(**{entry.name: np.load(file) for entry in fields(EdgeGraph)})
 
 
 @dataclass(frozen=True)
@@ -199,7 +193,7 @@ class Graphs:
         del self.kept[view]
         self.num_bytes -= graph_bytes(graph)
         self.num_released += 1
-        if self.num_released % TRIM_EVERY == 0:
+        if self.num_released % 64 == 0:
             del graph
             return_freed_memory()
 
@@ -209,8 +203,8 @@ def graph_bytes(graph: EdgeGraph) -> int:
     return sum(int(getattr(graph, f.name).nbytes) for f in fields(graph))
 
 
-class Kept(Generic[T]):
-    """A cache of recently used values by key; pickled without its content."""
+class LRUCache(Generic[T]):
+    """The most recently used values by key; pickled without its content."""
 
     def __init__(self, num_kept: int) -> None:
         """Start empty; keep at most `num_kept` values."""
@@ -219,7 +213,7 @@ class Kept(Generic[T]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the size only."""
-        return Kept, (self.num_kept,)
+        return LRUCache, (self.num_kept,)
 
     def clear(self) -> None:
         """Drop all values."""

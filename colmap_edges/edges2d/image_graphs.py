@@ -27,10 +27,11 @@ from colmap_edges.core.checks import (
     check_values,
 )
 from colmap_edges.core.view import View
+from colmap_edges.edges2d.block_borders import off_block_borders
 from colmap_edges.edges2d.detection import Chains, detect_chains
 from colmap_edges.edges2d.edge_graph import EdgeGraph, build_edge_graph
 from colmap_edges.edges2d.edge_maps import pixel_chains_of
-from colmap_edges.edges2d.masking import outside_mask
+from colmap_edges.edges2d.masking import outside_mask, pieces_of
 from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.images.background import (
     NO_BACKGROUND_MASK,
@@ -228,7 +229,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     if (mask or alpha is not None) and (kept is None or work.masks_are_background):
         usable = usable_pixels(mask, alpha, view)
     if kept is None:
-        found = detect_edges(image, usable, edge_map, view, work)
+        found = detect_edges(image, data, usable, edge_map, view, work)
         if work.cache:
             work.cache.save(KIND, key, arrays_of(found))
     else:
@@ -256,12 +257,15 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
 
 def detect_edges(
     image: Picture,
+    data: ByteArray,
     mask: BoolArray | None,
     edge_map: CompanionFile | None,
     view: View,
     work: ImageWork,
 ) -> DetectedEdges:
     """Detect the edges of one image outside its mask, or take them from its edge image.
+
+    Steps of quantisation in a strongly compressed image, of bytes `data`, are left out.
 
     Raises:
         ColmapEdgesError: if the edge image cannot be decoded, or does not have its camera's size.
@@ -271,6 +275,9 @@ def detect_edges(
         strengths, size = decode_edge_map(edge_map, view), (view.width, view.height)
         linked = pixel_chains_of(strengths, size, view.scale, work.detection.min_chain_points)
     chains = detect_chains(gray_of(image), work.detection, view.scale, linked)
+    off_borders = off_block_borders(chains, data, view.scale)
+    if off_borders is not None:
+        chains = pieces_of(chains, off_borders, work.detection.min_chain_points)
     if mask is not None:
         chains = outside_mask(chains, mask, view.scale, work.detection.min_chain_points)
     graph, dropped = build_edge_graph(chains, view, work.edge_graph)
@@ -351,9 +358,7 @@ def graph_from(arrays: Arrays) -> EdgeGraph:
     """
     graph = unflattened(EdgeGraph, arrays)
     check_arrays("graph", graph)
-    check_offsets("graph.polyline_offsets", graph.polyline_offsets, len(graph.points))
-    if (np.diff(graph.polyline_offsets) < 1).any():
-        raise ValueError("a polyline has no points")
+    check_offsets("graph.polyline_offsets", graph.polyline_offsets, len(graph.points), least=1)
     check_values("graph.undistorted", graph.undistorted, -MAX_COORDINATE, MAX_COORDINATE)
     check_values("graph.normals", graph.normals, -1.01, 1.01)
     return graph

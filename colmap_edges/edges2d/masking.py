@@ -1,4 +1,4 @@
-"""Removal of the masked parts of chains."""
+"""Removal of parts of chains, such as masked ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,12 @@ def outside_mask(chains: Chains, mask: BoolArray, scale: float, min_length_px: i
     height, width = mask.shape
     columns, rows = np.floor(chains.points / scale).astype(np.int64).T
     seen = mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-    # A number for each stretch of a chain that is wholly masked or wholly unmasked.
+    return pieces_of(chains, seen, min_length_px)
+
+
+def pieces_of(chains: Chains, seen: BoolArray, min_length_px: int) -> Chains:
+    """The pieces of chains of at least `min_length_px` points at which (N,) `seen` is true."""
+    # A number for each stretch of a chain that is wholly seen or wholly not.
     labels = 2 * owners_of(chains.offsets) + seen
     bounds = np.flatnonzero(np.diff(labels, prepend=-1, append=-1))
     starts, ends = bounds[:-1], bounds[1:]

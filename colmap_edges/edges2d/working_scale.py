@@ -25,15 +25,10 @@ from colmap_edges.options import DetectionOptions
 
 logger = logging.getLogger(__name__)
 
-MAX_SCALE = 1.5  # beyond it, noise breaks chains into pieces
-MAX_SIZE_PX = 3200  # maximum size of an upsampled image, COLMAP's default for features
 SCALE_STEP = 0.25  # step of the scale factors
 SOFT_BLUR_PX = 1.4  # minimum blur left in downsampled images: that of sharp lenses
 MIN_REDUCTION = 2.0  # minimum downsampling; less loses edges and saves little (docs/experiments.md)
-NUM_IMAGES = 5  # number of images measured
 CROP_PX = 1024  # side of the central crop measured
-SMALLEST_PX = 64  # minimum side of an image that is halved for measuring
-HALVING_BLUR_PX = 0.5  # standard deviation of two pixels' mean, in these pixels
 
 
 def at_working_scale(model: Model, image_path: Path, options: DetectionOptions) -> Model:
@@ -53,7 +48,8 @@ def at_working_scale(model: Model, image_path: Path, options: DetectionOptions) 
     if options.min_blur_px == 0:
         return model
     largest = max(max(view.width, view.height) for view in model.views)
-    limit = min(MAX_SCALE, MAX_SIZE_PX / largest)
+    # Beyond 1.5, noise breaks chains into pieces; 3200 px is COLMAP's limit for features.
+    limit = min(1.5, 3200 / largest)
     blurs = blurs_until_decided(model.views, image_path, options, limit >= 1 + SCALE_STEP)
     scale = scale_for(blurs, limit, options)
     logger.info("edges are blurred by %s px; images are scaled by %g", rounded(blurs), scale)
@@ -79,7 +75,7 @@ def blurs_until_decided(
 
     If images are too large for upsampling, one sharp image suffices to keep the scale.
     """
-    every = np.linspace(0, len(views) - 1, min(NUM_IMAGES, len(views))).astype(int)
+    every = np.linspace(0, len(views) - 1, min(5, len(views))).astype(int)
     blurs = []
     for blur_px in blurs_of([views[i] for i in every], image_path, options):
         blurs.append(blur_px)
@@ -110,10 +106,11 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
     crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
     chains = detect_chains(crop, options)
     blur_px = blur_of_wide_edges(crop, chains.points, chains.normals)
-    if blur_px <= WIDEST_PX or min(gray.shape) < SMALLEST_PX:
+    if blur_px <= WIDEST_PX or min(gray.shape) < 64:
         return blur_px
     of_half = 2 * measure_blur(resized(gray, 0.5), options)
-    return max(blur_px, float(np.sqrt(max(0.0, of_half**2 - HALVING_BLUR_PX**2))))
+    # 0.5 is the standard deviation of two pixels' mean.
+    return max(blur_px, float(np.sqrt(max(0.0, of_half**2 - 0.5**2))))
 
 
 def rounded(blurs: Sequence[float]) -> str:

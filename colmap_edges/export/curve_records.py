@@ -28,8 +28,8 @@ def curve_records(curves: Curves3D, edge_offsets: IntArray) -> list[Record]:
         kind = int(curves.kinds[curve])
         record: Record = {"edge": int(curves.edges[curve]), "points": [first, end]}
         record["kind"] = KINDS[kind]
-        if curves.wholes[curve] != curve:
-            record["part_of"] = int(curves.wholes[curve])
+        if curves.arc_groups[curve] != curve:
+            record["part_of"] = int(curves.arc_groups[curve])
         if kind == LINE:
             record |= line_record(curves, curve)
         elif kind == SPLINE:
@@ -91,10 +91,10 @@ def curves_of_records(records: Sequence[Record], edge_offsets: IntArray) -> Curv
         KeyError, IndexError, TypeError, ValueError: if a record is invalid.
     """
     curves = Curves3D.concatenated([curve_of(record, edge_offsets) for record in records])
-    wholes = [int(record.get("part_of", curve)) for curve, record in enumerate(records)]
-    if wholes and not 0 <= min(wholes) <= max(wholes) < len(wholes):
+    arc_groups = [int(record.get("part_of", curve)) for curve, record in enumerate(records)]
+    if arc_groups and not 0 <= min(arc_groups) <= max(arc_groups) < len(arc_groups):
         raise ValueError("a curve is part of a curve that does not exist")
-    return replace(curves, wholes=np.array(wholes, np.int64))
+    return replace(curves, arc_groups=np.array(arc_groups, np.int64))
 
 
 def curve_of(record: Record, edge_offsets: IntArray) -> Curves3D:
@@ -112,7 +112,7 @@ def curve_of(record: Record, edge_offsets: IntArray) -> Curves3D:
         kinds=np.array([kind], np.uint8),
         edges=np.array([edge]),
         ranges=points + edge_offsets[edge],
-        wholes=np.zeros(1, np.int64),
+        arc_groups=np.zeros(1, np.int64),
         frames=frame[None],
         spans=np.array([span], np.float64),
         knot_offsets=offsets_of(np.array([len(knots)])),

@@ -20,11 +20,7 @@ from colmap_edges.errors import ColmapEdgesError, ImageError
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.input_files import open_file
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"}
 JPEG, PNG = b"\xff\xd8", b"\x89PNG"  # first bytes of files
-SEARCHED = 65536  # bytes that hold the head of a PNG file: kind of colours, palette, transparency
-# COLMAP ignores the EXIF orientation.
-COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 # Masks and edge images are read as grayscale of any bit depth.
 GRAY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 
@@ -158,7 +154,10 @@ def is_file(path: Path) -> bool:
 def count_images(folder: Path) -> int:
     """Number of image files below a folder, by their suffixes."""
     return sum(
-        Path(name).suffix.lower() in SUFFIXES for _, _, names in os.walk(folder) for name in names
+        Path(name).suffix.lower()
+        in {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"}
+        for _, _, names in os.walk(folder)
+        for name in names
     )
 
 
@@ -270,8 +269,9 @@ def decode(data: ByteArray, path: Path) -> Picture:
     Raises:
         ImageError: when that cannot be done.
     """
+    color = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION  # as COLMAP does
     try:
-        image = cv2.imdecode(data, COLOR) if len(data) else None
+        image = cv2.imdecode(data, color) if len(data) else None
     except (MemoryError, cv2.error) as error:
         raise unreadable(path, error) from error
     if image is None:
@@ -286,7 +286,8 @@ def decode(data: ByteArray, path: Path) -> Picture:
 
 def alpha_of(data: ByteArray) -> Picture | None:
     """The alpha channel (H, W) in the bytes of an image file; None if all pixels are opaque."""
-    head = data[:SEARCHED].tobytes()
+    # Bytes that hold the head of a PNG file: kind of colours, palette, transparency.
+    head = data[:65536].tobytes()
     is_png = head.startswith(PNG)
     if head.startswith(JPEG) or (is_png and head[25] not in (4, 6) and b"tRNS" not in head):
         return None  # decoding takes longer

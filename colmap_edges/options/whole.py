@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from colmap_edges.declared_options import Options, option
+from colmap_edges.declared_options import Options, group, option
 from colmap_edges.errors import OptionError
 from colmap_edges.options.detecting import DetectionOptions, EdgeGraphOptions
 from colmap_edges.options.meshing import BundleAdjustmentOptions, MeshingOptions
@@ -27,44 +27,58 @@ from colmap_edges.options.tracing import (
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineOptions(Options):
-    """All options of a run: one group per stage, and options of the run as a whole."""
+    """All options of a run: one group per stage, and options of the run as a whole.
 
-    detection: DetectionOptions = field(default_factory=DetectionOptions)
-    edge_graph: EdgeGraphOptions = field(default_factory=EdgeGraphOptions)
-    view_selection: ViewSelectionOptions = field(default_factory=ViewSelectionOptions)
-    chain_depth: ChainDepthOptions = field(default_factory=ChainDepthOptions)
-    tracing: TracingOptions = field(default_factory=TracingOptions)
-    linking: LinkingOptions = field(default_factory=LinkingOptions)
-    refinement: RefinementOptions = field(default_factory=RefinementOptions)
-    curves: CurvesOptions = field(default_factory=CurvesOptions)
-    matching: MatchingOptions = field(default_factory=MatchingOptions)
-    correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
-    following: FollowingOptions = field(default_factory=FollowingOptions)
-    visibility: VisibilityOptions = field(default_factory=VisibilityOptions)
-    sampling: SamplingOptions = field(default_factory=SamplingOptions)
-    bundle_adjustment: BundleAdjustmentOptions = field(default_factory=BundleAdjustmentOptions)
-    meshing: MeshingOptions = field(default_factory=MeshingOptions)
-    use_edges: bool = option(True, "Mesh SfM points and edges; 0 meshes SfM points only")
+    Each field names the stage that it belongs to: detect, trace, refine, write or mesh.
+    """
+
+    detection: DetectionOptions = group(DetectionOptions, "detect")
+    edge_graph: EdgeGraphOptions = group(EdgeGraphOptions, "detect")
+    view_selection: ViewSelectionOptions = group(ViewSelectionOptions, "trace")
+    chain_depth: ChainDepthOptions = group(ChainDepthOptions, "trace")
+    tracing: TracingOptions = group(TracingOptions, "trace")
+    linking: LinkingOptions = group(LinkingOptions, "trace")
+    refinement: RefinementOptions = group(RefinementOptions, "trace")
+    curves: CurvesOptions = group(CurvesOptions, "write")
+    matching: MatchingOptions = group(MatchingOptions, "trace")
+    correspondence: CorrespondenceOptions = group(CorrespondenceOptions, "trace")
+    following: FollowingOptions = group(FollowingOptions, "trace")
+    visibility: VisibilityOptions = group(VisibilityOptions, "trace")
+    sampling: SamplingOptions = group(SamplingOptions, "trace")
+    bundle_adjustment: BundleAdjustmentOptions = group(BundleAdjustmentOptions, "refine")
+    meshing: MeshingOptions = group(MeshingOptions, "mesh")
+    use_edges: bool = option(
+        True, "Mesh SfM points and edges; 0 meshes SfM points only", stage="mesh"
+    )
     use_faces: bool = option(
         True,
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
+        stage="mesh",
     )
-    report: bool = option(True, "Write report.html, a page with a 3D viewer")
+    report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
-        False, "Refine the poses on SfM points and edges, then reconstruct the edges again"
+        False,
+        "Refine the poses on SfM points and edges, then reconstruct the edges again",
+        stage="refine",
     )
     masks_are_background: bool = option(
-        False,
-        "Treat masked pixels as background: their rays are free space",
+        False, "Treat masked pixels as background: their rays are free space", stage="mesh"
     )
-    output_type: str = option("BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"))
-    num_threads: int = option(-1, "Number of threads; -1 uses all cores", within=(-1, 100_000))
+    output_type: str = option(
+        "BIN", "Format of the written COLMAP model", choices=("BIN", "TXT"), stage="write"
+    )
+    num_threads: int = option(
+        -1, "Number of threads; -1 uses all cores", within=(-1, 100_000), stage="detect"
+    )
     max_graph_memory_gb: float = option(
         4.0,
         "Memory for 2D edge graphs, in gigabytes; the rest is kept on disk (TMPDIR)",
         within=(0.001, 100_000),
+        stage="detect",
     )
-    random_seed: int = option(0, "Seed of all random numbers", within=(0, 4_294_967_295))
+    random_seed: int = option(
+        0, "Seed of all random numbers", within=(0, 4_294_967_295), stage="trace"
+    )
 
     def __post_init__(self) -> None:
         """Raise `OptionError` for a value outside its range, or options that contradict."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.curves3d import Curves3D
@@ -14,30 +13,16 @@ from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
+from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.contents import ImagePicture
-from colmap_edges.report.pictures import PictureTaker
+from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
-from colmap_edges.surfaces.faces.grids import GridTaker
+from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.silhouettes import Background
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImagePaths:
-    """Where the images are, and what belongs to them.
-
-    Attributes:
-        images: folder of the images.
-        masks: folder of masks, or one mask for all images; or None.
-        edge_maps: folder of edge images of another detector, or None.
-    """
-
-    images: Path
-    masks: Path | None = None
-    edge_maps: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +48,7 @@ class Found:
 
 def find_edges(
     model: Model,
-    paths: ImagePaths,
+    paths: Paths,
     settings: PipelineOptions,
     stages: Stages,
     workers: Workers,
@@ -76,7 +61,7 @@ def find_edges(
 
     Args:
         model: the model at the working scale.
-        paths: of its images.
+        paths: where its images are, and masks and edge images, if there are any.
         settings: the options, as `resolved` for the model's scale.
         stages: the stages of the run.
         workers: executor of the work on images and views.
@@ -84,10 +69,11 @@ def find_edges(
         with_pictures: whether to take reduced pictures of the images.
         viewer: viewer that shows intermediate results.
     """
-    taker = PictureTaker(len(model.views)) if with_pictures else None
-    grids = GridTaker() if for_mesh and settings.use_faces else None
-    visitor, others = Visitors.of(taker, grids), (paths.masks, paths.edge_maps)
-    detection = detect_stage(model, paths.images, settings, stages, visitor, workers, *others)
+    taker = PictureVisitor(len(model.views)) if with_pictures else None
+    grids = GridVisitor() if for_mesh and settings.use_faces else None
+    images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
+    visitor = Visitors.of(taker, grids)
+    detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
         viewer.show_picture(model.views[picture.view], picture)

@@ -16,16 +16,16 @@ class Paths:
 
     Attributes:
         image_path: folder of the images; not needed for a mesh without edges.
-        input_path: folder of the COLMAP model.
-        output_path: output folder.
+        input_path: folder of the COLMAP model; the Python functions need none.
+        output_path: output folder; the Python functions need none.
         mask_path: folder of masks named as in COLMAP, or one mask for all images; or None.
         edge_path: folder of edge images of another detector, used instead of EdgeDrawing; or None.
         cache_path: folder of cached results for later runs; or None.
     """
 
     image_path: Path | None = None
-    input_path: Path
-    output_path: Path
+    input_path: Path = Path()
+    output_path: Path = Path()
     mask_path: Path | None = None
     edge_path: Path | None = None
     cache_path: Path | None = None

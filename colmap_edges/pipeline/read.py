@@ -34,11 +34,6 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.mesher import as_model
 
-# Largest distance of poses (rotation matrix, and centre in extents of the camera's path) that are
-# equal up to rounding, and of those of one photograph that was mapped twice.
-SAME_POSE = 1e-9
-NEAR_POSE = 0.01
-
 
 def read_stage(source: Any, stages: Stages, image_path: Path | None = None) -> Model:
     """Read a model, without copies of its images.
@@ -115,17 +110,20 @@ def without_copies(model: Model, image_path: Path) -> Model:
 
 
 def copied_pairs(views: Sequence[View], image_path: Path) -> list[tuple[int, int]]:
-    """Pairs of indices of views of which one is a copy of the other."""
+    """Pairs of indices of views of which one is a copy of the other.
+
+    Poses are compared by the rotation matrix, and the centre in extents of the camera's path.
+    """
     poses = np.array([[*view.rotation.ravel(), *view.center] for view in views])
     poses[:, 9:] /= max(float(np.ptp(poses[:, 9:], axis=0).max()), np.finfo(float).tiny)
     pairs = [
         (first, second)
-        for first, second in sorted(cKDTree(poses).query_pairs(SAME_POSE))
+        for first, second in sorted(cKDTree(poses).query_pairs(1e-9))
         if lens_of(views[first]) == lens_of(views[second])
     ]
     for group in same_files(views, image_path):
         for first, second in combinations(group, 2):
-            if np.linalg.norm(poses[first] - poses[second]) < NEAR_POSE:
+            if np.linalg.norm(poses[first] - poses[second]) < 0.01:
                 pairs.append((first, second))
     return pairs
 

@@ -14,7 +14,8 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.options import PipelineOptions, resolved
-from colmap_edges.pipeline.found import Found, ImagePaths, find_edges
+from colmap_edges.pipeline.found import Found, find_edges
+from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.read import check_pictures, read_stage
 from colmap_edges.report.diagnosis import diagnose
 from colmap_edges.report.findings import Finding
@@ -88,16 +89,14 @@ def reconstruct(
             or have the wrong size; or fewer than two images are readable.
     """
     options = options or PipelineOptions()
-    paths = ImagePaths(
-        images=Path(image_path),
-        masks=Path(mask_path) if mask_path else None,
-        edge_maps=Path(edge_path) if edge_path else None,
-    )
+    given = (image_path, mask_path, edge_path, cache_path)
+    images, masks, maps, cache = (Path(path) if path else None for path in given)
+    paths, images = Paths(image_path=images, mask_path=masks, edge_path=maps), Path(image_path)
     stages = Stages()
-    model = read_stage(reconstruction_or_path, stages, paths.images)
-    check_pictures(model, paths.images, paths.masks, paths.edge_maps, options)
-    model = at_working_scale(model, paths.images, options.detection)
-    with open_workers(options, Path(cache_path) if cache_path else None) as workers:
+    model = read_stage(reconstruction_or_path, stages, images)
+    check_pictures(model, images, masks, maps, options)
+    model = at_working_scale(model, images, options.detection)
+    with open_workers(options, cache) as workers:
         settings = resolved(options, model.scale)
         found = find_edges(model, paths, settings, stages, workers, for_mesh=True)
     return result_of(found, options, stages)

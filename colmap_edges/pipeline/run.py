@@ -15,7 +15,7 @@ from colmap_edges.export.faces import write_faces
 from colmap_edges.export.formats import check_formats
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
-from colmap_edges.pipeline.found import ImagePaths, find_edges
+from colmap_edges.pipeline.found import find_edges
 from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
 from colmap_edges.pipeline.read import check_pictures, read_stage
@@ -24,7 +24,7 @@ from colmap_edges.report.contents import Contents
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder, write_whole
-from colmap_edges.runtime.ownership import OUTPUT, REPORT_NAME, file_sizes
+from colmap_edges.runtime.ownership import OUTPUT, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
 
 
@@ -107,7 +107,7 @@ def write_record(folder: Path, report: dict[str, Any]) -> None:
     """Write report.json, with the list of the folder's files."""
     report["files"] = file_sizes(folder)
     text = json.dumps(report, indent=2, default=str, allow_nan=False) + "\n"
-    write_whole(folder / REPORT_NAME, text.encode(), "report")
+    write_whole(folder / OUTPUT.record, text.encode(), "report")
 
 
 def model_to_trace(command: str, model: Model, paths: Paths, options: PipelineOptions) -> Model:
@@ -129,16 +129,15 @@ def run_edges(
     viewer: Viewer,
 ) -> Contents:
     """Run the stages of `command` that need images, with resolved settings."""
-    images = image_folder(paths)
     if command == "detect":
         check_file_names(model.views)
         writer = GraphWriter(folder, options.edge_graph)
-        masks, maps = paths.mask_path, paths.edge_path
+        images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
         detect_stage(model, images, options, stages, writer, workers, masks, maps)
         return Contents(model=model)
     found = find_edges(
         model,
-        ImagePaths(images=images, masks=paths.mask_path, edge_maps=paths.edge_path),
+        paths,
         options,
         stages,
         workers,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import partial
 from typing import Any
 
@@ -21,27 +21,6 @@ from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.cache import Arrays, key_of
 from colmap_edges.runtime.executors import Workers, open_workers, thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
-
-# Largest median residual of a point in a cache entry, relative to the limits of observations: in
-# results it is below 1.1.
-MAX_RESIDUAL_RATIO = 3
-
-# Options that do not affect tracing; those of detection affect it only through the graphs.
-NOT_OF_TRACING = {
-    "detection",
-    "edge_graph",
-    "bundle_adjustment",
-    "curves",
-    "meshing",
-    "use_edges",
-    "use_faces",
-    "report",
-    "refine_poses",
-    "output_type",
-    "num_threads",
-    "max_graph_memory_gb",
-    "masks_are_background",
-}
 
 
 def edge_stages(
@@ -128,9 +107,8 @@ def traced_from(
             do not project to where they are observed.
     """
     traced = unflattened(TracedEdges, arrays)
-    limit_px = MAX_RESIDUAL_RATIO * max(
-        options.refinement.max_residual_px, options.following.max_error_px
-    )
+    # In results, the largest median residual is 1.1 times the limit of observations.
+    limit_px = 3 * max(options.refinement.max_residual_px, options.following.max_error_px)
     for edges in (traced.edges, traced.contours):
         edges.check("edges", len(views))
         if not all((median_residuals(views, of) <= limit_px).all() for of in (edges, edges.nodes)):
@@ -176,7 +154,8 @@ def trace(
 
 def key_of_edges(model: Model, graph_keys: Sequence[str], options: PipelineOptions) -> str:
     """The cache key of traced edges: a digest of graphs, poses, SfM points and options."""
-    groups = {name: group for name, group in asdict(options).items() if name not in NOT_OF_TRACING}
+    traced = {entry.name for entry in fields(options) if entry.metadata["stage"] == "trace"}
+    groups = {name: group for name, group in asdict(options).items() if name in traced}
     poses = np.array([[*view.rotation.ravel(), *view.translation] for view in model.views])
     tracks = (model.track_offsets, model.track_views, model.track_points2D)
     return key_of("edges", list(graph_keys), groups, poses, model.points3D_xyz, *tracks)

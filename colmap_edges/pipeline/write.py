@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from colmap_edges.report.contents import Contents
 from colmap_edges.report.diagnosis import diagnose
 from colmap_edges.report.funnel import funnel
 from colmap_edges.report.page import write_report
+from colmap_edges.runtime.cache import library_version
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -109,17 +109,14 @@ def make_report(
         "options": asdict(options),
         "settings": recorded(settings),
         "stages": stages.records(),
-        "findings": [asdict(finding) for finding in diagnose(stages.records(), options)],
+        "findings": [found._asdict() for found in diagnose(stages.records(), options)],
         "funnel": [asdict(step) for step in funnel(stages.records(), options)],
     }
 
 
 def versions() -> dict[str, str]:
     """Versions of this package and its libraries."""
-    found = {"colmap-edges": colmap_edges.__version__}
-    for name in ("numpy", "opencv-contrib-python-headless", "pycolmap", "scipy"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+    names = ("numpy", "opencv-contrib-python-headless", "pycolmap", "scipy")
+    found = {name: library_version(name) for name in names}
+    own = {"colmap-edges": colmap_edges.__version__}
+    return own | {name: number for name, number in found.items() if number}

@@ -22,10 +22,7 @@ from colmap_edges.poses.problem import (
 )
 from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
-WEAK_PRIOR = 1e-6  # prior on each pose, relative to its information, for undetermined directions
 ENOUGH_GAIN = 3e-4  # relative decrease of the cost at which iterations stop
-LARGEST_RATIO = 1e12  # squared residual, relative to the scale, of points behind their view
-SMALLEST_SIGMA_PX = 1e-3  # noise below this counts as zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +52,8 @@ def cost_of(problem: Problem, state: State, noise: Noise) -> float:
         noise.robust_factor * noise.sigmas_px[problem.kinds], np.diff(problem.measured.offsets)
     )
     ratios = np.einsum("ni,ni->n", residuals, residuals) / scales**2
-    losses = np.log1p(np.minimum(ratios, LARGEST_RATIO, out=ratios), out=ratios)
+    # Points behind their view have infinite residuals.
+    losses = np.log1p(np.minimum(ratios, 1e12, out=ratios), out=ratios)
     moved = state.moved.ravel()
     prior = moved @ noise.prior.product(moved)
     return float(0.5 * noise.robust_factor**2 * losses.sum() + 0.5 * prior)
@@ -144,7 +142,7 @@ def estimate_sigmas(problem: Problem, state: State) -> FloatArray:
         spare = found.size - freedom * np.count_nonzero(problem.kinds == kind)
         if spare > 0:
             sigmas[kind] = 1.4826 * np.median(found) * np.sqrt(found.size / spare)
-    return np.maximum(np.where(np.isfinite(sigmas), sigmas, 1.0), SMALLEST_SIGMA_PX)
+    return np.maximum(np.where(np.isfinite(sigmas), sigmas, 1.0), 1e-3)
 
 
 def adjust(problem: Problem, state: State, options: BundleAdjustmentOptions) -> State:
@@ -188,7 +186,8 @@ def gauge_prior(problem: Problem, state: State, noise: Noise) -> Prior:
         moves[:, 3 + axis, 3 + axis] = 1
     moves[:, 3:, 6:] = centers[:, :, None]
     held = (information @ moves).reshape(6 * count, -1)
-    weak = WEAK_PRIOR * information
+    # Prior on each pose, relative to its information, for undetermined directions.
+    weak = 1e-6 * information
     unseen = np.einsum("fii->fi", information) == 0
     np.einsum("fii->fi", weak)[unseen] += 1.0
     core = np.linalg.pinv(moves.reshape(6 * count, -1).T @ held, hermitian=True)

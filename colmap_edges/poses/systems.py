@@ -15,8 +15,6 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.poses.problem import Problem
 
 NARROW_FRAMES = 100  # bandwidth, in frames, up to which the band solver is used
-TOLERANCE = 1e-8  # maximum residual of a solution, relative to the right side
-MAX_ITERATIONS = 1000  # maximum iterations of conjugate gradients
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +106,8 @@ def solve_poses(
     solution, _ = cg(
         LinearOperator((size, size), matvec=product, dtype=np.float64),
         right.ravel(),
-        rtol=TOLERANCE,
-        maxiter=MAX_ITERATIONS,
+        rtol=1e-8,
+        maxiter=1000,
         M=LinearOperator((size, size), matvec=precondition, dtype=np.float64),
     )
     return np.asarray(solution, np.float64).reshape(-1, 6)

@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-__all__ = ["Contents", "PictureTaker", "write_report"]
+__all__ = ["Contents", "PictureVisitor", "write_report"]

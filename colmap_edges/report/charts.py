@@ -1,8 +1,7 @@
-"""Charts of the report as SVG: histograms of the edges, losses per step, seconds per stage."""
+"""Charts of the report: histograms of the edges, losses per step."""
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,13 +10,11 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 
-WIDTH, HEIGHT = 360, 220  # size of a chart in SVG units; the page scales it
-LEFT, RIGHT, TOP, BOTTOM = 52, 14, 12, 42  # margins around the bars
-EDGE_COLOR = "#2f6db5"
-NUM_TICKS = 4  # approximate number of ticks of an axis
+Chart = dict[str, Any]
+Row = tuple[str, float, str]
 
 
-def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[str]:
+def edge_charts(num_views: IntArray, residuals: FloatArray, lengths: FloatArray) -> list[Chart]:
     """Histograms of views per edge, residuals of observations, and lengths.
 
     Args:
@@ -50,39 +47,39 @@ def histogram(
     bins: FloatArray,
     *,
     log: bool = False,
-) -> str:
-    """A figure with the histogram of `values` in `bins`."""
+) -> Chart:
+    """A histogram of `values` in `bins`, as drawn by page.html in 360 x 220 units."""
+    left, right, top, base = 52, 346, 12, 178  # of the bars
     counts, _ = np.histogram(values, bins)
     scale = np.log10 if log else np.asarray
-    low, high, top = float(scale(bins[0])), float(scale(bins[-1])), max(int(counts.max()), 1)
-    right = LEFT + (scale(bins) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
-    base = HEIGHT - BOTTOM
-    heights = counts / top * (base - TOP)
-    parts = []
-    for value in nice_ticks(0, top):
-        at = base - value / top * (base - TOP)
-        parts.append(f'<path d="M{LEFT - 4} {at:.1f}H{WIDTH - RIGHT}"/>')
-        parts.append(label(LEFT - 8, at + 4, shortened(value), "end"))
-    parts += [
-        f'<rect x="{x:.1f}" y="{base - height:.1f}" width="{max(end - x - 0.5, 0.5):.1f}" '
-        f'height="{height:.1f}"><title>{first:.4g} to {last:.4g}: {count:,} {y_title}</title>'
-        "</rect>"
-        for x, end, height, first, last, count in zip(
-            right[:-1], right[1:], heights, bins[:-1], bins[1:], counts, strict=True
+    low, high, most = float(scale(bins[0])), float(scale(bins[-1])), max(int(counts.max()), 1)
+    x = left + (scale(bins) - low) / (high - low) * (right - left)
+    heights = counts / most * (base - top)
+    sides = np.column_stack([x[:-1], base - heights, np.maximum(np.diff(x) - 0.5, 0.5), heights])
+    bars = [
+        (*side, f"{first:.4g} to {last:.4g}: {count:,} {y_title}")
+        for side, first, last, count in zip(
+            sides.round(1).tolist(), bins[:-1], bins[1:], counts, strict=True
         )
         if count
     ]
+    labels: list[tuple[float, float, str, str]] = []
+    lines = [round(base - value / most * (base - top), 1) for value in nice_ticks(0, most)]
+    for y, value in zip(lines, nice_ticks(0, most), strict=True):
+        labels.append((left - 8, y + 4, shortened(value), "end"))
     for value in decades(low, high) if log else nice_ticks(low, high):
-        at = LEFT + (float(scale(value)) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
-        parts.append(label(at, base + 16, shortened(value), "middle"))
-    parts.append(label((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_title, "middle"))
+        at = left + (float(scale(value)) - low) / (high - low) * (right - left)
+        labels.append((round(at, 1), base + 16, shortened(value), "middle"))
+    labels.append(((left + right) / 2, 214, x_title, "middle"))
     middle = f"median {np.median(values):.4g}" if len(values) else "none"
-    return chart(title, f"{title}: {len(values):,} {y_title}, {x_title}, {middle}", parts)
-
-
-def label(x: float, y: float, text: str, anchor: str) -> str:
-    """A short text of a drawing."""
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{html.escape(text)}</text>'
+    description = f"{title}: {len(values):,} {y_title}, {x_title}, {middle}"
+    return {
+        "title": title,
+        "description": description,
+        "lines": lines,
+        "bars": bars,
+        "labels": labels,
+    }
 
 
 def shortened(value: float) -> str:
@@ -90,20 +87,10 @@ def shortened(value: float) -> str:
     return f"{value:,.10g}" if abs(value) < 1e6 else f"{value / 1e6:,.10g} M"
 
 
-def chart(title: str, description: str, parts: Sequence[str]) -> str:
-    """A figure with title and chart of counts; `description` is for screen readers."""
-    return (
-        f'<figure class="chart"><figcaption>{html.escape(title)} '
-        '<span class="unit">(count)</span></figcaption>'
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(description)}" '
-        f'fill="{EDGE_COLOR}">{"".join(parts)}</svg></figure>'
-    )
-
-
 def nice_ticks(low: float, high: float) -> list[float]:
-    """Round numbers from `low` to `high`: multiples of 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10((high - low) / NUM_TICKS))
-    step = next(m * power for m in (1, 2, 5, 10) if (high - low) / (m * power) <= NUM_TICKS + 1)
+    """About four round numbers from `low` to `high`: multiples of 1, 2 or 5 times 10^n."""
+    power = 10.0 ** np.floor(np.log10((high - low) / 4))
+    step = next(m * power for m in (1, 2, 5, 10) if (high - low) / (m * power) <= 5)
     first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
     return [float(f"{i * step:.10g}") for i in range(first, last + 1)]
 
@@ -111,49 +98,17 @@ def nice_ticks(low: float, high: float) -> list[float]:
 def decades(low: float, high: float) -> list[float]:
     """Round numbers between 10^low and 10^high."""
     factors = (1,) if high - low > 2 else (1, 2, 5)
-    step = max(int((high - low) // NUM_TICKS), 1)
+    step = max(int((high - low) // 4), 1)
     powers = range(int(np.floor(low)), int(np.ceil(high)) + 1, step)
     found = [f * 10.0**p for p in powers for f in factors]
     return [value for value in found if low <= np.log10(value) <= high]
 
 
-def bar_rows(rows: Sequence[tuple[str, float, str]], title: str, description: str) -> str:
-    """A table with a name, a bar and a text per row; bars are scaled to the largest value.
-
-    Args:
-        rows: name, value and text of each row.
-        title: the heading over the rows, with the unit.
-        description: text for screen readers.
-    """
-    most = max((value for _, value, _ in rows), default=0.0) or 1.0
-    lines = [
-        f'<tr><th scope="row">{html.escape(name)}</th>'
-        f'<td class="bar"><span style="width:{100 * value / most:.1f}%"></span></td>'
-        f'<td class="number">{html.escape(text)}</td></tr>'
-        for name, value, text in rows
-    ]
-    hidden = f'<span class="heard">: {html.escape(description)}</span>'
-    caption = f"<caption>{html.escape(title)}{hidden}</caption>"
-    return f'<table class="bars">{caption}{"".join(lines)}</table>'
-
-
-def stage_chart(stages: Sequence[Mapping[str, Any]]) -> str:
-    """Seconds of every stage as bars."""
-    rows = [(s["name"], float(s["wall_s"]), f"{s['wall_s']:.2f} s") for s in stages]
-    return bar_rows(rows, "Time (seconds)", "seconds of each stage")
-
-
-def funnel_charts(funnel: Sequence[Mapping[str, Any]]) -> str:
-    """Charts of the numbers left after each step of tracing, one per unit."""
-    groups: dict[str, list[tuple[str, float, str]]] = {}
-    for step in funnel:
+def funnel_rows(funnel: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
+    """Name, count and text of each step of tracing by unit; empty if nothing was found."""
+    rows: dict[str, list[Row]] = {}
+    for step in funnel if any(step["count"] for step in funnel) else ():
         part = "" if step["share"] is None else f" ({100 * step['share']:.0f} % of the line above)"
         row = (step["name"], float(step["count"]), f"{step['count']:,}{part}")
-        groups.setdefault(step["unit"], []).append(row)
-    ends = [f"{text} {name}" for ((name, _, text), *more) in groups.values() if not more]
-    tables = [
-        bar_rows(rows, f"Number of {unit}", "numbers left after each step")
-        for unit, rows in groups.items()
-        if len(rows) > 1
-    ]
-    return f"<p>{html.escape(', '.join(ends))}.</p>{''.join(tables)}"
+        rows.setdefault(step["unit"], []).append(row)
+    return rows

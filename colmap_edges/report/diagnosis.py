@@ -15,32 +15,13 @@ from colmap_edges.report.findings import (
     named,
     needed_views,
 )
+from colmap_edges.report.funnel import CHAIN_STEPS, counts_by_stage
 
-# Shares kept by a step below which the loss is reported.
-MIN_CONFIRMED_SHARE = 0.3
-MIN_DEPTH_SHARE = 0.1
-MIN_TRACED_SHARE = 0.3
-MIN_KEPT_SHARE = 0.4
-MIN_FOLLOWED_SHARE = 0.02
-LARGE_RESIDUAL_PX = 1.0
 CHECK_POSES = "check the poses (`colmap bundle_adjuster`); "
-NO_EDGES_OF_FOLIAGE = (
-    ", although the poses fit the SfM points: foliage and fine texture have no edges in space"
-)
 MASKS_REMEDY = (
     "check the masks: edges are detected only where masks are not black; invert them if they are "
     "the other way round, or leave out --mask_path"
 )
-
-
-def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
-    """The counts of each stage by its name, with the counts of details merged in."""
-    found: dict[str, Counts] = {}
-    for stage in stages:
-        counts = stage["counts"]
-        name = "trace" if stage["name"] == "trace again" else stage["name"]
-        found[name] = {**counts, **counts.get("details", {})}
-    return found
 
 
 def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> list[Finding]:
@@ -76,7 +57,7 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
 def poses_fit(read: Counts) -> bool:
     """Whether SfM points reproject so closely that poses and cameras are not at fault."""
     residual = read.get("median_residual_px")
-    return residual is not None and residual <= LARGE_RESIDUAL_PX
+    return residual is not None and residual <= 1
 
 
 def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Finding]:
@@ -84,39 +65,39 @@ def detection_findings(detect: Counts, options: PipelineOptions) -> Iterator[Fin
     images, empty = detect.get("images", 0), detect.get("images_without_edges", 0)
     if damaged := detect.get("damaged"):
         yield Finding(
-            text=f"images that could not be read, {len(damaged)} of {images}, were left out: "
+            f"images that could not be read, {len(damaged)} of {images}, were left out: "
             f"{named(damaged)}",
-            remedy="replace the damaged files and run again",
+            "replace the damaged files and run again",
         )
         images -= len(damaged)
     if images and empty == images and detect.get("edge_images"):
         yield Finding(
-            text=f"no edge was found in the edge images of {counted(images, 'image')}",
-            remedy="check the edge images: white on black, lines of at least "
+            f"no edge was found in the edge images of {counted(images, 'image')}",
+            "check the edge images: white on black, lines of at least "
             "--Detection.min_chain_points; or leave out --edge_path",
         )
     elif images and empty == images and not detect.get("images_masked"):
         yield Finding(
-            text=f"no edge was detected in any of {counted(images, 'image')}",
-            remedy="check the images (blank, blurred, dark?); detect shorter chains with "
+            f"no edge was detected in any of {counted(images, 'image')}",
+            "check the images (blank, blurred, dark?); detect shorter chains with "
             "--Detection.min_chain_points",
         )
     elif images and empty == images:
         yield Finding(
-            text=f"no edge was detected in the unmasked parts of any of {counted(images, 'image')}",
-            remedy=MASKS_REMEDY,
+            f"no edge was detected in the unmasked parts of any of {counted(images, 'image')}",
+            MASKS_REMEDY,
         )
     elif empty:
         yield Finding(
-            text=f"images without any edge: {empty} of {images}",
-            remedy="check these images (blank, blurred, dark?)",
+            f"images without any edge: {empty} of {images}",
+            "check these images (blank, blurred, dark?)",
         )
     found, left = detect.get("chain_pixels", 0), detect.get("edge_pixels", 0)
-    if options.edge_graph.filter_regular_length and left < MIN_KEPT_SHARE * found:
+    if options.edge_graph.filter_regular_length and left < 0.4 * found:
         yield Finding(
-            text=f"{share(found - left, found)} of edge pixels were dropped with chains below the "
+            f"{share(found - left, found)} of edge pixels were dropped with chains below the "
             "regular-length threshold",
-            remedy="set --EdgeGraph.filter_regular_length 0",
+            "set --EdgeGraph.filter_regular_length 0",
         )
 
 
@@ -125,72 +106,56 @@ def chain_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Itera
     views, lonely = trace.get("views", 0), trace.get("views_without_neighbors", 0)
     if views and lonely == views:
         yield Finding(
-            text="no two images see the same part of the scene from different positions",
-            remedy="check poses and overlap; for very wide baselines raise "
-            "--ViewSelection.max_angle_deg",
+            "no two images see the same part of the scene from different positions",
+            "check poses and overlap; for very wide baselines raise --ViewSelection.max_angle_deg",
         )
         return
     if lonely:
         yield Finding(
-            text=f"images that overlap with no other, and gave no edges: {lonely} of {views}",
-            remedy="take images between them and the others, or raise "
-            "--ViewSelection.max_angle_deg",
+            f"images that overlap with no other, and gave no edges: {lonely} of {views}",
+            "take images between them and the others, or raise --ViewSelection.max_angle_deg",
         )
-    for before, after, least, what, remedy in chain_steps(options, fits):
-        start, left = trace.get(before, 0), trace.get(after, 0)
-        if start and left < least * start:
-            text = f"{share(start - left, start)} of {start:,} {what}"
-            yield Finding(text=text, remedy=remedy)
+    losses = chain_losses(options, fits)
+    for step in CHAIN_STEPS:
+        least, what, remedy = losses.get(step.after, (0.0, "", ""))
+        start, left = trace.get(step.before, 0), trace.get(step.after, 0)
+        if left < least * start:
+            yield Finding(f"{share(start - left, start)} of {start:,} {what}", remedy)
 
 
-def chain_steps(options: PipelineOptions, fits: bool) -> list[tuple[str, str, float, str, str]]:
-    """Names of the counts before and after each step, minimum share kept, loss and remedy."""
-    tracing = options.tracing
-    poses, why = ("", NO_EDGES_OF_FOLIAGE) if fits else (CHECK_POSES, "")
-    return [
-        (
-            "samples",
-            "samples_with_depth",
-            MIN_DEPTH_SHARE,
+def chain_losses(options: PipelineOptions, fits: bool) -> dict[str, tuple[float, str, str]]:
+    """Share kept below which a step is reported, loss and remedy, by the count after it."""
+    tracing, neighbors = options.tracing, options.view_selection.num_neighbors
+    why = ", although the poses fit the SfM points: foliage and fine texture have no edges in space"
+    poses, why = ("", why) if fits else (CHECK_POSES, "")
+    views = f"{poses}compare more views with --ViewSelection.num_neighbors (now {neighbors})"
+    return {
+        "samples_with_depth": (
+            0.1,
             f"samples on 2D edges found no depth that views agree on{why}",
-            f"{poses}compare more views with "
-            f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors}), or allow "
-            "larger errors with --ChainDepth.max_disagreement_px "
+            f"{views}, or allow larger errors with --ChainDepth.max_disagreement_px "
             f"(now {options.chain_depth.max_disagreement_px:g})",
         ),
-        (
-            "samples_with_depth",
-            "samples_confirmed",
-            MIN_CONFIRMED_SHARE,
-            f"depths were not confirmed by another view{why}",
-            f"{poses}compare more views with "
-            f"--ViewSelection.num_neighbors (now {options.view_selection.num_neighbors})",
-        ),
-        (
-            "samples_confirmed",
-            "samples_in_runs",
-            MIN_TRACED_SHARE,
+        "samples_confirmed": (0.3, f"depths were not confirmed by another view{why}", views),
+        "samples_in_runs": (
+            0.3,
             "confirmed depths lie in runs that are too short or confirmed by too few views",
             f"lower --Tracing.min_agreeing_views (now {tracing.min_agreeing_views}) or "
             f"--ChainDepth.sample_step_points (now {options.chain_depth.sample_step_points})",
         ),
-        (
-            "points_traced",
-            "points_observed_enough",
-            MIN_KEPT_SHARE,
+        "points_observed_enough": (
+            0.4,
             "traced edge points are observed in too few views",
             f"lower --Tracing.min_observations (now {tracing.min_observations}), or take more "
             "overlapping images",
         ),
-        (
-            "points_observed_enough",
-            "points_of_curves",
-            MIN_KEPT_SHARE,
+        "points_of_curves": (
+            0.4,
             "edge points have uncertain depths, or lie on curves that may be accidental",
             "take images with wider baselines, or raise --Tracing.max_false_edges "
             f"(now {tracing.max_false_edges:g})",
         ),
-    ]
+    }
 
 
 def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Iterator[Finding]:
@@ -199,39 +164,38 @@ def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Itera
     total = pepcs.get("pepcs_from_sfm_points", 0) + pepcs.get("pepcs_from_pecs", 0)
     if total == 0:
         yield Finding(
-            text="no 2D edge is near an SfM point, so no correspondence was found",
-            remedy="widen --Correspondence.inner_radius_px and --Matching.max_point_distance_px, "
+            "no 2D edge is near an SfM point, so no correspondence was found",
+            "widen --Correspondence.inner_radius_px and --Matching.max_point_distance_px, "
             "or use --method chains, which needs no SfM points near edges",
         )
         return
     known = starts.get("on_covered_stretch", 0) + starts.get("on_known_edge", 0)
     tried, accepted = sum(starts.values()) - known, starts.get("accepted", 0)
-    if tried and accepted < MIN_FOLLOWED_SHARE * tried:
-        reasons = {k: v for k, v in starts.items() if k not in PAPER_NOT_LOST}
+    if tried and accepted < 0.02 * tried:
+        found = ("accepted", "on_covered_stretch", "on_known_edge")
+        reasons = {name: count for name, count in starts.items() if name not in found}
+        remedies = {
+            "too_few_views": "take more overlapping images, or use --method chains",
+            "no_valid_selection": "raise --Following.max_error_px",
+            "ambiguous_selection": "lower --Following.max_error_px or "
+            "--Correspondence.outer_radius_px",
+        }
         worst = max(reasons, key=lambda name: reasons[name])
         yield Finding(
-            text=f"{share(tried - accepted, tried)} of {counted(tried, 'start')} could not be "
+            f"{share(tried - accepted, tried)} of {counted(tried, 'start')} could not be "
             f"followed, mostly because of: {worst.replace('_', ' ')}",
-            remedy=("" if fits or worst != "no_valid_selection" else CHECK_POSES)
-            + PAPER_REMEDIES.get(worst, "use --method chains"),
+            ("" if fits or worst != "no_valid_selection" else CHECK_POSES)
+            + remedies.get(worst, "use --method chains"),
         )
     outliers = trace.get("outliers", {})
     before, after = outliers.get("points_before", 0), outliers.get("points_after", 0)
-    if before and after < MIN_KEPT_SHARE * before:
+    if before and after < 0.4 * before:
         yield Finding(
-            text=f"{share(before - after, before)} of {before:,} edge points are seen in fewer "
+            f"{share(before - after, before)} of {before:,} edge points are seen in fewer "
             f"than {outliers['min_views']:g} views",
-            remedy=f"lower --Visibility.min_views (now {options.visibility.min_views}), or take "
+            f"lower --Visibility.min_views (now {options.visibility.min_views}), or take "
             "more overlapping images",
         )
-
-
-PAPER_NOT_LOST = {"accepted", "on_covered_stretch", "on_known_edge"}
-PAPER_REMEDIES = {
-    "too_few_views": "take more overlapping images, or use --method chains",
-    "no_valid_selection": "raise --Following.max_error_px",
-    "ambiguous_selection": "lower --Following.max_error_px or --Correspondence.outer_radius_px",
-}
 
 
 def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Finding:
@@ -239,20 +203,20 @@ def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Fin
     text = "no 3D edge was found"
     text += ", so that the mesh consists of SfM points alone" if is_meshed else ""
     if has_reason:
-        return Finding(text=text, remedy="see the next note")
+        return Finding(text, "see the next note")
     return Finding(
-        text=f"{text}: no candidate has {counted(options.tracing.min_curve_points, 'point')} seen "
+        f"{text}: no candidate has {counted(options.tracing.min_curve_points, 'point')} seen "
         f"in {needed_views(options)[1]} views",
-        remedy=f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
+        f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
     )
 
 
 def far_mesh() -> Finding:
     """The finding that 32-bit coordinates would distort the mesh."""
     return Finding(
-        text="the model lies so far from the origin that coordinates of 32 bits would distort the "
+        "the model lies so far from the origin that coordinates of 32 bits would distort the "
         "mesh; mesh.ply holds 64-bit ones, but some programs round them when they read them",
-        remedy="move the origin into the scene, for example with `colmap model_aligner` and its "
+        "move the origin into the scene, for example with `colmap model_aligner` and its "
         "--alignment_type enu, and run again",
     )
 
@@ -263,22 +227,22 @@ def empty_mesh(mesh: Counts, options: PipelineOptions) -> Finding:
     found, long = mesh.get("boundary_facets", 0), mesh.get("long_facets_dropped", 0)
     if long and long >= found / 2:
         return Finding(
-            text="the mesh is empty: triangles with a side longer than "
+            "the mesh is empty: triangles with a side longer than "
             f"{meshing.long_facet_factor:g} distances to the cameras: {long:,} of {found:,}",
-            remedy="raise --Meshing.long_facet_factor, or set it to 0 to keep all; "
+            "raise --Meshing.long_facet_factor, or set it to 0 to keep all; "
             "check the model for points far away from all others",
         )
     if found:
         return Finding(
-            text="the mesh is empty: triangles in connected components of fewer than "
+            "the mesh is empty: triangles in connected components of fewer than "
             f"{meshing.min_component_faces:,}: {found - long:,} of {found:,}",
-            remedy="lower --Meshing.min_component_faces",
+            "lower --Meshing.min_component_faces",
         )
     flag = "quality_weight" if meshing.method == "graphcut" else "vote_threshold"
     return Finding(
-        text="the mesh is empty: all cells were labelled alike; the viewing rays to "
+        "the mesh is empty: all cells were labelled alike; the viewing rays to "
         f"{counted(int(mesh.get('points', 0)), 'point')} have too little weight",
-        remedy=f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); with a backdrop or "
+        f"lower --Meshing.{flag} (now {getattr(meshing, flag):g}); with a backdrop or "
         "background masks also try --Meshing.background_weight 0; give a model with more "
         "points, none of them far away from all others",
     )
@@ -289,20 +253,19 @@ def masks_findings(detect: Counts) -> Iterator[Finding]:
     images, masked = detect.get("images", 0), detect.get("images_masked", 0)
     if masked and detect.get("edge_pixels"):
         yield Finding(
-            text="masks hide parts of the images in which no 3D edge was found: "
-            f"{masked} of {images}",
-            remedy=MASKS_REMEDY,
+            f"masks hide parts of the images in which no 3D edge was found: {masked} of {images}",
+            MASKS_REMEDY,
         )
 
 
 def residual_findings(write: Counts, read: Counts) -> Iterator[Finding]:
     """Findings about the residuals of the edges, compared with those of the SfM points."""
     residual, fits = write.get("median_residual_px"), poses_fit(read)
-    if residual is not None and residual > LARGE_RESIDUAL_PX:
+    if residual is not None and residual > 1:
         yield Finding(
-            text=f"the median reprojection error of edges is {residual:.2f} px, which is large"
+            f"the median reprojection error of edges is {residual:.2f} px, which is large"
             + (f"; that of SfM points is {read['median_residual_px']:.2g} px" if fits else ""),
-            remedy="check the images for motion blur, rolling shutter and things that moved"
+            "check the images for motion blur, rolling shutter and things that moved"
             if fits
             else "improve poses and cameras with `colmap bundle_adjuster` first",
         )

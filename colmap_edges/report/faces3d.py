@@ -12,8 +12,6 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array
 from colmap_edges.surfaces.faces.outlines import Face
 
 MAX_SHOWN = 500  # maximum number of faces shown, largest first
-FINENESS = 1000  # maximum number of strips across all faces
-GOLDEN = 0.618034  # golden ratio; its successive multiples are far apart on the hue circle
 
 
 def largest(faces: Sequence[Face]) -> list[Face]:
@@ -31,7 +29,7 @@ def triangulated(faces: Sequence[Face]) -> tuple[FloatArray, Int32Array, ByteArr
     if not faces:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.uint8)
     every = np.concatenate([face.outline for face in faces])
-    step = float(np.linalg.norm(np.ptp(every, axis=0))) / FINENESS
+    step = float(np.linalg.norm(np.ptp(every, axis=0))) / 1000
     corners = [trapezoids(face, step) for face in faces]
     counts = [len(each) for each in corners]
     shades = np.repeat([color_of(face.plane) for face in faces], counts, axis=0)
@@ -73,9 +71,9 @@ def trapezoids(face: Face, step: float) -> FloatArray:
 
 def color_of(plane: int) -> ByteArray:
     """(3,) RGB of a plane's faces; planes with successive numbers differ."""
-    return np.rint(np.multiply(255, colorsys.hsv_to_rgb(plane * GOLDEN % 1, 0.55, 1))).astype(
-        np.uint8
-    )
+    # Successive multiples of the golden ratio are far apart on the hue circle.
+    color = colorsys.hsv_to_rgb(plane * 0.618034 % 1, 0.55, 1)
+    return np.rint(np.multiply(255, color)).astype(np.uint8)
 
 
 def closed_rings(faces: Sequence[Face]) -> list[FloatArray]:

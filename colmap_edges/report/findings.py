@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from colmap_edges.errors import counted
 from colmap_edges.options import PipelineOptions
 
 Counts = Mapping[str, Any]
-MIN_POSED_SHARE = 0.7  # share of images with poses below which the others are reported
-MAX_NAMES = 3
 MIN_VIEWS = 3  # minimum number of views of an edge: two always agree, the third confirms the depth
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
+class Finding(NamedTuple):
     """One finding about a run.
 
     Attributes:
@@ -39,26 +35,26 @@ def images_findings(read: Counts, options: PipelineOptions) -> Iterator[Finding]
         if files > 2 * posed:
             more = f"map more of the {files} images (see COLMAP's log why it left them out)"
         yield Finding(
-            text=f"the model has poses of only {counted(posed, 'image')}, but a 3D edge must be "
+            f"the model has poses of only {counted(posed, 'image')}, but a 3D edge must be "
             f"seen in {max(needed, MIN_VIEWS)}",
-            remedy=f"{more}{lower}",
+            f"{more}{lower}",
         )
-    if posed < MIN_POSED_SHARE * (posed + unposed):
+    if posed < 0.7 * (posed + unposed):
         yield Finding(
-            text=f"images without a pose, which are not used: {unposed} of {posed + unposed}",
-            remedy="register more of them with `colmap mapper` (more overlap, more features)",
+            f"images without a pose, which are not used: {unposed} of {posed + unposed}",
+            "register more of them with `colmap mapper` (more overlap, more features)",
         )
     yield from model_findings(read)
     if far := read.get("points3D_too_far"):
         yield Finding(
-            text="SfM points at infinity, which are not used, but are in the written model: "
+            "SfM points at infinity, which are not used, but are in the written model: "
             f"{far:,} of {far + read.get('points3D', 0):,}",
-            remedy="delete them with `colmap point_filtering` and its --min_tri_angle",
+            "delete them with `colmap point_filtering` and its --min_tri_angle",
         )
     if posed and read.get("points3D") == 0:
         yield Finding(
-            text="the model has no SfM points, so depths and neighbours come from poses alone",
-            remedy="run `colmap point_triangulator` on the model first",
+            "the model has no SfM points, so depths and neighbours come from poses alone",
+            "run `colmap point_triangulator` on the model first",
         )
 
 
@@ -66,22 +62,22 @@ def model_findings(read: Counts) -> Iterator[Finding]:
     """Findings about images that are left out, points without tracks, and other models."""
     if names := read.get("images_contradicted"):
         yield Finding(
-            text="images whose poses do not fit the points3D that they observe are not used: "
+            "images whose poses do not fit the points3D that they observe are not used: "
             f"{len(names)} ({named(names)})",
-            remedy="adjust the model with `colmap bundle_adjuster`, or delete these images from it",
+            "adjust the model with `colmap bundle_adjuster`, or delete these images from it",
         )
     if copies := read.get("images_copied"):
         copy, original = copies[0]
         yield Finding(
-            text=f"copies of other images at the same pose are not used: {len(copies)} ({copy} is "
+            f"copies of other images at the same pose are not used: {len(copies)} ({copy} is "
             f"one of {original})",
-            remedy="delete the copies from the model",
+            "delete the copies from the model",
         )
     if read.get("points3D") and read.get("observations") == 0:
         yield Finding(
-            text=f"the {read['points3D']:,} points3D of the model have no tracks, so they are not "
+            f"the {read['points3D']:,} points3D of the model have no tracks, so they are not "
             "used; depths and neighbours come from poses alone",
-            remedy="run `colmap point_triangulator` on the model first",
+            "run `colmap point_triangulator` on the model first",
         )
     others, posed = read.get("other_models", {}), read.get("images_with_poses", 0)
     larger = max(others, key=others.__getitem__, default="")
@@ -89,16 +85,16 @@ def model_findings(read: Counts) -> Iterator[Finding]:
     if others and (others[larger] > posed or int(min(others, key=int)) < int(number)):
         sizes = ", ".join(f"{folder}/{name} with {count}" for name, count in others.items())
         yield Finding(
-            text=f"the model {folder}/{number} is used, with {posed} images; beside it, there is "
+            f"the model {folder}/{number} is used, with {posed} images; beside it, there is "
             f"{sizes}",
-            remedy=f"give another, such as {folder}/{larger}, as --input_path, or map the images "
+            f"give another, such as {folder}/{larger}, as --input_path, or map the images "
             "into one model",
         )
 
 
 def named(names: Sequence[str]) -> str:
     """The first of some names, as a list in a sentence."""
-    return f"{', '.join(names[:MAX_NAMES])}{', ...' if len(names) > MAX_NAMES else ''}"
+    return f"{', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"
 
 
 def needed_views(options: PipelineOptions) -> tuple[str, int]:

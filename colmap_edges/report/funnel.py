@@ -4,26 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from colmap_edges.options import PipelineOptions
-from colmap_edges.report.diagnosis import counts_by_stage
 from colmap_edges.report.findings import Counts
 
-CELLS, FACE_CELLS = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
 PIXELS, SAMPLES, POINTS = "pixels of the images", "samples along 2D edges", "points in 3D"
-CHAIN_FUNNEL = (
-    ("samples", "", SAMPLES, "placed on 2D edges"),
-    ("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
-    ("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
-    ("samples_in_runs", "samples_confirmed", SAMPLES, "in runs of confirmed depths"),
-    ("points_traced", "", POINTS, "traced from each view"),
-    ("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
-    ("points_of_curves", "points_observed_enough", POINTS, "kept by the a-contrario test"),
+
+
+class ChainStep(NamedTuple):
+    """A step of tracing by depths along chains: names of counts, unit, and name of the result."""
+
+    after: str
+    before: str
+    unit: str
+    name: str
+
+
+CHAIN_STEPS = (
+    ChainStep("samples", "", SAMPLES, "placed on 2D edges"),
+    ChainStep("samples_with_depth", "samples", SAMPLES, "with a depth that views agree on"),
+    ChainStep("samples_confirmed", "samples_with_depth", SAMPLES, "confirmed by another view"),
+    ChainStep("samples_in_runs", "samples_confirmed", SAMPLES, "in runs of confirmed depths"),
+    ChainStep("points_traced", "", POINTS, "traced from each view"),
+    ChainStep("points_observed_enough", "points_traced", POINTS, "observed in enough views"),
+    ChainStep("points_of_curves", "points_observed_enough", POINTS, "kept by the a-contrario test"),
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Step:
     """Number of items left after one step of a run.
 
@@ -40,19 +49,29 @@ class Step:
     share: float | None = None
 
 
+def counts_by_stage(stages: Sequence[Mapping[str, Any]]) -> dict[str, Counts]:
+    """The counts of each stage by its name, with the counts of details merged in."""
+    found: dict[str, Counts] = {}
+    for stage in stages:
+        counts = stage["counts"]
+        name = "trace" if stage["name"] == "trace again" else stage["name"]
+        found[name] = {**counts, **counts.get("details", {})}
+    return found
+
+
 def funnel(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> list[Step]:
     """The number left after each step of tracing, from edge pixels to edge points."""
     counts = counts_by_stage(stages)
     detect, trace = counts.get("detect", {}), counts.get("trace")
     if trace is None:
         return []
-    steps = [Step(name="2D edge pixels", count=detect.get("edge_pixels", 0), unit=PIXELS)]
-    for key, before, unit, name in CHAIN_FUNNEL if options.tracing.method == "chains" else ():
-        if key in trace:
-            part = trace[key] / trace[before] if before and trace.get(before) else None
-            steps.append(Step(name=name, count=trace[key], unit=unit, share=part))
+    steps = [Step("2D edge pixels", detect.get("edge_pixels", 0), PIXELS)]
+    for after, before, unit, name in CHAIN_STEPS if options.tracing.method == "chains" else ():
+        if after in trace:
+            part = trace[after] / trace[before] if before and trace.get(before) else None
+            steps.append(Step(name, trace[after], unit, part))
     steps += point_steps(trace)
-    steps.append(Step(name="3D edges", count=trace.get("edges", 0), unit="edges"))
+    steps.append(Step("3D edges", trace.get("edges", 0), "edges"))
     return steps + face_steps(counts["faces"]) if "faces" in counts else steps
 
 
@@ -60,25 +79,21 @@ def point_steps(trace: Counts) -> Iterator[Step]:
     """The last steps of tracing, which keep of each edge one copy and separate contours."""
     points, before = trace.get("edge_points", 0), trace.get("points_of_curves", 0)
     if not before:
-        yield Step(name="3D edge points", count=points, unit=POINTS)
+        yield Step("3D edge points", points, POINTS)
         return
     left = before - trace.get("points_of_contours", 0)
-    yield Step(name="not on view-dependent contours", count=left, unit=POINTS, share=left / before)
+    yield Step("not on view-dependent contours", left, POINTS, left / before)
     name = "3D edge points, after copies from other views are merged"
-    yield Step(name=name, count=points, unit=POINTS, share=points / max(left, 1))
+    yield Step(name, points, POINTS, points / max(left, 1))
 
 
 def face_steps(faces: Counts) -> list[Step]:
     """The number left after each step of face detection, from image cells to faces."""
-    cells, on_planes, believed = (faces[name] for name in FACE_CELLS)
+    unit, names = "cells of the images", ("cells", "cells_on_planes", "cells_believed")
+    cells, on_planes, believed = (faces[name] for name in names)
     return [
-        Step(name="cells", count=cells, unit=CELLS),
-        Step(name="on a plane", count=on_planes, unit=CELLS, share=on_planes / max(cells, 1)),
-        Step(
-            name="confirmed by other views",
-            count=believed,
-            unit=CELLS,
-            share=believed / max(on_planes, 1),
-        ),
-        Step(name="planar faces", count=faces["planar_faces"], unit="faces"),
+        Step("cells", cells, unit),
+        Step("on a plane", on_planes, unit, on_planes / max(cells, 1)),
+        Step("confirmed by other views", believed, unit, believed / max(on_planes, 1)),
+        Step("planar faces", faces["planar_faces"], "faces"),
     ]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from colmap_edges.errors import counted
-from colmap_edges.report.diagnosis import counts_by_stage
+from colmap_edges.report.funnel import counts_by_stage
 
 # Descriptions of output files, with programs that open them.
 VIEWERS = {
@@ -25,8 +25,8 @@ VIEWERS = {
     "mesh.glb": "triangle mesh: Blender, any glTF viewer",
     "faces.json": "planar faces between the edges: plane, outline, holes, area, views",
     "edge_graphs": "2D edge graphs: numpy.load",
-    "overlays": "pictures of the 2D edge graphs",
-    "report.html": "report with all results: a web browser, no network needed",
+    "overlays": "pictures of the 2D edge graphs: any viewer of pictures",
+    "report.html": "report with all results, which needs no network: any web browser",
     "report.json": "options, versions, counts, times and memory of each stage",
 }
 # Generic folder names, unsuitable as a scene's name.

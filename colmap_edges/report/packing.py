@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import FloatArray
 
-NUM_STEPS = 60_000  # quantisation steps over the range of a coordinate
 LIFTED = 65535  # code for NaN, which interrupts lines
-GZIP_LEVEL = 4  # of 9; level 6 takes 1.8 times as long for 3 % fewer bytes
-# Types that page.js reads.
-TYPES = {"<f4": "f4", "<i4": "i4", "<u2": "u2", "|u1": "u1"}
 
 
 def coordinates(values: FloatArray) -> dict[str, Any]:
@@ -26,7 +22,7 @@ def coordinates(values: FloatArray) -> dict[str, Any]:
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    step = (high - low) / NUM_STEPS or 1.0
+    step = (high - low) / 60_000 or 1.0
     steps = np.where(np.isfinite(values), np.rint((values - low) / step), LIFTED)
     return {"steps": steps.astype(np.uint16), "low": low, "step": step}
 
@@ -46,7 +42,10 @@ def pack(data: Any) -> bytes:
         if not isinstance(value, np.ndarray):
             raise TypeError(f"{type(value).__name__} cannot be packed")
         little = np.ascontiguousarray(value, value.dtype.newbyteorder("<"))
-        entry = {"dtype": TYPES[little.dtype.str], "at": place, "length": little.size}
+        kind = little.dtype.str[1:]
+        if kind not in ("f4", "i4", "u2", "u1"):
+            raise TypeError(f"page.js cannot read {kind}")
+        entry = {"dtype": kind, "at": place, "length": little.size}
         parts.append(planes(differences(little.ravel())))
         place += len(parts[-1])
         return entry
@@ -69,7 +68,8 @@ def planes(values: NDArray[Any]) -> bytes:
 
 def compressed(data: bytes) -> bytes:
     """Bytes compressed by gzip, without time stamp."""
-    return gzip.compress(data, GZIP_LEVEL, mtime=0)
+    # Level 6 takes 1.8 times as long for 3 % fewer bytes.
+    return gzip.compress(data, 4, mtime=0)
 
 
 def embedded(data: bytes) -> str:

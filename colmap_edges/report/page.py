@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 
-from colmap_edges.colmap.model import Model, observation_residuals
+from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.export.edges import edge_lengths
-from colmap_edges.report.charts import edge_charts, funnel_charts, stage_chart
+from colmap_edges.report.charts import Chart, edge_charts, funnel_rows
 from colmap_edges.report.contents import Contents, ImagePicture, Trace
 from colmap_edges.report.outcome import VIEWERS, headline, outcome, scene_name
 from colmap_edges.report.packing import compressed, data_uri, embedded, pack
@@ -36,35 +34,29 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
     Returns:
         Counts: pictures, bytes of the file.
     """
+    from jinja2 import Environment, StrictUndefined
     from plotly.offline import get_plotlyjs
 
-    pictures, residuals = contents.pictures, residuals_of(contents)
-    name = scene_name(record["paths"])
-    made = f"{record['date'][:10]} at {record['date'][11:16]} UTC"
+    model, residuals = contents.model, residuals_of(contents)
     what = {"3D edges": contents.edges, "mesh": contents.mesh}
-    kinds = " and ".join(kind for kind, there in what.items() if there is not None) or "model"
-    template = Template(resource("page.html"))
-    page = template.substitute(
-        title=html.escape(f"{name}: {kinds}, {record['date'][:10]}"),
-        scene=html.escape(name),
-        headline=html.escape(headline(record)),
-        made=html.escape(
-            f"Made by colmap-edges {record['command']} "
-            f"(version {record['versions']['colmap-edges']}) on {made}."
-        ),
-        facts=table_html(list(outcome(record).items())),
-        findings=findings_html(record["findings"]),
+    environment = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    page = environment.from_string(resource("page.html")).render(
+        record=record,
+        name=scene_name(record["paths"]),
+        kinds=" and ".join(kind for kind, there in what.items() if there is not None) or "model",
+        headline=headline(record),
+        facts=outcome(record),
         still=data_uri("webp", still_picture(contents)),
-        funnel=funnel_html(record["funnel"]),
-        charts="".join(charts(contents, residuals)),
-        seconds=stage_chart(record["stages"]),
-        stages=stages_html(record["stages"]),
-        files=files_html(path.parent),
-        versions=html.escape(", ".join(f"{k} {v}" for k, v in record["versions"].items())),
-        paths=table_html([(key, str(value)) for key, value in record["paths"].items()]),
-        options=table_html(option_rows(record["options"])),
-        pictures=pictures_html(contents),
-        picture_note=html.escape(picture_note(contents.model, pictures)),
+        funnel=funnel_rows(record["funnel"]),
+        charts=charts(contents, residuals),
+        seconds=[(s["name"], s["wall_s"], f"{s['wall_s']:.2f} s") for s in record["stages"]],
+        stages=list(map(stage_row, record["stages"])),
+        files=file_rows(path.parent),
+        options=option_rows(record["options"]),
+        pictures=[picture_row(contents, picture) for picture in contents.pictures],
+        num_images=len(model.views),
         data=embedded(pack(page_data(contents, residuals))),
         plotly=embedded(compressed(get_plotlyjs().encode())),
         script=resource("page.js"),
@@ -72,7 +64,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
     # Folder names may not be valid text.
     data = page.encode("utf-8", "backslashreplace")
     write_whole(path, data, "report")
-    return {"pictures": len(pictures), "bytes": len(data)}
+    return {"pictures": len(contents.pictures), "bytes": len(data)}
 
 
 def resource(name: str) -> str:
@@ -98,7 +90,7 @@ def page_data(contents: Contents, residuals: FloatArray) -> Trace:
     return {"scene": figure, "edges": {**data, "starts": starts.astype(np.int32)}}
 
 
-def charts(contents: Contents, residuals: FloatArray) -> list[str]:
+def charts(contents: Contents, residuals: FloatArray) -> list[Chart]:
     """The histograms of the 3D edges, if there are any."""
     edges = contents.edges
     if edges is None:
@@ -107,66 +99,17 @@ def charts(contents: Contents, residuals: FloatArray) -> list[str]:
     return edge_charts(num_views, residuals, edge_lengths(edges))
 
 
-def table_html(rows: Sequence[tuple[str, ...]]) -> str:
-    """A table of escaped texts; the first text of each row is its header."""
-    lines = []
-    for head, *cells in rows:
-        data = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
-        lines.append(f'<tr><th scope="row">{html.escape(head)}</th>{data}</tr>')
-    return f"<table>{''.join(lines)}</table>"
+def file_rows(folder: Path) -> list[tuple[str, str]]:
+    """The files next to the page, with programs that open them; report.json is written later."""
+    made = {path.name for path in folder.iterdir()} | {"report.json"}
+    return [(name, VIEWERS[name]) for name in VIEWERS if name in made - {"report.html"}]
 
 
-def findings_html(findings: Sequence[Mapping[str, str]]) -> str:
-    """The findings with their remedies."""
-    if not findings:
-        return "<p>Nothing unusual.</p>"
-    items = (
-        f"<li><b>{html.escape(sentence(f['text']))}</b> {html.escape(sentence(f['remedy']))}</li>"
-        for f in findings
-    )
-    return f'<ul class="findings">{"".join(items)}</ul>'
-
-
-def sentence(text: str) -> str:
-    """The text as a sentence, with a capital and a full stop."""
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-def funnel_html(funnel: Sequence[Mapping[str, Any]]) -> str:
-    """The section with the numbers left after each step, and their shares."""
-    if not any(step["count"] for step in funnel):
-        return ""
-    title = "Where edges were lost: numbers left after each step"
-    return f'<section id="funnel"><h2>{title}</h2>{funnel_charts(funnel)}</section>'
-
-
-def files_html(folder: Path) -> str:
-    """Links to the files next to the page, with programs that open them.
-
-    report.json is written later.
-    """
-    made = [name for name in VIEWERS if (folder / name).exists() or name == "report.json"]
-    lines = (
-        f'<tr><th scope="row"><a href="{name}">{name}</a></th>'
-        f"<td>{html.escape(VIEWERS[name])}</td></tr>"
-        for name in made
-        if name != "report.html"
-    )
-    return f"<table>{''.join(lines)}</table>"
-
-
-def stages_html(stages: Sequence[Mapping[str, Any]]) -> str:
-    """Memory and counts of every stage, without line breaks between number and name."""
-    rows = []
-    for stage in stages:
-        counts = {k: v for k, v in stage["counts"].items() if isinstance(v, int | float)}
-        texts = (html.escape(count_text(k, v)) for k, v in counts.items())
-        cells = " ".join(f'<span class="count">{text}</span>' for text in texts)
-        name, memory = html.escape(stage["name"]), f"{stage['peak_mb']:.0f} MB"
-        rows.append(
-            f'<tr><th scope="row">{name}</th><td class="number">{memory}</td><td>{cells}</td></tr>'
-        )
-    return f"<table>{''.join(rows)}</table>"
+def stage_row(stage: Mapping[str, Any]) -> tuple[str, str, list[str]]:
+    """Name, memory and counts of a stage."""
+    counts = {k: v for k, v in stage["counts"].items() if isinstance(v, int | float)}
+    texts = [count_text(name, value) for name, value in counts.items()]
+    return stage["name"], f"{stage['peak_mb']:.0f} MB", texts
 
 
 def count_text(name: str, value: float) -> str:
@@ -188,32 +131,13 @@ def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
     return rows
 
 
-def pictures_html(contents: Contents) -> str:
-    """One figure per image: the photograph under its layers, and its name."""
-    figures = []
+def picture_row(contents: Contents, picture: ImagePicture) -> tuple[str, str, dict[str, str]]:
+    """Name of an image, its photograph, and the layers that are drawn over it."""
     edges = contents.edges if contents.edges and contents.edges.num_edges else None
-    for number, picture in enumerate(contents.pictures):
-        name = html.escape(contents.model.views[picture.view].name)
-        layers = {
-            "detected": picture.detected,
-            "dropped": picture.dropped,
-            "reprojected": reprojected_layer(picture, contents.model, edges) if edges else None,
-        }
-        images = "".join(
-            f'<img class="layer {kind}" alt="" src="{data_uri("png", data)}">'
-            for kind, data in layers.items()
-            if data
-        )
-        figures.append(
-            f'<figure data-picture="{number}"><div class="stack">'
-            f'<img class="photo" alt="{name}" src="{data_uri("jpeg", picture.photo)}">'
-            f"{images}</div><figcaption>{name}</figcaption></figure>"
-        )
-    return "".join(figures)
-
-
-def picture_note(model: Model, pictures: Sequence[ImagePicture]) -> str:
-    """The number of images shown."""
-    if len(pictures) == len(model.views):
-        return f"All {len(pictures)} images."
-    return f"{len(pictures)} of {len(model.views)} images, evenly spread."
+    layers = {
+        "detected": picture.detected,
+        "dropped": picture.dropped,
+        "reprojected": reprojected_layer(picture, contents.model, edges) if edges else None,
+    }
+    drawn = {kind: data_uri("png", data) for kind, data in layers.items() if data}
+    return contents.model.views[picture.view].name, data_uri("jpeg", picture.photo), drawn

@@ -21,22 +21,18 @@ from colmap_edges.report.contents import ImagePicture, evenly_spread
 from colmap_edges.report.overlay import SHIFT, fixed_point, observed_segments
 
 MAX_BYTES = 3_500_000  # maximum size of all pictures, before base 64
-MAX_PICTURES = 120
-BYTES_PER_PIXEL = 0.35  # approximate size of a picture with its layers
-MIN_SIDE_PX, MAX_SIDE_PX = 240, 960
-JPEG = [cv2.IMWRITE_JPEG_QUALITY, 75, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
 OPACITY_BITS = 2  # fewer shades of a line compress better
-DETECTED_BGR, DROPPED_BGR, REPROJECTED_BGR = (0, 160, 255), (90, 60, 230), (255, 225, 0)
 
 
-class PictureTaker:
+class PictureVisitor:
     """Makes reduced pictures while images are in memory, of as many views as a page can hold."""
 
     def __init__(self, num_views: int) -> None:
         """Choose evenly spread views and the size of their pictures."""
-        self.chosen = set(evenly_spread(num_views, MAX_PICTURES).tolist())
-        side = np.sqrt(MAX_BYTES / BYTES_PER_PIXEL / max(len(self.chosen), 1) * 4 / 3)
-        self.side_px = float(np.clip(side, MIN_SIDE_PX, MAX_SIDE_PX))
+        self.chosen = set(evenly_spread(num_views, 120).tolist())
+        # A picture with its layers takes about 0.35 bytes a pixel.
+        side = np.sqrt(MAX_BYTES / 0.35 / max(len(self.chosen), 1) * 4 / 3)
+        self.side_px = float(np.clip(side, 240, 960))
         self.taken: dict[int, ImagePicture] = {}
 
     def visit(
@@ -49,14 +45,15 @@ class PictureTaker:
         height, width = image.shape[:2]
         scale = min(self.side_px / max(width, height), 1.0)
         size = max(round(width * scale), 1), max(round(height * scale), 1)
-        photo = reduced(image, size)
+        photo, jpeg = reduced(image, size), [cv2.IMWRITE_JPEG_QUALITY, 75]
+        jpeg += [cv2.IMWRITE_JPEG_OPTIMIZE, 1]
         lines = graph_lines(found.graph, scale)
         dots, shape = np.repeat(found.dropped[:, None], 2, axis=1), (size[1], size[0])
         return ImagePicture(
             view=index,
-            photo=encoded(".jpg", photo, JPEG),
-            detected=layer(lines, scale, shape, DETECTED_BGR) if lines else b"",
-            dropped=layer([dots], scale, shape, DROPPED_BGR) if len(dots) else None,
+            photo=encoded(".jpg", photo, jpeg),
+            detected=layer(lines, scale, shape, (0, 160, 255)) if lines else b"",
+            dropped=layer([dots], scale, shape, (90, 60, 230)) if len(dots) else None,
             shape=shape,
         )
 
@@ -88,7 +85,7 @@ def reprojected_layer(picture: ImagePicture, model: Model, edges: Edges3D | None
     if edges is not None:
         segments = observed_segments(edges, picture.view)
         lines = [view.project(edges.points[segments.ravel()])[0].reshape(-1, 2, 2)]
-    return layer(lines, picture.shape[1] / view.width, picture.shape, REPROJECTED_BGR)
+    return layer(lines, picture.shape[1] / view.width, picture.shape, (255, 225, 0))
 
 
 def graph_lines(graph: EdgeGraph, scale: float) -> list[FloatArray]:

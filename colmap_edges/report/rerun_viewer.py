@@ -32,12 +32,7 @@ from colmap_edges.surfaces.mesh import Mesh
 
 logger = logging.getLogger(__name__)
 
-APPLICATION = "colmap-edges"
 PORT = 9876  # rerun's default
-FLUSH_S = 60.0  # seconds to wait until the viewer has received all data
-POINT_SIZE, LINE_WIDTH = 1.5, 1.0  # on the screen
-MAGIC = b"RRF"  # with which recordings begin, before a digit
-FACE_ALPHA = 128  # of 255
 REMEDY = "run: pip install 'colmap-edges[rerun]'"
 
 
@@ -95,7 +90,7 @@ class RerunViewer(Viewer):
                 Transform3D={"translation": view.center, "mat3x3": view.rotation.T},
                 Pinhole={**self.pinhole(view), "image_plane_distance": depth},
             )
-        radii = self.rerun.Radius.ui_points(POINT_SIZE)
+        radii = self.rerun.Radius.ui_points(1.5)
         points = {"positions": model.points3D_xyz, "colors": model.points3D_rgb, "radii": radii}
         self.log("points", Points3D=points)
 
@@ -128,7 +123,7 @@ class RerunViewer(Viewer):
                 "colors": colors_of(views),
                 "labels": [f"edge {i}, {n} views" for i, n in enumerate(views)],
                 "show_labels": False,
-                "radii": self.rerun.Radius.ui_points(LINE_WIDTH),
+                "radii": self.rerun.Radius.ui_points(1.0),
             },
         )
 
@@ -136,10 +131,10 @@ class RerunViewer(Viewer):
         """Show planar faces as translucent polygons, one colour a plane, with their outlines."""
         shown = largest(faces)
         corners, triangles, colors = triangulated(shown)
-        shades = np.column_stack([colors, np.full(len(colors), FACE_ALPHA, np.uint8)])
+        shades = np.column_stack([colors, np.full(len(colors), 128, np.uint8)])
         mesh = {"vertex_positions": corners, "triangle_indices": triangles}
         self.log("faces", Mesh3D={**mesh, "vertex_colors": shades})
-        radii = self.rerun.Radius.ui_points(LINE_WIDTH)
+        radii = self.rerun.Radius.ui_points(1.0)
         self.log("faces", "outlines", LineStrips3D={"strips": closed_rings(shown), "radii": radii})
 
     def show_mesh(self, mesh: Mesh) -> None:
@@ -177,12 +172,12 @@ def open_viewer(
     if target != "1":
         check_recording_path(Path(target), output, overwrite, inputs)
     rerun = load_rerun()
-    stream = rerun.RecordingStream(APPLICATION)
+    stream = rerun.RecordingStream("colmap-edges")
     if target == "1":
         spawn(rerun, stream)
         yield RerunViewer(rerun, stream)
         try:
-            stream.flush(timeout_sec=FLUSH_S)
+            stream.flush(timeout_sec=60.0)
         except RuntimeError as error:  # the viewer was closed; the run continues
             logger.warning("the rerun viewer did not receive all data: %s", error)
     else:
@@ -259,7 +254,7 @@ def check_recording_path(path: Path, output: Path, overwrite: bool, inputs: Sequ
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording of rerun, by its first bytes, or empty."""
     with path.open("rb") as file:
-        return file.read(len(MAGIC)) in (MAGIC, b"")
+        return file.read(3) in (b"RRF", b"")
 
 
 def up_axis(model: Model) -> str:

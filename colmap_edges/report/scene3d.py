@@ -22,10 +22,7 @@ from colmap_edges.surfaces.mesh import Mesh
 
 # Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
-MAX_EDGE_POINTS = 120_000
-MAX_FACES = 150_000
 ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
-HIDDEN_AXIS = {"visible": False, "showspikes": False}
 
 
 def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
@@ -40,7 +37,7 @@ def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
     """
     model, edges = contents.model, contents.edges
     low, high = bounds(model, edges)
-    rows, starts = plotted_rows(edges, MAX_EDGE_POINTS)
+    rows, starts = plotted_rows(edges, 120_000)
     size = float(np.linalg.norm(high - low))
     traces = [sfm_trace(model, low, high), cameras_trace(model, size)]
     has_edges = edges is not None and edges.num_edges > 0
@@ -124,7 +121,7 @@ def pyramid(view: View, depth: float) -> FloatArray:
 
 def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
     """The mesh, simplified if it has too many faces for a browser."""
-    vertices, faces, colors = coarser(mesh, MAX_FACES)
+    vertices, faces, colors = coarser(mesh, 150_000)
     return {
         "type": "mesh3d",
         "name": f"mesh of {counted(len(mesh.faces), 'triangle')}",
@@ -251,7 +248,10 @@ def layout(contents: Contents, low: FloatArray, high: FloatArray) -> Trace:
         "eye": vector((view.eye - middle) / scale),
         "up": vector(view.up),
     }
-    axes = {f"{a}axis": {**HIDDEN_AXIS, "range": [low[i], high[i]]} for i, a in enumerate("xyz")}
+    axes = {
+        f"{axis}axis": {"visible": False, "showspikes": False, "range": [low[i], high[i]]}
+        for i, axis in enumerate("xyz")
+    }
     aspect = {"aspectmode": "manual", "aspectratio": vector((high - low) / scale)}
     return {
         "scene": {**axes, **aspect, "camera": camera, "dragmode": "orbit"},

@@ -14,10 +14,7 @@ from colmap_edges.report.viewpoint import FOV, Viewpoint, viewpoint
 
 SIZE_PX = (1280, 800)  # width and height
 FINER = 2  # supersampling factor
-MAX_STILL_FACES = 60_000
 EDGE_BGR = (40, 60, 225)
-LINE_PX = 2
-IN_FRONT = 0.995  # factor of an edge's depth, so that it is drawn in front of its surface
 WEBP = [cv2.IMWRITE_WEBP_QUALITY, 85]
 
 
@@ -61,14 +58,15 @@ def draw_faces_and_edges(canvas: Picture, contents: Contents, view: Viewpoint) -
     """Draw triangles and edge segments from far to near (painter's algorithm)."""
     shapes, colors, depths = shaded_faces(contents, view, canvas.shape)
     lines, line_depths = edge_segments(contents, view, canvas.shape)
-    order = np.argsort(-np.concatenate([depths, IN_FRONT * line_depths]), kind="stable")
+    # Edges are drawn in front of their surfaces.
+    order = np.argsort(-np.concatenate([depths, 0.995 * line_depths]), kind="stable")
     corners, fills, ends = list(fixed_point(shapes)), colors.tolist(), fixed_point(lines).tolist()
     for index in order.tolist():
         if index < len(corners):
             cv2.fillConvexPoly(canvas, corners[index], fills[index], cv2.LINE_8, SHIFT)
         else:
             first, last = ends[index - len(corners)]
-            cv2.line(canvas, first, last, EDGE_BGR, LINE_PX * FINER, cv2.LINE_8, SHIFT)
+            cv2.line(canvas, first, last, EDGE_BGR, 2 * FINER, cv2.LINE_8, SHIFT)
 
 
 def fixed_point(pixels: FloatArray) -> IntArray:
@@ -82,7 +80,7 @@ def shaded_faces(
     """Visible triangles: pixels (F, 3, 2), shaded colours (F, 3) BGR, and depths."""
     if contents.mesh is None or len(contents.mesh.faces) == 0:
         return np.zeros((0, 3, 2)), np.zeros((0, 3), np.uint8), np.zeros(0)
-    vertices, faces, colors = coarser(contents.mesh, MAX_STILL_FACES)
+    vertices, faces, colors = coarser(contents.mesh, 60_000)
     pixels, depths = projected(vertices, view, shape)
     faces = faces[in_sight(pixels[faces], shape)]
     a, b, c = (vertices[faces[:, k]] for k in range(3))

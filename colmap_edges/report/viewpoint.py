@@ -14,10 +14,8 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.contents import Contents
 
 FOV = np.pi / 4  # vertical field of view of plotly.js
-SHOWN_SHARE = 98  # percentile of the coordinates of points that bounds the scene
-SHOWN_MARGIN = 0.15  # of that extent, beyond which points are outliers, as in `bounds`
-BACK = 1.05  # factor of the distance, for a border around the scene
-MAX_BEHIND = 0.1  # share of the scene behind a camera above which the camera is inside
+# Points beyond it are outliers: a share of their extent from the 2nd to the 98th percentile.
+SHOWN_MARGIN = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +64,7 @@ def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]
 def viewpoint(contents: Contents, aspect: float) -> Viewpoint:
     """The view of the camera that observes most, moved back until the scene fits.
 
-    A camera with more than `MAX_BEHIND` of the scene behind it is inside a room or street. It is
+    A camera with more than a tenth of the scene behind it is inside a room or street. It is
     not moved back, since the outer sides of walls would block the view.
 
     Args:
@@ -98,22 +96,23 @@ def subject(contents: Contents) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]
 
 
 def is_within(points: FloatArray, view: Viewpoint) -> bool:
-    """Whether more than `MAX_BEHIND` of the scene is behind the eye."""
+    """Whether more than a tenth of the scene is behind the eye."""
     behind: BoolArray = (points - view.eye) @ view.axes[2] < 0
-    return bool(behind.mean() > MAX_BEHIND)
+    return bool(behind.mean() > 0.1)
 
 
 def fitted(points: FloatArray, view: Viewpoint, aspect: float) -> Viewpoint:
     """The viewpoint moved along its direction so that the picture holds all but outliers."""
     local = (points - view.focus) @ view.axes.T
-    low, high = np.percentile(local, [100 - SHOWN_SHARE, SHOWN_SHARE], axis=0)
+    low, high = np.percentile(local, [2, 98], axis=0)
     margin = SHOWN_MARGIN * (high - low)
     inliers = ((local >= low - margin) & (local <= high + margin)).all(axis=1)
     middle = (low + high) / 2 * np.array([1, 1, 0])
     right, down, forward = (local[inliers] - middle).T
     half = np.tan(FOV / 2) * np.array([aspect, 1.0])
     needed = np.maximum(np.abs(right) / half[0], np.abs(down) / half[1]) - forward
-    distance = BACK * max(float(needed.max(initial=0.0)), 1e-9)
+    # With a border around the scene.
+    distance = 1.05 * max(float(needed.max(initial=0.0)), 1e-9)
     focus = view.focus + middle @ view.axes
     return Viewpoint(eye=focus - distance * view.axes[2], focus=focus, up=view.up)
 

@@ -34,16 +34,13 @@ logger = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
 Record = TypeVar("Record")
-LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap")
 HEAD_LENGTH = struct.Struct("<Q")
 ALIGNMENT = 16  # bytes at multiples of which arrays start
 DIGEST_BYTES = hashlib.sha256().digest_size
-PLAIN_TYPE = re.compile("[<|=>][biufU][0-9]+")  # types of numbers and text, as numpy writes them
 NOT_AN_ENTRY = (
     *(ColmapEdgesError, KeyError, ValueError, TypeError),
     *(OverflowError, RecursionError, struct.error),
 )
-UNFINISHED = re.compile("[0-9a-f]{32}")  # names of unfinished files
 FORGOTTEN_S = 24 * 3600  # unfinished files older than this were left by killed runs
 
 
@@ -142,7 +139,7 @@ def unpacked(data: bytearray) -> Arrays:
     at = ALIGNMENT + length + -length % ALIGNMENT
     arrays: Arrays = {}
     for name, kind, shape in json.loads(data[ALIGNMENT : ALIGNMENT + length]):
-        if not PLAIN_TYPE.fullmatch(kind):
+        if not re.fullmatch("[<|=>][biufU][0-9]+", kind):
             raise ValueError("only numbers and text are read: bytes of objects would be addresses")
         array: NDArray[Any] = np.ndarray(shape, np.dtype(kind), data, at)
         arrays[name] = array
@@ -182,7 +179,7 @@ def remove_forgotten(folder: Path) -> None:
     for path in folder.iterdir():
         try:
             status = path.lstat()
-            ours = stat.S_ISREG(status.st_mode) and UNFINISHED.fullmatch(path.name)
+            ours = stat.S_ISREG(status.st_mode) and re.fullmatch("[0-9a-f]{32}", path.name)
             if ours and time.time() - status.st_mtime > FORGOTTEN_S:
                 path.unlink()
         except OSError:
@@ -224,7 +221,7 @@ def code_version() -> str:
     for path in sorted([*package.rglob("*.py"), *package.glob("kernels/_kernels*")]):
         name = path.relative_to(package).as_posix()
         found.update(f"{name} ".encode() + hashlib.sha256(path.read_bytes()).digest())
-    for name in LIBRARIES:
+    for name in ("numpy", "scipy", "opencv-contrib-python-headless", "pycolmap"):
         found.update(f"{name} {library_version(name)}\n".encode())
     return found.hexdigest()
 

@@ -32,14 +32,9 @@ from colmap_edges.runtime.scheduling import Schedule
 
 # Bounds of what a run waits for, seconds.
 ANSWER_S = 10  # an answer of the scheduler
-WORKERS_S = (
-    20  # a worker, at the start and after the last one was lost; restarts take a few seconds
-)
+WORKERS_S = 20  # a worker, at the start and after the last one was lost
 WATCH_S = 1  # a result, until the cluster is asked whether it still has workers
-CLOSE_S = 2  # the goodbye to the scheduler
 
-# These report each failed attempt with a traceback; an error of ours says what it comes to.
-LOUD = ("distributed", "distributed.client", "distributed.core", "tornado.application")
 Call = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
 
 
@@ -105,7 +100,8 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
             f"cannot reach the scheduler {scheduler}: {str(error) or 'no answer'}; "
             "check the address, and that `dask scheduler` runs there"
         ) from error
-    levels = {logger: logger.level for logger in map(logging.getLogger, LOUD)}
+    tracebacks = ("distributed", "distributed.client", "distributed.core", "tornado.application")
+    levels = {logger: logger.level for logger in map(logging.getLogger, tracebacks)}
     try:
         for logger in levels:
             logger.setLevel(logging.CRITICAL)
@@ -135,7 +131,7 @@ def cluster_workers(scheduler: str, cache: Cache) -> Iterator[Workers]:
         ) from error
     finally:
         with suppress(OSError, TimeoutError, asyncio.TimeoutError):  # a silent scheduler
-            client.close(timeout=CLOSE_S)
+            client.close(timeout=2)
         for logger, level in levels.items():
             logger.setLevel(level)
 
@@ -279,16 +275,13 @@ def stop(futures: Iterable[Future[Any]]) -> None:
     wait([future for future in futures if not future.cancel()])
 
 
-# More threads only take memory, one image each.
-MAX_THREADS_PER_CORE = 4
-
-
 def thread_count(options: PipelineOptions) -> int:
     """Number of threads set in the options, limited to a useful number."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     return (
-        min(options.num_threads, MAX_THREADS_PER_CORE * cores) if options.num_threads > 0 else cores
+        # More threads only take memory, one image each.
+        min(options.num_threads, 4 * cores) if options.num_threads > 0 else cores
     )
 
 

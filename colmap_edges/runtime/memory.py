@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from colmap_edges.runtime.platform import c_function
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # malloc.h
-KEPT_BYTES = 1 << 29
-LARGEST_KEPT_BYTES = 1 << 28
-
 
 def reuse_freed_memory() -> None:
     """Let the C library reuse the memory of freed arrays.
@@ -18,9 +14,9 @@ def reuse_freed_memory() -> None:
     """
     mallopt = c_function("mallopt")
     if mallopt is not None:
-        mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
-        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
-        mallopt(M_ARENA_MAX, 1)
+        mallopt(-3, 1 << 28)  # M_MMAP_THRESHOLD
+        mallopt(-1, 1 << 29)  # M_TRIM_THRESHOLD
+        mallopt(-8, 1)  # M_ARENA_MAX
 
 
 def return_freed_memory() -> None:

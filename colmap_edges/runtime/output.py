@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import re
@@ -13,23 +14,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.runtime import platform
 from colmap_edges.runtime.input_files import KINDS
-from colmap_edges.runtime.ownership import (
-    OUTPUT,
-    Kind,
-    check_ours,
-    files_below,
-    files_of,
-    foreign_entries,
-)
+from colmap_edges.runtime.ownership import OUTPUT, Kind, check_ours, foreign_entries
+from colmap_edges.runtime.platform import is_own
 
 logger = logging.getLogger(__name__)
 
-# Entries of a run's work folder: the lock that identifies its owner, the unfinished output, and
+# Entries of a run's work folder: the lock of the process that uses it, the unfinished output, and
 # the output that it replaces.
 LOCK, NEW, PREVIOUS = "lock", "new", "previous"
-HIDDEN = re.compile(r"\.([^/\\]+)\.colmap-edges-[0-9a-f]{32}[/\\]" + NEW)  # unfinished output
 
 
 def check_output_path(output: Path, inputs: list[Path], overwrite: bool) -> None:
@@ -134,153 +127,89 @@ def new_folder(output: Path, kind: Kind = OUTPUT, overwrite: bool = False) -> It
 
 @contextmanager
 def work_folder(output: Path, kind: Kind) -> Iterator[Path]:
-    """Yield a locked work folder next to `output`, after removing those of killed runs.
+    """Yield the locked work folder next to `output`, after what a killed run left is settled.
 
     Raises:
-        ColmapEdgesError: if another run writes to `output`.
+        ColmapEdgesError: if another run writes to `output`, or the folder is not this program's.
         OSError: if it cannot be made.
     """
-    work, lock = make_work_folder(output)
+    from filelock import FileLock, Timeout  # which imports much
+
+    work = output.with_name(f".{output.name}.colmap-edges")
+    with suppress(FileExistsError):
+        work.mkdir()
+    check_work(work)
+    lock = FileLock(work / LOCK)
     try:
-        for other in abandoned(output, work):
-            settle(other, output, kind)
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise ColmapEdgesError(
+            f"another run is writing to {output}; wait for it or choose another folder"
+        ) from None
+    try:
+        settle(work, output, kind)
         yield work
     finally:
-        lock = released_to_remove(lock)
         settle(work, output, kind)
-        released(lock)
+        with suppress(OSError):  # Windows removes it when it is released
+            (work / LOCK).unlink()
+        lock.release()
+        with suppress(OSError):
+            work.rmdir()
 
 
-def make_work_folder(output: Path) -> tuple[Path, int]:
-    """Make a folder with a random name; returns it and the descriptor of its lock."""
-    while True:
-        token = secrets.token_hex(16)
-        work = output.with_name(f".{output.name}.colmap-edges-{token}")
-        work.mkdir()
-        try:
-            lock = platform.make_own(work / LOCK)
-        except FileNotFoundError:
-            continue  # another run took it for that of a killed run
-        try:
-            platform.lock(lock)
-            os.write(lock, lock_text(token))
-        except OSError:
-            os.close(lock)
-            remove_empty(work)
-            raise
-        if (work / LOCK).exists():
-            return work, lock
-        os.close(lock)
-
-
-def remove_empty(work: Path) -> None:
-    """Remove a work folder without contents."""
-    with suppress(OSError):
-        (work / LOCK).unlink(missing_ok=True)
-        work.rmdir()
-
-
-def lock_text(token: str) -> bytes:
-    """The content of the lock file in the work folder with `token` in its name."""
-    return f"colmap-edges {token}\n".encode()
-
-
-def abandoned(output: Path, own: Path) -> Iterator[Path]:
-    """Work folders next to `output` left by killed runs, each locked while it is yielded.
-
-    Only folders of this user with a lock file of this program count; links do not.
+def check_work(work: Path) -> None:
+    """Check that a work folder is empty, or one of this program and user.
 
     Raises:
-        ColmapEdgesError: if a running process holds the lock of one.
+        ColmapEdgesError: otherwise.
+        OSError: if it cannot be listed.
     """
-    pattern = re.compile(re.escape(f".{output.name}.colmap-edges-") + "([0-9a-f]{32})")
-    for entry in list(os.scandir(output.parent)):
-        found = pattern.fullmatch(entry.name)
-        work = output.with_name(entry.name)
-        if not found or work == own or not entry.is_dir(follow_symlinks=False):
-            continue
-        if not platform.is_own(entry.stat(follow_symlinks=False)):
-            continue
-        try:
-            lock = platform.open_plain(work / LOCK, os.O_RDWR, follow=False)
-        except OSError:
-            with suppress(OSError):
-                work.rmdir()  # killed before it contained anything
-            continue
-        try:
-            platform.try_lock(lock)
-            text = os.read(lock, 100)
-            if text == lock_text(found[1]):
-                lock = released_to_remove(lock)
-                yield work
-            elif not text:
-                lock = released_to_remove(lock)
-                remove_empty(work)
-        except BlockingIOError:
-            raise ColmapEdgesError(
-                f"another run is writing to {output}; wait for it or choose another folder"
-            ) from None
-        finally:
-            released(lock)
-
-
-def released_to_remove(lock: int) -> int:
-    """Close a lock where open files cannot be removed; returns -1 if it is closed.
-
-    Another run may then remove the same folder, too, which does no harm.
-    """
-    return lock if platform.removes_open_files() else released(lock)
-
-
-def released(lock: int) -> int:
-    """Close a lock unless it is closed already (-1)."""
-    if lock >= 0:
-        os.close(lock)
-    return -1
+    status = work.lstat()
+    if stat.S_ISDIR(status.st_mode) and is_own(status):
+        names = {path.name for path in work.iterdir()}
+        if not names or {LOCK} <= names <= {LOCK, NEW, PREVIOUS}:
+            return
+    raise ColmapEdgesError(
+        f"{work} is in the way of the output and not a work folder of yours; move it away"
+    )
 
 
 def settle(work: Path, output: Path, kind: Kind) -> None:
-    """Finish a work folder, complete or not, and remove it.
-
-    An output that was moved aside is restored if nothing replaced it. Otherwise its files are
-    deleted, and files that this program did not write move to the new output.
-    """
+    """Finish the work, complete or not: remove it, or give back what it would have replaced."""
+    previous = work / PREVIOUS
+    shutil.rmtree(work / NEW, ignore_errors=True)
     try:
-        previous = work / PREVIOUS
-        moved = previous.is_dir() and not previous.is_symlink()
-        if moved and not os.path.lexists(output):
-            previous.rename(output)
-        elif moved:
+        if previous.is_symlink() or not previous.is_dir():
+            return
+        if os.path.lexists(output):
             discard(previous, output, kind)
-        shutil.rmtree(work / NEW, ignore_errors=True)
-        if [path.name for path in work.iterdir()] == [LOCK]:  # removed last
-            (work / LOCK).unlink()
-            work.rmdir()
-    except FileNotFoundError:
-        return  # another run was faster
+        else:
+            previous.rename(output)
     except OSError as error:
         logger.warning("cannot remove %s: %s", work, error.strerror)
 
 
-def discard(earlier: Path, output: Path, kind: Kind) -> None:
-    """Delete our files of a replaced output; all others move to `output`."""
-    ours = files_of(earlier, kind) or {}
-    for entry in list(foreign_entries(earlier, kind, ours)):
-        target = output / entry.relative_to(earlier)
-        if os.path.lexists(target):
-            logger.warning("%s was changed while it was replaced; it is kept in %s", target, entry)
-            return
-        target.parent.mkdir(parents=True, exist_ok=True)
-        entry.rename(target)
-        logger.warning("%s is kept; it belongs to the earlier output", target)
-    for name, status in list(files_below(earlier)):
-        if ours.get(name) == status.st_size:
-            (earlier / name).unlink()
-    for folder, _, _ in os.walk(earlier, topdown=False):
-        if Path(folder) != earlier:
-            Path(folder).rmdir()
-    (earlier / kind.record).unlink(missing_ok=True)  # last, since it lists our files
-    earlier.rmdir()
+def discard(previous: Path, output: Path, kind: Kind) -> None:
+    """Delete a replaced output; files that this program did not write move to the new one.
+
+    If one cannot be moved there, the replaced output is kept beside the new one.
+    """
+    try:
+        for entry in list(foreign_entries(previous, kind)):
+            target = output / entry.relative_to(previous)
+            if os.path.lexists(target):
+                raise FileExistsError(errno.EEXIST, f"{target} was changed while it was replaced")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            entry.rename(target)
+            logger.warning("%s is kept; it belongs to the earlier output", target)
+    except OSError as error:
+        kept = output.with_name(f"{output.name}.earlier-{secrets.token_hex(4)}")
+        previous.rename(kept)
+        logger.warning("%s; the earlier output is kept in %s", error.strerror, kept)
+    else:
+        previous.rename(previous.with_name(NEW))  # which a run that is killed here leaves to remove
+        shutil.rmtree(previous.with_name(NEW), ignore_errors=True)
 
 
 def write_whole(path: Path, data: bytes, what: str, *, overwrite: bool = True) -> None:
@@ -340,4 +269,4 @@ def check_file(path: Path, overwrite: bool) -> None:
 
 def finished(path: Path) -> str:
     """The place of a file when the run is complete that writes it to a work folder."""
-    return HIDDEN.sub(r"\1", str(path))
+    return re.sub(r"\.([^/\\]+)\.colmap-edges[/\\]new", r"\1", str(path))

@@ -14,9 +14,7 @@ from typing import Any
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.platform import open_plain
 
-REPORT_NAME = "report.json"
 PROGRAM = "colmap-edges"
-NOTHING = re.compile(r"(?!)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,42 +23,23 @@ class Kind:
 
     Attributes:
         record: name of its JSON file that holds the program, the version and the files.
-        kept: names of entries of other commands, which are kept when the folder is replaced.
+        kept: expression of the names of entries of other commands, which are kept when the folder
+            is replaced.
     """
 
     record: str
-    kept: re.Pattern[str] = NOTHING
+    kept: str = ""
 
 
-OUTPUT = Kind(
-    record=REPORT_NAME, kept=re.compile(r"evaluation|\.evaluation\.colmap-edges-[0-9a-f]+")
-)
+OUTPUT = Kind(record="report.json", kept=r"evaluation|\.evaluation\.colmap-edges")
 EVALUATION = Kind(record="evaluation.json")
 STRUCTURES = Kind(record="colmap-edges.json")
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
-    """Sizes in bytes of all files below a folder, by relative name, for its record.
-
-    Raises:
-        OSError: if a folder cannot be listed.
-    """
-    return {name: status.st_size for name, status in files_below(folder)}
-
-
-def files_below(folder: Path) -> Iterator[tuple[str, os.stat_result]]:
-    """Sorted relative names of all files below `folder`; links are not followed.
-
-    Raises:
-        OSError: if a folder cannot be listed.
-    """
-    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
-        status = entry.stat(follow_symlinks=False)
-        if stat.S_ISDIR(status.st_mode):
-            for name, found in files_below(folder / entry.name):
-                yield f"{entry.name}/{name}", found
-        else:
-            yield entry.name, status
+    """Sizes in bytes of all files below a folder, by relative name, for its record."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
+    return {path.relative_to(folder).as_posix(): path.lstat().st_size for path in paths}
 
 
 def files_of(folder: Path, kind: Kind) -> dict[str, int] | None:
@@ -96,37 +75,33 @@ def read_record(path: Path) -> Any:
         raise ValueError(str(error)) from error
 
 
-def foreign_entries(folder: Path, kind: Kind, ours: dict[str, int]) -> Iterator[Path]:
+def foreign_entries(folder: Path, kind: Kind) -> Iterator[Path]:
     """Entries of a folder that this program did not write, or whose size has changed.
 
-    Args:
-        folder: the folder.
-        kind: its kind; its record counts as ours.
-        ours: sizes of our files by name.
-
     Yields:
-        Files, links and whole folders, starting with those in `folder` itself.
+        Files, links and whole folders; those of a folder before those of its own folders.
 
     Raises:
         OSError: if a folder cannot be listed.
     """
-    folders = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
-
-    def walk(below: str) -> Iterator[Path]:
-        inner = []
-        for entry in sorted(os.scandir(folder / below), key=lambda entry: entry.name):
-            name = f"{below}/{entry.name}" if below else entry.name
-            status = entry.stat(follow_symlinks=False)
-            if stat.S_ISDIR(status.st_mode) and name in folders:
-                inner.append(name)
+    ours = files_of(folder, kind) or {}
+    parents = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
+    for place, folders, files in os.walk(folder, onerror=reraise):
+        below = Path(place).relative_to(folder)
+        inner, folders[:] = folders.copy(), []
+        for name in sorted([*inner, *files]):
+            relative, status = (below / name).as_posix(), Path(place, name).lstat()
+            if stat.S_ISDIR(status.st_mode) and relative in parents:
+                folders.append(name)
             elif not stat.S_ISREG(status.st_mode) or (
-                name != kind.record and ours.get(name) != status.st_size
+                ours.get(relative) != status.st_size and relative != kind.record
             ):
-                yield folder / name
-        for name in inner:
-            yield from walk(name)
+                yield folder / relative
 
-    return walk("")
+
+def reraise(error: OSError) -> None:
+    """Raise the error of a folder that `os.walk` would pass over."""
+    raise error
 
 
 def check_ours(folder: Path, kind: Kind) -> None:
@@ -136,14 +111,13 @@ def check_ours(folder: Path, kind: Kind) -> None:
         ColmapEdgesError: naming an entry that cannot be replaced.
         OSError: if a folder cannot be listed.
     """
-    ours = files_of(folder, kind)
-    if ours is None:
+    if files_of(folder, kind) is None:
         raise ColmapEdgesError(
             f"{folder} holds no {kind.record} of {PROGRAM}, so it is not an output of {PROGRAM} "
             "and is not overwritten; choose another folder"
         )
-    for entry in foreign_entries(folder, kind, ours):
-        if not kind.kept.fullmatch(entry.relative_to(folder).as_posix()):
+    for entry in foreign_entries(folder, kind):
+        if not re.fullmatch(kind.kept, entry.relative_to(folder).as_posix()):
             raise ColmapEdgesError(
                 f"{entry} was not written by {PROGRAM}, or was changed since, so {folder} is not "
                 "overwritten; move it away or choose another folder"

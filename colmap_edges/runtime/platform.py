@@ -11,31 +11,17 @@ import math
 import os
 import signal
 import sys
-import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-fcntl: ModuleType | None
-msvcrt: Any
 resource: ModuleType | None
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
-try:
-    import msvcrt
-except ImportError:  # everything else
-    msvcrt = None
 try:
     import resource
 except ImportError:  # Windows
     resource = None
-
-LOCKED_BYTE = 1 << 30  # beyond the file's content, which Windows would make inaccessible
-LOCK_INTERVAL_S = 0.05
 
 
 def c_function(name: str) -> Any:
@@ -93,55 +79,9 @@ def open_plain(path: Path, flags: int, *, follow: bool) -> int:
     return os.open(path, flags)
 
 
-def make_own(path: Path) -> int:
-    """Create and open a file that only this user may read and write.
-
-    Raises:
-        OSError: if it exists or cannot be created.
-    """
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-    return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o600)
-
-
 def is_own(status: os.stat_result) -> bool:
     """Whether a file belongs to this user; always true on systems without file owners."""
     return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
-
-
-def lock(descriptor: int) -> None:
-    """Lock an open file for this process; blocks while another process holds the lock."""
-    if fcntl is not None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        return
-    while True:
-        try:
-            return try_lock(descriptor)
-        except BlockingIOError:
-            time.sleep(LOCK_INTERVAL_S)
-
-
-def try_lock(descriptor: int) -> None:
-    """Lock an open file for this process until it is closed, without blocking.
-
-    Raises:
-        BlockingIOError: if another process holds the lock.
-    """
-    if fcntl is not None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    elif msvcrt is not None:
-        place = os.lseek(descriptor, 0, os.SEEK_CUR)
-        os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError as error:
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from error
-        finally:
-            os.lseek(descriptor, place, os.SEEK_SET)
-
-
-def removes_open_files() -> bool:
-    """Whether open files can be removed and their folders renamed."""
-    return os.name != "nt"
 
 
 def reset_peak_memory() -> None:

@@ -25,7 +25,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
     order_of,
 )
-from colmap_edges.core.checks import check_arrays, check_offsets, check_points
+from colmap_edges.core.checks import check_arrays, check_offsets
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import check_views
 from colmap_edges.core.view import View
@@ -78,7 +78,6 @@ class SeenPoints(NamedTuple):
             ColmapEdgesError: naming the first array that does not fit.
         """
         check_arrays(name, self)
-        check_points(f"{name}.points", self.points)
         check_offsets(f"{name}.track_offsets", self.track_offsets, len(self.track_views))
         check_views(f"{name}.track_views", self.track_views, num_views)
 

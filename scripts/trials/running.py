@@ -21,7 +21,7 @@ from trials import judging
 PRODUCT = Path(__file__).resolve().with_name("product.py")
 SCRIPTS = PRODUCT.parents[1]
 ROOT = SCRIPTS.parent
-MAKER = ("zoo", "demo_scene", "make_scene.py")  # the sources that decide how a scene looks
+MAKER = ("zoo", "make_scene.py")  # the sources that decide how a scene looks
 JUDGE = ("colmap_edges/evaluation", "scripts/trials")  # ... how results are measured
 COMPILED = ("meshing", "colmap_edges/kernels", "CMakeLists.txt")  # ... what the C++ extensions do
 PYTHON, CPP = (".py", ".so"), (".cc", ".cpp", ".h", ".txt")

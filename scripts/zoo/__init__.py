@@ -1,1 +1,3 @@
-"""Random scenes with their truth: rooms, facades, CAD objects, smooth bodies and clutter."""
+"""Scenes with their truth: random rooms, facades, CAD parts, smooth bodies, clutter; fixed ones."""
+
+FAMILIES = ("rooms", "facades", "cad", "smooth", "clutter")  # of random scenes

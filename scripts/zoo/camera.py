@@ -1,21 +1,105 @@
-"""The camera of a scene with its distortion, and the paths along which views are taken."""
+"""The camera of a scene with its distortion, its views, and their paths."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
-from demo_scene.cameras import TrueCamera
-from rooms.plans import looking
 
-from zoo.stage import Array, Place, Random
+from zoo.geometry import Array, Random
 
+Size = tuple[int, int]
 PATHS = ("ring", "two_heights", "walk", "hand_held")
 MODELS = ("PINHOLE", "SIMPLE_RADIAL", "OPENCV")
 
 
-def draw_camera(random: Random, size: tuple[int, int], wide: bool) -> pycolmap.Camera:
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """An image's name and pose (3, 4) in COLMAP's axes: x right, y down, z forward."""
+
+    name: str
+    cam_from_world: Array
+
+    def centre(self) -> Array:
+        """(3,) centre of projection in the world."""
+        return -self.cam_from_world[:, :3].T @ self.cam_from_world[:, 3]
+
+    def local(self, points: Array) -> Array:
+        """Points (..., 3) of the world in the camera's frame."""
+        return points @ self.cam_from_world[:, :3].T + self.cam_from_world[:, 3]
+
+    def rays(self, at: Array) -> Array:
+        """(N, 3) rays of unit depth through undistorted image coordinates (N, 2), in the world."""
+        return np.column_stack([at, np.ones(len(at))]) @ self.cam_from_world[:, :3]
+
+    def moved(self, scale: float, rotation: Array, translation: Array) -> View:
+        """The view in the world that x_new = scale * rotation @ x + translation gives."""
+        turned = self.cam_from_world[:, :3] @ rotation.T
+        shifted = scale * self.cam_from_world[:, 3] - turned @ translation
+        return replace(self, cam_from_world=np.column_stack([turned, shifted]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where cameras may stand: around `middle`, or at `spots` that each look at a target."""
+
+    middle: Array  # (3,) point that views look at
+    extent: float  # radius around it that they show
+    # Span of directions that they look from; 0 is the front, towards -y.
+    azimuth_deg: tuple[float, float] = (0.0, 360.0)
+    elevation_deg: tuple[float, float] = (10.0, 50.0)  # span of elevations
+    # Positions and targets where there is no free circle around the scene.
+    spots: list[tuple[Array, Array]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Undistorted image coordinates of pixel centres, and their steps to the next ones."""
+
+    centers: Array  # (H * W, 2)
+    across: Array  # (H * W, 2) change over a pixel to the right
+    down: Array  # (H * W, 2) change over a pixel down
+    shape: tuple[int, int]  # H, W
+
+    @classmethod
+    def of(cls, camera: pycolmap.Camera) -> Grid:
+        """The grid of a camera, whose first pixel has its centre at (0.5, 0.5)."""
+        shape = (camera.height, camera.width)
+        rows, columns = np.indices(shape)
+        pixels = np.column_stack([columns.ravel(), rows.ravel()]) + 0.5
+        centers = np.asarray(camera.cam_from_img(pixels))
+        down, across = np.gradient(centers.reshape(*shape, 2), axis=(0, 1))
+        down, across = down.reshape(-1, 2), across.reshape(-1, 2)
+        return cls(centers=centers, across=across, down=down, shape=shape)
+
+    def within(self, chosen: np.ndarray, offsets: Array) -> Array:
+        """(N * K, 2) coordinates of (K, 2) offsets from the centres of (N,) pixels."""
+        steps = np.stack([self.across[chosen], self.down[chosen]], axis=1)
+        return (self.centers[chosen][:, None] + offsets @ steps).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A camera and the views that it takes."""
+
+    camera: pycolmap.Camera
+    views: list[View]
+
+
+def pinhole(size: Size, focal: float) -> pycolmap.Camera:
+    """A camera without distortion; pixels."""
+    width, height = size
+    parameters = [focal, focal, width / 2, height / 2]
+    return pycolmap.Camera(
+        camera_id=1, model="PINHOLE", width=width, height=height, params=parameters
+    )
+
+
+def draw_camera(random: Random, size: Size, wide: bool) -> pycolmap.Camera:
     """A camera of random model, focal length, principal point and distortion."""
     width, height = size
     focal = width * (random.uniform(0.62, 0.8) if wide else random.uniform(0.8, 1.6))
@@ -31,39 +115,40 @@ def draw_camera(random: Random, size: tuple[int, int], wide: bool) -> pycolmap.C
     return pycolmap.Camera(camera_id=1, model=model, width=width, height=height, params=parameters)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Grid:
-    """Undistorted image coordinates (H * W, 2) of pixel centres, and their steps to the next ones.
+def look_at(
+    name: str, distance: float, azimuth_deg: float, elevation_deg: float, target: Any, roll_deg: Any
+) -> View:
+    """The view from a point on a sphere about `target` (3,); azimuth 0 is the front."""
+    azimuth, elevation, roll = np.radians([azimuth_deg, elevation_deg, roll_deg])
+    back = direction(azimuth, elevation)
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    down = -np.cross(back, right)
+    turned = np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right
+    rotation = np.vstack([*turned, -back])
+    centre = np.asarray(target) + distance * back
+    return View(name=name, cam_from_world=np.column_stack([rotation, -rotation @ centre]))
 
-    Attributes:
-        centers: (H * W, 2).
-        across: (H * W, 2) change over a pixel to the right.
-        down: (H * W, 2) change over a pixel down.
-    """
 
-    centers: Array
-    across: Array
-    down: Array
+def direction(azimuth: Any, elevation: Any) -> Array:
+    """(..., 3) unit vectors at angles (...,) in radians; azimuth 0 is the front, towards -y."""
+    return np.stack(
+        [np.cos(elevation) * np.sin(azimuth), -np.cos(elevation) * np.cos(azimuth),
+         np.sin(elevation)], axis=-1,
+    )  # fmt: skip
 
-    @classmethod
-    def of(cls, camera: pycolmap.Camera) -> Grid:
-        """The grid of a camera, whose first pixel has its centre at (0.5, 0.5)."""
-        shape = (camera.height, camera.width)
-        rows, columns = np.indices(shape)
-        pixels = np.column_stack([columns.ravel(), rows.ravel()]) + 0.5
-        centers = np.asarray(camera.cam_from_img(pixels))
-        down, across = np.gradient(centers.reshape(*shape, 2), axis=(0, 1))
-        return cls(centers=centers, across=across.reshape(-1, 2), down=down.reshape(-1, 2))
 
-    def within(self, chosen: np.ndarray, offsets: Array) -> Array:
-        """(N * K, 2) coordinates of (K, 2) offsets from the centres of (N,) pixels."""
-        steps = np.stack([self.across[chosen], self.down[chosen]], axis=1)
-        return (self.centers[chosen][:, None] + offsets @ steps).reshape(-1, 2)
+def looking(number: int, position: Any, target: Any, roll_deg: float) -> View:
+    """A view from `position` (3,) towards `target` (3,)."""
+    back = np.subtract(position, target)
+    distance = float(np.linalg.norm(back))
+    azimuth = np.degrees(np.arctan2(back[0], -back[1]))
+    elevation = np.degrees(np.arcsin(back[2] / distance))
+    return look_at(f"view{number:02d}.jpg", distance, azimuth, elevation, target, roll_deg)
 
 
 def draw_views(
     random: Random, place: Place, camera: pycolmap.Camera, path: str, count: int
-) -> list[TrueCamera]:
+) -> list[View]:
     """Views along a path; their names end in .jpg."""
     if place.spots:
         chosen = np.sort(random.choice(len(place.spots), count, len(place.spots) < count))
@@ -74,7 +159,7 @@ def draw_views(
         poses = on_path(random, place, distance, path, count)
     shake = 6.0 if path == "hand_held" else 1.0
     return [
-        looking(i, tuple(position), tuple(target), float(random.normal(0, shake)))
+        looking(i, position, target, float(random.normal(0, shake)))
         for i, (position, target) in enumerate(poses)
     ]
 
@@ -99,16 +184,15 @@ def on_path(
         elevation = random.uniform(bottom, top, count)
         away *= random.uniform(0.85, 1.1, count)
         target += random.normal(0, 0.06 * place.extent, (count, 3))
-    azimuth, elevation = np.radians(azimuth), np.radians(np.clip(elevation, bottom, top))
-    back = np.column_stack(
-        [np.cos(elevation) * np.sin(azimuth), -np.cos(elevation) * np.cos(azimuth),
-         np.sin(elevation)]
-    )  # fmt: skip
+    back = direction(np.radians(azimuth), np.radians(np.clip(elevation, bottom, top)))
     return list(zip(target + away[:, None] * back, target, strict=True))
 
 
-def moved(view: TrueCamera, scale: float, rotation: Array, translation: Array) -> TrueCamera:
-    """The view in the world that x_new = scale * rotation @ x + translation gives."""
-    turned = view.cam_from_world[:, :3] @ rotation.T
-    shifted = scale * view.cam_from_world[:, 3] - turned @ translation
-    return replace(view, cam_from_world=np.column_stack([turned, shifted]))
+def write_cameras(path: Path, rig: Rig) -> dict[str, Any]:
+    """Write intrinsics and poses as JSON; returns the intrinsics."""
+    camera = rig.camera
+    size = {"width": camera.width, "height": camera.height}
+    intrinsics = {"model": camera.model_name, **size, "params": camera.params.tolist()}
+    poses = {view.name: view.cam_from_world.tolist() for view in rig.views}
+    path.write_text(json.dumps({**intrinsics, "cam_from_world": poses}, indent=1) + "\n")
+    return intrinsics

@@ -3,45 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
-from demo_scene.bodies import Body, arc, box, prism
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
-from zoo.objects import SEGMENTS, parts
-from zoo.stage import Array, Material, Place, Random, Stage, blotches, colour, sun
+from zoo.camera import Place
+from zoo.geometry import Array, Body, Random
+from zoo.light import Stage, sun
+from zoo.materials import Material, blotches, colour
+from zoo.objects import SEGMENTS
+from zoo.solids import arc, box, cylinder, parts, prism, unite_all
 
 SKIES = ("plain", "gradient", "cloudy")
 FLOOR = 2.9  # height of a storey, metres
-
-
-@dataclass(frozen=True, kw_only=True)
-class House:
-    """The measures of a building, metres; its front is at y = 0 towards -y."""
-
-    width: float
-    depth: float
-    floors: int
-    columns: int
-    window: tuple[float, float]
-    recess: float
-    arched: bool
-    gable_in_front: bool
-    pitch: float
-    chimneys: int
-
-    @property
-    def height(self) -> float:
-        """Of the walls."""
-        return self.floors * FLOOR + 0.4
 
 
 def make(random: Random) -> Stage:
     """A building with a lawn."""
     columns = int(random.integers(3, 7))
     width = columns * random.uniform(2.0, 2.8)
-    house = House(
+    house = SimpleNamespace(  # measures in metres; its front is at y = 0 towards -y
         width=width,
         depth=random.uniform(0.5, 0.9) * width,
         floors=int(random.integers(1, 4)),
@@ -55,13 +37,13 @@ def make(random: Random) -> Stage:
     )
     sky = SKIES[random.integers(len(SKIES))]
     bodies = [*lawn(random, house), *walls(random, house), *openings(house), *roof(random, house)]
-    extent = float(np.hypot(house.width, house.height) / 2)
+    extent = float(np.hypot(house.width, top_of(house)) / 2)
     return Stage(
         bodies=bodies,
         materials=materials(random),
         light=sun(random, extent, towards_deg=(-70, 70)),
         place=Place(
-            middle=np.array([0, 0, 0.5 * house.height]),
+            middle=np.array([0, 0, 0.5 * top_of(house)]),
             extent=1.1 * extent,
             azimuth_deg=(-random.uniform(25, 55), random.uniform(25, 55)),
             elevation_deg=(2, 18),
@@ -69,6 +51,11 @@ def make(random: Random) -> Stage:
         background=heaven(random, sky),
         facts={"house": house.__dict__, "sky": sky},
     )
+
+
+def top_of(house: SimpleNamespace) -> float:
+    """Height of the walls."""
+    return house.floors * FLOOR + 0.4
 
 
 def materials(random: Random) -> dict[str, Material]:
@@ -87,7 +74,7 @@ def materials(random: Random) -> dict[str, Material]:
     }
 
 
-def lawn(random: Random, house: House) -> Iterator[Body]:
+def lawn(random: Random, house: SimpleNamespace) -> Iterator[Body]:
     """The ground with a path to the door."""
     x = house.width * random.uniform(0.9, 1.4)
     ground = box((-x, x), (-1.3 * x, house.depth + 0.5), (-0.5, 0))
@@ -95,9 +82,9 @@ def lawn(random: Random, house: House) -> Iterator[Body]:
     yield from parts("ground", ground, path, ("lawn", "path"))
 
 
-def walls(random: Random, house: House) -> Iterator[Body]:
+def walls(random: Random, house: SimpleNamespace) -> Iterator[Body]:
     """The walls with their openings, a painted base, a cornice, and a ledge on each floor."""
-    half, top = house.width / 2, house.height
+    half, top = house.width / 2, top_of(house)
     solid = box((-half, half), (0, house.depth), (-0.2, top)) - holes(house)
     below = box((-50, 50), (-50, 50), (-1, random.uniform(0.4, 0.8)))
     yield from parts("house", solid, below, ("wall", "base"))
@@ -105,14 +92,11 @@ def walls(random: Random, house: House) -> Iterator[Body]:
     levels = [top - 0.12, *(FLOOR * i + 0.15 for i in range(1, house.floors))]
     for i, z in enumerate(levels[: random.integers(1, len(levels) + 1)]):
         reach = out if i == 0 else out / 2
-        yield Body(
-            name="house",
-            material="trim",
-            solid=box((-half - reach, half + reach), (-reach, house.depth), (z, z + 0.18)),
-        )
+        ledge = box((-half - reach, half + reach), (-reach, house.depth), (z, z + 0.18))
+        yield Body("house", "trim", ledge)
 
 
-def cells(house: House) -> Iterator[tuple[float, float, bool]]:
+def cells(house: SimpleNamespace) -> Iterator[tuple[float, float, bool]]:
     """Middle and sill of each window, and whether it is the door."""
     for floor in range(house.floors):
         for column in range(house.columns):
@@ -121,7 +105,7 @@ def cells(house: House) -> Iterator[tuple[float, float, bool]]:
             yield x, 0.1 if door else FLOOR * floor + 0.95, door
 
 
-def outline(house: House, door: bool, shrink: float = 0.0) -> Array:
+def outline(house: SimpleNamespace, door: bool, shrink: float = 0.0) -> Array:
     """(N, 2) corners of a window or the door about its middle, from its sill up."""
     width, height = (1.15, 2.2) if door else house.window
     x = width / 2 - shrink
@@ -136,16 +120,15 @@ def upright(shape: Array, front: float, back: float) -> Manifold:
     return prism(shape, back - front).rotate((90, 0, 0)).translate((0, back, 0))
 
 
-def holes(house: House) -> Manifold:
+def holes(house: SimpleNamespace) -> Manifold:
     """What windows and door take from the walls."""
-    cut = [
+    return unite_all(
         upright(outline(house, door), -1, house.recess).translate((x, 0, z))
         for x, z, door in cells(house)
-    ]
-    return Manifold.batch_boolean(cut, OpType.Add)
+    )
 
 
-def openings(house: House) -> Iterator[Body]:
+def openings(house: SimpleNamespace) -> Iterator[Body]:
     """Panes, bars and sills of the windows, and the door."""
     back = house.recess
     for x, z, door in cells(house):
@@ -154,44 +137,42 @@ def openings(house: House) -> Iterator[Body]:
         frame = whole - upright(outline(house, door, 0.06), -1, 1)
         if door:
             leaf = upright(outline(house, door, 0.04), back - 0.03, back + 0.04)
-            yield Body(name="door", material="door", solid=leaf.translate((x, 0, z)))
+            yield Body("door", "door", leaf.translate((x, 0, z)))
         else:
             width, height = house.window
             bars = box((-0.03, 0.03), (back - 0.06, back), (0, height - 0.02))
             bars += box((-width / 2, width / 2), (back - 0.055, back), (0.55, 0.6))
             sill = box((-width / 2 - 0.1, width / 2 + 0.1), (-0.09, 0.05), (-0.09, -0.01))
             frame += bars ^ upright(outline(house, door, 0.02), -1, 1)
-            yield Body(name="pane", material="glass", solid=pane.translate((x, 0, z)))
-            yield Body(name="sill", material="trim", solid=sill.translate((x, 0, z)))
-        yield Body(name="frame", material="frame", solid=frame.translate((x, 0, z)))
+            yield Body("pane", "glass", pane.translate((x, 0, z)))
+            yield Body("sill", "trim", sill.translate((x, 0, z)))
+        yield Body("frame", "frame", frame.translate((x, 0, z)))
 
 
-def roof(random: Random, house: House) -> Iterator[Body]:
+def roof(random: Random, house: SimpleNamespace) -> Iterator[Body]:
     """A gable roof with chimneys."""
-    over, top = 0.35, house.height + 0.05
+    over, top = 0.35, top_of(house) + 0.05
     span = house.width if house.gable_in_front else house.depth
     length = house.depth if house.gable_in_front else house.width
     half = span / 2 + over
     ridge = half * house.pitch
-    tiles = prism(np.array([(-half, 0), (half, 0), (0, ridge)]), length + 2 * over)
-    tiles -= prism(np.array([(-half, -0.3), (half, -0.3), (0, ridge - 0.3)]), 99)
-    attic = prism(np.array([(-half, -0.2), (half, -0.2), (0, ridge - 0.2)]), length)
+    tiles = prism([(-half, 0), (half, 0), (0, ridge)], length + 2 * over)
+    tiles -= prism([(-half, -0.3), (half, -0.3), (0, ridge - 0.3)], 99)
+    attic = prism([(-half, -0.2), (half, -0.2), (0, ridge - 0.2)], length)
     attic ^= box((-span / 2, span / 2), (-0.2, 99), (-1, 99))
     for name, material, solid, front in (
         ("roof", "roof", tiles, over), ("house", "wall", attic, 0.0),
     ):  # fmt: skip
         upright = solid.rotate((90, 0, 0)).translate((0, length / 2 + front, 0))
         turned = upright if house.gable_in_front else upright.rotate((0, 0, 90))
-        yield Body(name=name, material=material, solid=turned.translate((0, house.depth / 2, top)))
+        yield Body(name, material, turned.translate((0, house.depth / 2, top)))
     for _ in range(house.chimneys):
         x = random.uniform(-0.4, 0.4) * house.width
         y = random.uniform(0.25, 0.45) * house.depth
         chimney = box((x - 0.3, x + 0.3), (y - 0.3, y + 0.3), (top, top + 1.05 * ridge + 0.6))
         if random.random() < 0.3:
-            chimney = Manifold.cylinder(
-                1.05 * ridge + 0.6, 0.3, circular_segments=SEGMENTS
-            ).translate((x, y, top))
-        yield Body(name="chimney", material="base", solid=chimney)
+            chimney = cylinder(1.05 * ridge + 0.6, 0.3, SEGMENTS).translate((x, y, top))
+        yield Body("chimney", "base", chimney)
 
 
 def heaven(random: Random, sky: str) -> Callable[[Array], Array]:

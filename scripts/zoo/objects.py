@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
-from cad_objects.solids import OBJECTS
-from demo_scene.bodies import Body, arc, box, lathe
-from manifold3d import CrossSection, Manifold, OpType
+from manifold3d import CrossSection, Manifold
 from scipy.interpolate import PchipInterpolator
 
-from zoo.stage import Array, Material, Random, colour
+from zoo import solids
+from zoo.geometry import Array, Random
+from zoo.machined import OBJECTS
+from zoo.solids import arc, ball, box, lathe, unite_all
 
 SEGMENTS = 128  # around a full turn of machined bodies
-TURNED = 96  # of smooth ones
 PROFILE = 33  # points along the profile of a smooth body
 SINK = 0.01  # depth by which a body enters the ground, so that no two faces coincide
+
+
+def bounds(solid: Manifold) -> Array:
+    """(2, 3) lowest and highest coordinates of a solid."""
+    return np.array(solid.bounding_box()).reshape(2, 3)
 
 
 def can(random: Random) -> Manifold:
@@ -23,7 +28,7 @@ def can(random: Random) -> Manifold:
     radius, height = random.uniform(0.25, 0.4), random.uniform(0.5, 1.1)
     profile = [(0, 0), (0.9 * radius, 0), (radius, 0.06), (radius, height - 0.06)]
     profile += [(0.88 * radius, height), (0.83 * radius, height), (0.83 * radius, height - 0.04)]
-    return lathe(np.array([*profile, (0, height - 0.04)]), TURNED)
+    return lathe([*profile, (0, height - 0.04)])
 
 
 def turned(heights: Array, radii: Array, wall: float = 0.0) -> Manifold:
@@ -34,7 +39,7 @@ def turned(heights: Array, radii: Array, wall: float = 0.0) -> Manifold:
     if wall:
         inner = outside[outside[:, 1] > heights[0] + 2 * wall] - (wall, 0)
         inside = [*inner[::-1], (0.0, inner[0, 1])]
-    return lathe(np.array([(0.0, heights[0]), *outside, *inside]), TURNED)
+    return lathe([(0.0, heights[0]), *outside, *inside])
 
 
 def bottle(random: Random) -> Manifold:
@@ -55,15 +60,13 @@ def cup(random: Random) -> Manifold:
     radius, height = random.uniform(0.28, 0.36), random.uniform(0.55, 0.75)
     body = turned(np.array([0, 0.05, height]), radius * np.array([0.85, 0.95, 1]), wall=0.03)
     handle = ring(0.045, 0.3 * height, 21).rotate((90, 0, 0)).translate((radius, 0, 0.52 * height))
-    return body + (handle - Manifold.cylinder(2, 0.97 * radius, circular_segments=SEGMENTS))
+    return body + (handle - solids.cylinder(2, 0.97 * radius, SEGMENTS))
 
 
 def sphere(random: Random) -> Manifold:
     """A ball."""
     radius = random.uniform(0.25, 0.5)
-    profile = arc(radius, -90, 90, PROFILE + 8)
-    profile[[0, -1], 0] = 0
-    return lathe(profile, TURNED).translate((0, 0, radius))
+    return ball(radius, PROFILE + 8).translate((0, 0, radius))
 
 
 def egg(random: Random) -> Manifold:
@@ -72,7 +75,7 @@ def egg(random: Random) -> Manifold:
     radius = np.sin(t) * (0.36 + random.uniform(-0.14, 0.14) * np.cos(t))
     profile = np.column_stack([radius, 0.5 * (1 - np.cos(t))])
     profile[[0, -1], 0] = 0
-    return lathe(profile, TURNED).scale((1, 1, random.uniform(0.7, 1.3)))
+    return lathe(profile).scale((1, 1, random.uniform(0.7, 1.3)))
 
 
 def torus(random: Random) -> Manifold:
@@ -93,7 +96,7 @@ def tube(random: Random) -> Manifold:
 def ring(thick: float, wide: float, count: int = PROFILE + 8, turn_deg: float = 360) -> Manifold:
     """A ring about the z axis of `count` points around its section, or a part of one."""
     circle = np.add(arc(thick, 0, 360, count)[:-1], (wide, 0))
-    return Manifold.revolve(CrossSection([circle]), TURNED, turn_deg)
+    return Manifold.revolve(CrossSection([circle]), solids.SEGMENTS, turn_deg)
 
 
 def block(random: Random) -> Manifold:
@@ -114,13 +117,13 @@ def polygon(random: Random) -> Manifold:
     """A prism, frustum or pyramid."""
     count = int(random.integers(3, 9))
     low, high = random.uniform(0.35, 0.5), random.choice([1.0, random.uniform(0.3, 0.9)])
-    return Manifold.cylinder(random.uniform(0.3, 1.0), low, low * high, circular_segments=count)
+    return solids.cylinder(random.uniform(0.3, 1.0), low, count, low * high)
 
 
 def cylinder(random: Random) -> Manifold:
     """A cylinder or cone."""
     low, high = random.uniform(0.25, 0.5), random.choice([1.0, random.uniform(0.4, 0.9)])
-    return Manifold.cylinder(random.uniform(0.3, 1), low, low * high, circular_segments=SEGMENTS)
+    return solids.cylinder(random.uniform(0.3, 1), low, SEGMENTS, low * high)
 
 
 def stepped(random: Random) -> Manifold:
@@ -130,14 +133,14 @@ def stepped(random: Random) -> Manifold:
     for radius, level in zip(radii[1:], levels[:-1], strict=True):
         profile += [(below, level), (radius, level)]
         below = radius * random.choice([1.0, 0.85])
-    return lathe(np.array([*profile, (below, levels[-1]), (0, levels[-1])]), SEGMENTS)
+    return lathe([*profile, (below, levels[-1]), (0, levels[-1])], SEGMENTS)
 
 
 def machined(random: Random) -> Manifold:
     """A base with bosses on it, and holes and slots in it."""
     makers = (block, rounded_block, polygon, cylinder)
     solid = makers[random.integers(len(makers))](random)
-    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    low, high = bounds(solid)
     reach = 0.55 * min(high[0], high[1])
     for _ in range(random.integers(1, 3)):
         x, y = random.uniform(-reach, reach, 2)
@@ -148,7 +151,7 @@ def machined(random: Random) -> Manifold:
     for _ in range(random.integers(1, 5)):
         x, y = random.uniform(-reach, reach, 2)
         depth = random.choice([0.1, 0.3, 2.0])
-        hole = Manifold.cylinder(3, random.uniform(0.05, 0.14), circular_segments=SEGMENTS)
+        hole = solids.cylinder(3, random.uniform(0.05, 0.14), SEGMENTS)
         if random.random() < 0.3:
             solid -= hole.rotate((90, 0, 90 * random.integers(2))).translate((x, y, 0.5 * top))
             solid -= hole.rotate((-90, 0, 90 * random.integers(2))).translate((x, y, 0.45 * top))
@@ -156,12 +159,7 @@ def machined(random: Random) -> Manifold:
             solid -= hole.translate((x, y, top - depth))
     if random.random() < 0.4:
         solid -= box((-0.07, 0.07), (-2, 2), (0.7 * top, 3)).rotate((0, 0, random.uniform(0, 180)))
-    return largest(solid)
-
-
-def largest(solid: Manifold) -> Manifold:
-    """The largest of its separate parts."""
-    return max(solid.decompose(), key=lambda part: part.volume())
+    return max(solid.decompose(), key=lambda part: part.volume())  # of its separate parts
 
 
 def made(random: Random) -> Manifold:
@@ -172,14 +170,14 @@ def made(random: Random) -> Manifold:
 
 def grounded(solid: Manifold) -> Manifold:
     """The solid moved so that it stands on z = 0 about the z axis."""
-    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    low, high = bounds(solid)
     middle = (low + high) / 2
     return solid.translate((-middle[0], -middle[1], -low[2]))
 
 
 def sized(solid: Manifold, size: float) -> Manifold:
     """The solid, grounded, with its longest side `size`."""
-    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    low, high = bounds(solid)
     return grounded(solid.scale((size / (high - low).max(),) * 3))
 
 
@@ -189,16 +187,6 @@ SMOOTH: tuple[Callable[[Random], Manifold], ...] = (
 CAD: tuple[Callable[[Random], Manifold], ...] = (
     machined, made, stepped, rounded_block, polygon, cylinder,
 )  # fmt: skip
-
-
-def parts(
-    name: str, solid: Manifold, region: Manifold | None, materials: tuple[str, str]
-) -> Iterator[Body]:
-    """A body of two materials: the second is that of its part in a region, if there is one."""
-    inside, outside = (Manifold(), solid) if region is None else solid.split(region)
-    for material, part in zip(materials, (outside, inside), strict=True):
-        if not part.is_empty():
-            yield Body(name=name, material=material, solid=part)
 
 
 def bands(random: Random, solid: Manifold) -> Manifold:
@@ -213,17 +201,17 @@ def bands(random: Random, solid: Manifold) -> Manifold:
         slab.translate((0, 0, -z)).rotate((slant, 0, 0)).translate((0, 0, z))
         for slab, z in zip(slabs, levels, strict=True)
     ]
-    return Manifold.batch_boolean(turned_about, OpType.Add).rotate((0, 0, random.uniform(0, 360)))
+    return unite_all(turned_about).rotate((0, 0, random.uniform(0, 360)))
 
 
 def label(random: Random, solid: Manifold) -> Manifold:
     """A region that prints a rectangle or disc on one side of a solid, or on its top."""
-    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    low, high = bounds(solid)
     height = high[2] - low[2]
     width = 0.5 * min(high[0] - low[0], height)
     shape = box((-width / 2, width / 2), (0, 5), (-width / 3, width / 3))
     if random.random() < 0.4:
-        shape = Manifold.cylinder(5, width / 2.5, circular_segments=96).rotate((-90, 0, 0))
+        shape = solids.cylinder(5, width / 2.5).rotate((-90, 0, 0))
     side = float(90 * random.integers(4))
     return shape.translate((0, 0, low[2] + random.uniform(0.4, 0.65) * height)).rotate((0, 0, side))
 
@@ -247,26 +235,11 @@ def scattered(random: Random, radii: list[float], gap: float) -> list[tuple[floa
 
 def ground_radius(solid: Manifold) -> float:
     """Radius of the circle about the z axis that a solid needs."""
-    bounds = np.array(solid.bounding_box()).reshape(2, 3)
-    return float(np.abs(bounds[:, :2]).max() * 1.15)
-
-
-def paints(random: Random, glossy: bool, textured: bool) -> dict[str, Material]:
-    """Two materials that differ clearly."""
-    gloss = random.uniform(0.1, 0.4) if glossy else 0.0
-    shininess = 10 ** random.uniform(1.3, 2.6)
-    first, second = colour(random, (0.45, 0.8)), colour(random, (0.08, 0.3))
-    if random.random() < 0.5:
-        first, second = second, first
-    contrast = random.uniform(0.15, 0.35) if textured else 0.0
-    size = random.uniform(0.15, 0.4)
-    common = {"gloss": gloss, "shininess": shininess, "contrast": contrast, "size": size}
-    return {"main": Material(albedo=first, **common), "mark": Material(albedo=second, **common)}
+    return float(np.abs(bounds(solid)[:, :2]).max() * 1.15)
 
 
 def plate(radius: float, round_one: bool) -> Manifold:
     """A ground of some thickness, from z = 0 down."""
     if round_one:
-        disc = Manifold.cylinder(0.1, radius, circular_segments=SEGMENTS)
-        return disc.translate((0, 0, -0.1))
+        return solids.cylinder(0.1, radius, SEGMENTS).translate((0, 0, -0.1))
     return box((-radius, radius), (-radius, radius), (-0.1, 0))

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
-from demo_scene.cameras import TrueCamera
 from scipy.spatial.transform import Rotation
 
-from zoo.camera import Grid
-from zoo.render import Lit, painted, unit
-from zoo.stage import Array, Random
+from zoo.camera import Grid, Rig, View
+from zoo.geometry import Array, Random, unit
+from zoo.light import LampLit
+from zoo.materials import painted
 from zoo.truth import TrueCurves, seen_by
 
 MIN_TRACK = 3
@@ -36,53 +36,46 @@ class Tracks:
 
 
 def find_tracks(
-    random: Random,
-    lit: Lit,
-    curves: TrueCurves,
-    cameras: list[TrueCamera],
-    camera: pycolmap.Camera,
-    count: int,
-    noise_px: float,
+    random: Random, lit: LampLit, curves: TrueCurves, rig: Rig, count: int, noise_px: float
 ) -> Tracks:
     """At most `count` points on textures and at corners with observations at least in 3 views."""
-    grid = Grid.of(camera)
-    places, normals, colours = candidates(random, lit, cameras, grid, 4 * count)
+    places, normals, colours = candidates(random, lit, rig, 4 * count)
     corners = corner_points(curves)
     places = np.concatenate([places, corners])
     normals = np.concatenate([normals, np.zeros_like(corners)])  # seen from anywhere
     colours = np.concatenate([colours, np.full(corners.shape, 0.5)])
-    matched = match(random, lit, places, normals, cameras, camera)
+    matched = match(random, lit, places, normals, rig)
     kept = np.flatnonzero(matched.sum(axis=1) >= MIN_TRACK)
     kept = np.sort(random.choice(kept, min(count, len(kept)), replace=False))
     point, view = np.nonzero(matched[kept])
-    exact = project(places[kept][point], view, cameras, camera)
+    exact = project(places[kept][point], view, rig)
     pixels = exact + random.normal(0, noise_px, exact.shape)
     wrong = random.random(len(pixels)) < WRONG
     pixels[wrong] += random.uniform(-MAX_ERROR, MAX_ERROR, (int(wrong.sum()), 2)) / np.sqrt(2)
-    inside = np.clip(pixels, 0.5, np.array([camera.width, camera.height]) - 0.5)
+    inside = np.clip(pixels, 0.5, np.array([rig.camera.width, rig.camera.height]) - 0.5)
     shown = np.rint(255 * np.clip(colours[kept], 0, 1) ** (1 / 2.2)).astype(np.uint8)
     return Tracks(points=places[kept], colours=shown, point=point, view=view, pixels=inside)
 
 
-def candidates(
-    random: Random, lit: Lit, cameras: list[TrueCamera], grid: Grid, count: int
-) -> tuple[Array, Array, Array]:
+def candidates(random: Random, lit: LampLit, rig: Rig, count: int) -> tuple[Array, Array, Array]:
     """Places (N, 3) on textures that random pixels of all views show, normals and colours."""
     found: list[tuple[Array, Array, Array]] = []
     stage = lit.stage
     materials = [stage.materials[body.material] for body in stage.bodies]
     textured = np.array([material.contrast >= TEXTURED for material in materials])
-    for view in cameras:
-        at = grid.centers[random.integers(len(grid.centers), size=count // len(cameras) + 1)]
-        rays = np.column_stack([at, np.ones(len(at))]) @ view.cam_from_world[:, :3]
+    face_body = lit.caster.surface.face_body
+    centers = Grid.of(rig.camera).centers
+    for view in rig.views:
+        at = centers[random.integers(len(centers), size=count // len(rig.views) + 1)]
+        rays = view.rays(at)
         faces, distance = lit.caster.hits(view.centre(), rays)
-        hit = np.flatnonzero((faces >= 0) & textured[lit.surface.face_body[faces]])
+        hit = np.flatnonzero((faces >= 0) & textured[face_body[faces]])
         places = view.centre() + distance[hit, None] * rays[hit]
-        body = lit.surface.face_body[faces[hit]]
+        body = face_body[faces[hit]]
         colours = np.zeros(places.shape)
         for i in np.unique(body):
             own = body == i
-            colours[own] = painted(materials[i], places[own], np.zeros(own.sum()), int(i))
+            colours[own] = painted(materials[i], places[own], int(i), np.zeros(own.sum()))
         found.append((places, lit.caster.normals[faces[hit]], colours))
     places, normals, colours = (np.concatenate(x) for x in zip(*found, strict=True))
     return places, normals, colours
@@ -95,17 +88,10 @@ def corner_points(curves: TrueCurves) -> Array:
     return curves.points[np.unique(pairs[times == 1, 0])]
 
 
-def match(
-    random: Random,
-    lit: Lit,
-    places: Array,
-    normals: Array,
-    cameras: list[TrueCamera],
-    camera: pycolmap.Camera,
-) -> np.ndarray:
+def match(random: Random, lit: LampLit, places: Array, normals: Array, rig: Rig) -> np.ndarray:
     """(N, V) which views observe which points: near one of the views that see it, most of them."""
-    seen = seen_by(lit.caster, places, cameras, camera)
-    ways = unit((np.array([view.centre() for view in cameras]) - places[:, None]).reshape(-1, 3))
+    seen = seen_by(lit.caster, places, rig)
+    ways = unit((np.array([view.centre() for view in rig.views]) - places[:, None]).reshape(-1, 3))
     ways = ways.reshape(*seen.shape, 3)
     cosine = np.einsum("ijk,ik->ij", ways, normals)
     seen &= (cosine > MIN_FACING) | ~normals.any(axis=1)[:, None]
@@ -114,28 +100,26 @@ def match(
     return seen & near & (random.random(seen.shape) < MATCHED)
 
 
-def project(
-    points: Array, view: np.ndarray, cameras: list[TrueCamera], camera: pycolmap.Camera
-) -> Array:
+def project(points: Array, view: np.ndarray, rig: Rig) -> Array:
     """(N, 2) pixels of points (N, 3) in their views (N,)."""
-    poses = np.array([view.cam_from_world for view in cameras])[view]
+    poses = np.array([each.cam_from_world for each in rig.views])[view]
     local = np.einsum("ijk,ik->ij", poses[..., :3], points) + poses[..., 3]
-    return np.asarray(camera.img_from_cam(local)).reshape(-1, 2)
+    return np.asarray(rig.camera.img_from_cam(local)).reshape(-1, 2)
 
 
-def disturb(random: Random, view: TrueCamera, error: float, distance: float) -> TrueCamera:
+def disturb(random: Random, view: View, error: float, distance: float) -> View:
     """A view whose pose is off so that points at a distance move by `error` (in focal lengths)."""
     turn = Rotation.from_rotvec(random.normal(0, error / 2, 3)).as_matrix()
     shift = random.normal(0, error * distance / 2, 3)
     pose = turn @ view.cam_from_world
     pose[:, 3] += shift
-    return TrueCamera(name=view.name, cam_from_world=pose)
+    return View(name=view.name, cam_from_world=pose)
 
 
-def triangulated(tracks: Tracks, cameras: list[TrueCamera], camera: pycolmap.Camera) -> Array:
+def triangulated(tracks: Tracks, rig: Rig) -> Array:
     """(N, 3) points that fit their observations best in the given views, by Gauss and Newton."""
-    at = np.asarray(camera.cam_from_img(tracks.pixels)).reshape(-1, 2)
-    poses = np.array([view.cam_from_world for view in cameras])[tracks.view]
+    at = np.asarray(rig.camera.cam_from_img(tracks.pixels)).reshape(-1, 2)
+    poses = np.array([view.cam_from_world for view in rig.views])[tracks.view]
     points = tracks.points.copy()
     for _ in range(ITERATIONS):
         local = np.einsum("ijk,ik->ij", poses[..., :3], points[tracks.point]) + poses[..., 3]
@@ -150,20 +134,25 @@ def triangulated(tracks: Tracks, cameras: list[TrueCamera], camera: pycolmap.Cam
     return points
 
 
-def write_model(
-    tracks: Tracks, points: Array, cameras: list[TrueCamera], camera: pycolmap.Camera
-) -> pycolmap.Reconstruction:
-    """The COLMAP model of views and points."""
+def posed_model(rig: Rig, keypoints: list[Array] | None = None) -> pycolmap.Reconstruction:
+    """The COLMAP model of views without points, with (N, 2) keypoints in each."""
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(camera)
-    order = np.argsort(tracks.view, kind="stable")
-    place_in_view = np.empty(len(order), int)
-    starts = np.searchsorted(tracks.view[order], np.arange(len(cameras) + 1))
-    place_in_view[order] = np.arange(len(order)) - starts[tracks.view[order]]
-    for v, view in enumerate(cameras):
-        own = tracks.pixels[order[starts[v] : starts[v + 1]]]
+    model.add_camera_with_trivial_rig(rig.camera)
+    for v, view in enumerate(rig.views):
+        own = keypoints[v] if keypoints else np.empty((0, 2))
         image = pycolmap.Image(name=view.name, keypoints=own, camera_id=1, image_id=v + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(view.cam_from_world))
+    return model
+
+
+def model_of(tracks: Tracks, points: Array, rig: Rig) -> pycolmap.Reconstruction:
+    """The COLMAP model of views and points."""
+    order = np.argsort(tracks.view, kind="stable")
+    starts = np.searchsorted(tracks.view[order], np.arange(len(rig.views) + 1))
+    place_in_view = np.empty(len(order), int)
+    place_in_view[order] = np.arange(len(order)) - starts[tracks.view[order]]
+    keypoints = np.split(tracks.pixels[order], starts[1:-1])
+    model = posed_model(rig, keypoints)
     bounds = np.searchsorted(tracks.point, np.arange(len(points) + 1))
     for i, point in enumerate(points):
         track = pycolmap.Track()

@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
-from demo_scene.bodies import Body, box, prism
-from manifold3d import Manifold
-from rooms import furniture
-from rooms.plans import around, body
 
-from zoo.objects import SEGMENTS
-from zoo.stage import Light, Material, Place, Random, Stage, colour, plain
+from zoo import solids
+from zoo.camera import Place
+from zoo.geometry import Body, Random
+from zoo.light import Light, Stage, plain
+from zoo.materials import Material, colour
+from zoo.plans import around
+from zoo.solids import body, box, cylinder, prism
 
 THICK = 0.3  # of walls, metres
-SPOTS = 60  # where cameras may stand
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """The measures of a room from (0, 0, 0) to (width, depth, height), metres."""
-
-    width: float
-    depth: float
-    height: float
-    slope: bool
-    window: bool
-    door: bool
-    pictures: int
-    rug: bool
 
 
 def make(random: Random) -> Stage:
     """A room with furniture along its walls and in its middle."""
-    plan = Plan(
+    plan = SimpleNamespace(  # measures in metres, from (0, 0, 0)
         width=random.uniform(4, 6),
         depth=random.uniform(3.6, 5),
         height=random.uniform(2.4, 2.9),
@@ -47,7 +33,7 @@ def make(random: Random) -> Stage:
     bodies = [*shell(plan), *along_walls(random, plan), *in_the_middle(random, plan)]
     middle = (plan.width / 2, plan.depth / 2, 1.45)
     radii = (0.32 * plan.width, 0.26 * plan.depth)
-    spots = around(middle, radii, 0.5 * plan.width, SPOTS)
+    spots = around(middle, radii, 0.5 * plan.width, 60)
     share = random.uniform(0.4, 0.7)
     lamp = np.array([middle[0], middle[1], plan.height - 0.15])
     if plan.window and random.random() < 0.5:
@@ -90,7 +76,7 @@ def materials(random: Random) -> dict[str, Material]:
     }
 
 
-def shell(plan: Plan) -> Iterator[Body]:
+def shell(plan: SimpleNamespace) -> Iterator[Body]:
     """Walls, floor, ceiling, window and door."""
     w, d, h, t = plan.width, plan.depth, plan.height, THICK
     outside = ((-t, w + t), (-t, d + t))
@@ -102,12 +88,10 @@ def shell(plan: Plan) -> Iterator[Body]:
         for low in (x[0] + 0.06, w / 2 + 0.03):
             bars -= box((low, low + 0.71), (d, d + t), (1.01, 1.99))
         yield body("window", "white", bars)
-        yield body(
-            "pane", "glow", box((x[0] - 0.05, x[1] + 0.05), (d + 0.12, d + 0.21), (0.9, 2.1))
-        )
-        yield body(
-            "sill", "white", box((x[0] - 0.1, x[1] + 0.1), (d - 0.12, d + 0.12), (0.91, 0.95))
-        )
+        pane = box((x[0] - 0.05, x[1] + 0.05), (d + 0.12, d + 0.21), (0.9, 2.1))
+        yield body("pane", "glow", pane)
+        sill = box((x[0] - 0.1, x[1] + 0.1), (d - 0.12, d + 0.12), (0.91, 0.95))
+        yield body("sill", "white", sill)
     if plan.door:
         walls -= box((-0.12, 0.5), (0.6, 1.5), (-1, 2.02))
         yield body("door", "door", box((-0.2, -0.08), (0.55, 1.55), (-0.05, 2.07)))
@@ -121,34 +105,34 @@ def shell(plan: Plan) -> Iterator[Body]:
         yield body("slope", "ceiling", wedge.mirror((1, 0, 0)).translate((w, 0, 0)))
 
 
-def along_walls(random: Random, plan: Plan) -> Iterator[Body]:
+def along_walls(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
     """Shelves, a sofa, a cupboard, a radiator and pictures on the walls."""
     w, d = plan.width, plan.depth
     height = random.uniform(0.8, 1.9)
     x, width = random.uniform(0.8, 0.25 * w), random.uniform(0.7, 1.1)
-    yield body("shelf", "white", furniture.shelf(width, 0.3, height, 4), (x, d + 0.01, 0))
+    yield body("shelf", "white", solids.shelf(width, 0.3, height, 4), (x, d + 0.01, 0))
     if random.random() < 0.6:
         z = 0.08 + 0.03 - 0.01
         yield body("books", "books", box((x - 0.25, x + 0.1), (d - 0.22, d - 0.02), (z, z + 0.17)))
     if random.random() < 0.7:
         place = (random.uniform(0.4, 0.6) * w, 0.46, 0)
-        yield body("sofa", "fabric", furniture.sofa(random.uniform(1.3, 1.8)), place, 180)
+        yield body("sofa", "fabric", solids.sofa(random.uniform(1.3, 1.8)), place, 180)
     if random.random() < 0.7 and not plan.slope:
         y = random.uniform(0.3, 0.5) * d
         shape = box((-0.45, 0.02), (-0.5, 0.5), (-0.02, random.uniform(0.7, 1.3)))
         yield body("cupboard", "door", shape, (w, y, 0))
         yield body("knob", "metal", box((-0.48, -0.44), (-0.1, -0.06), (0.5, 0.54)), (w, y, 0))
     if plan.window:
-        yield body("radiator", "white", furniture.radiator(1.3), (w / 2, d - 0.02, 0))
+        yield body("radiator", "white", solids.radiator(1.3), (w / 2, d - 0.02, 0))
     walls = [(0.3 * w, 0.0, 180), (0.7 * w, 0.0, 180), (0.0, 0.65 * d, 90)]
     for x, y, turn in walls[: plan.pictures]:
         size = random.uniform(0.5, 0.9, 2)
         place = (x, y, random.uniform(1.45, 1.6))
-        yield body("frame", "dark", furniture.picture_frame(*size), place, turn)
-        yield body("picture", "picture", furniture.canvas(*size), place, turn)
+        yield body("frame", "dark", solids.picture_frame(*size), place, turn)
+        yield body("picture", "picture", solids.canvas(*size), place, turn)
 
 
-def in_the_middle(random: Random, plan: Plan) -> Iterator[Body]:
+def in_the_middle(random: Random, plan: SimpleNamespace) -> Iterator[Body]:
     """A table with chairs, a rug, a crate, and a lamp above."""
     x, y = plan.width * random.uniform(0.45, 0.6), plan.depth * random.uniform(0.5, 0.6)
     turn = random.uniform(0, 360)
@@ -156,9 +140,9 @@ def in_the_middle(random: Random, plan: Plan) -> Iterator[Body]:
         rug = box((-1.0, 1.0), (-0.8, 0.8), (-0.01, 0.012))
         yield body("rug", "rug", rug, (x, y, 0), random.uniform(-20, 20))
     if random.random() < 0.6:
-        table, seat = furniture.table(1.2, 0.75, 0.74), furniture.chair()
+        table, seat = solids.table(1.2, 0.75, 0.74), solids.chair()
     else:
-        table, seat = furniture.round_table(0.5, 0.72), furniture.stool()
+        table, seat = solids.round_table(0.5, 0.72), solids.stool()
     yield body("table", "wood", table, (x, y, 0), turn)
     for side in (0, 90, 180, 270)[: random.integers(1, 5)]:
         away = (0.62 if side % 180 == 0 else 0.85) + random.uniform(0, 0.12)
@@ -166,10 +150,10 @@ def in_the_middle(random: Random, plan: Plan) -> Iterator[Body]:
         place = (x + away * np.cos(around_it), y + away * np.sin(around_it), 0)
         yield body("seat", "dark", seat, place, turn + side)
     if random.random() < 0.6:
-        bowl = Manifold.cylinder(0.15, 0.08, 0.16, circular_segments=SEGMENTS)
+        bowl = cylinder(0.15, 0.08, 128, 0.16)
         yield body("bowl", "metal", bowl, (x, y, 0.71))
     if random.random() < 0.5:
-        shade = furniture.pendant(0.2, 0.2, plan.height - 2.1)
+        shade = solids.pendant(0.2, 0.2, plan.height - 2.1)
         yield body("lamp", "white", shade, (x + 0.5, y, plan.height))
     crate = box((-0.2, 0.2), (-0.15, 0.15), (-0.02, 0.3))
     yield body("crate", "wood", crate, (plan.width - 0.5, 0.45, 0), random.uniform(0, 90))

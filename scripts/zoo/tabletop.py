@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from demo_scene.bodies import Body, box
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
 from zoo import objects
-from zoo.stage import Material, Place, Random, Stage, colour, plain, sun
+from zoo.camera import Place
+from zoo.geometry import Body, Random
+from zoo.light import Stage, plain, sun
+from zoo.materials import Material, colour, paints
+from zoo.solids import box, parts, unite_all
 
 Maker = Callable[[Random], Manifold]
+Thing = tuple[Manifold, dict[str, Any]]  # a solid that stands about the origin, and its paint
 MARKS = {"bands": objects.bands, "label": objects.label}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Thing:
-    """A solid that stands about the origin, and how it is painted."""
-
-    shape: str
-    solid: Manifold
-    mark: str | None
-    glossy: bool
-    textured: bool
 
 
 def smooth(random: Random) -> Stage:
@@ -49,18 +43,18 @@ def draw_thing(random: Random, make: Maker, marks: tuple[str, ...], textured: fl
     solid = make(random)
     if make in objects.CAD:
         solid = objects.sized(solid, random.uniform(0.5, 1.0))
-    return Thing(
-        shape=make.__name__,
-        solid=objects.grounded(solid),
-        mark=str(random.choice(marks)) if random.random() < 0.5 else None,
-        glossy=bool(random.random() < 0.4),
-        textured=bool(random.random() < textured),
-    )
+    look = {
+        "shape": make.__name__,
+        "mark": str(random.choice(marks)) if random.random() < 0.5 else None,
+        "glossy": bool(random.random() < 0.4),
+        "textured": bool(random.random() < textured),
+    }
+    return objects.grounded(solid), look
 
 
 def set_table(random: Random, things: list[Thing], ground_textured: bool, tiled: bool) -> Stage:
     """The stage with things on a plate."""
-    radii = [objects.ground_radius(thing.solid) for thing in things]
+    radii = [objects.ground_radius(solid) for solid, _ in things]
     spots = objects.scattered(random, radii, 0.08)
     reach = max(np.hypot(x, y) + radius for (x, y), radius in zip(spots, radii, strict=True))
     ground = Material(
@@ -70,17 +64,17 @@ def set_table(random: Random, things: list[Thing], ground_textured: bool, tiled:
     )
     materials = {"ground": ground, "grid": replace(ground, albedo=colour(random, (0.1, 0.25)))}
     plate = objects.plate(reach * random.uniform(1.1, 1.6), bool(random.random() < 0.5))
-    bodies = [Body(name="ground", material="ground", solid=plate)]
+    bodies = [Body("ground", "ground", plate)]
     if tiled:
-        bodies = list(objects.parts("ground", plate, grid(random, reach), ("ground", "grid")))
-    for i, (thing, (x, y)) in enumerate(zip(things, spots, strict=True)):
-        paints = objects.paints(random, thing.glossy, thing.textured)
-        materials |= {f"{key}{i}": paint for key, paint in paints.items()}
-        stood = thing.solid.rotate((0, 0, random.uniform(0, 360))).translate((x, y, -objects.SINK))
-        name, mark = f"{thing.shape}{i}", MARKS.get(thing.mark or "")
+        bodies = list(parts("ground", plate, grid(random, reach), ("ground", "grid")))
+    for i, ((solid, look), (x, y)) in enumerate(zip(things, spots, strict=True)):
+        looks = paints(random, look["glossy"], look["textured"])
+        materials |= {f"{key}{i}": paint for key, paint in looks.items()}
+        stood = solid.rotate((0, 0, random.uniform(0, 360))).translate((x, y, -objects.SINK))
+        name, mark = f"{look['shape']}{i}", MARKS.get(look["mark"])
         region = mark(random, stood.translate((-x, -y, 0))).translate((x, y, 0)) if mark else None
-        bodies += objects.parts(name, stood, region, (f"main{i}", f"mark{i}"))
-    height = max(thing.solid.bounding_box()[5] for thing in things)
+        bodies += parts(name, stood, region, (f"main{i}", f"mark{i}"))
+    height = max(solid.bounding_box()[5] for solid, _ in things)
     extent = float(np.hypot(reach, height / 2))
     return Stage(
         bodies=bodies,
@@ -89,10 +83,7 @@ def set_table(random: Random, things: list[Thing], ground_textured: bool, tiled:
         place=Place(middle=np.array([0, 0, 0.4 * height]), extent=extent, elevation_deg=(12, 50)),
         background=plain(tuple(np.full(3, random.uniform(0.05, 0.9)))),
         facts={
-            "things": [
-                {key: value for key, value in thing.__dict__.items() if key != "solid"}
-                for thing in things
-            ],
+            "things": [look for _, look in things],
             "ground_textured": ground_textured,
             "tiled": tiled,
         },
@@ -105,4 +96,4 @@ def grid(random: Random, reach: float) -> Manifold:
     half, far = 0.012 * reach, 4 * reach
     bars = [box((-far, far), (y - half, y + half), (-0.03, 1)) for y in lines]
     bars += [box((x - half, x + half), (-far, far), (-0.03, 1)) for x in lines]
-    return Manifold.batch_boolean(bars, OpType.Add)
+    return unite_all(bars)

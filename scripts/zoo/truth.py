@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
-from cad_objects.true_curves import curves_by_kind
-from demo_scene.bodies import Body
-from demo_scene.cameras import TrueCamera
-from demo_scene.geometry import KINDS, Surface, chain_edges, sharp_edges, subdivide
 from scipy.ndimage import map_coordinates
 
-from zoo.render import Caster
-from zoo.stage import Array
+from zoo.camera import Rig, View
+from zoo.casting import Caster
+from zoo.curves import chain_edges, curves_by_kind, subdivide
+from zoo.geometry import KINDS, Array, Body, Surface, sharp_edges, write_surface
 
 HIDDEN = 1e-3  # relative: what is hit nearer than that before a point hides it
 MIN_VIEWS = 2
@@ -23,82 +23,70 @@ ASIDE_PX = 2.5  # from a segment to its sides, in the image
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrueCurves:
-    """Segments of curves that some views see.
+class Curves:
+    """Segments of the curves of a surface."""
 
-    Attributes:
-        points: (P, 3).
-        edges: (E, 2) int32 segments between points.
-        curve_id: (E,) curve of each segment: smooth, between corners.
-        kind: (E,) index into `KINDS`: crease, contact of bodies, border of paint.
-        curves: (E,) curve of each, cut where lines and bent curves meet.
-        kinds: (C,) kind of each of these: line, arc, circle, elliptic arc, ellipse, other.
-        radii: (C, 2); NaN where none.
-        visible: (E, V) whether each view sees the middle of the segment: nothing hides it, and
-            its sides differ in the image.
-    """
+    points: Array  # (P, 3)
+    edges: np.ndarray  # (E, 2) int32 segments between points
+    curve_id: np.ndarray  # (E,) curve of each segment: smooth, between corners
+    kind: np.ndarray  # (E,) uint8 index into `KINDS`: crease, contact of bodies, border of paint
 
-    points: Array
-    edges: np.ndarray
-    curve_id: np.ndarray
-    kind: np.ndarray
-    curves: np.ndarray
-    kinds: np.ndarray
-    radii: Array
+
+@dataclass(frozen=True, kw_only=True)
+class TrueCurves(Curves):
+    """Segments of curves that some views see."""
+
+    curves: np.ndarray  # (E,) curve of each, cut where lines and bent curves meet
+    kinds: np.ndarray  # (C,) kind of each of these: line, arc, circle, elliptic arc, ellipse, other
+    radii: Array  # (C, 2); NaN where none
+    # (E, V) whether each view sees the middle of the segment: nothing hides it, and its sides
+    # differ in the image.
     visible: np.ndarray
 
+    def seen(self, visible: np.ndarray) -> TrueCurves:
+        """The segments that at least two views see, given what each view sees (E, V)."""
+        kept = visible.sum(axis=1) >= MIN_VIEWS
+        used, local = np.unique(self.edges[kept], return_inverse=True)
+        return replace(
+            self,
+            points=self.points[used],
+            edges=local.reshape(-1, 2).astype(np.int32),
+            curve_id=self.curve_id[kept],
+            kind=self.kind[kept],
+            curves=self.curves[kept],
+            visible=visible[kept],
+        )
 
-def find_curves(
-    surface: Surface,
-    bodies: list[Body],
-    cameras: list[TrueCamera],
-    camera: pycolmap.Camera,
-    spacing: float,
-) -> TrueCurves:
-    """The curves that at least two views see, in segments of at most `spacing`."""
+
+def cut_curves(
+    surface: Surface, bodies: list[Body], spacing: float
+) -> tuple[Curves, np.ndarray, np.ndarray]:
+    """All curves in segments of at most `spacing`; (M, 2) edges of the mesh; (E,) whose part."""
     edges, kind = sharp_edges(surface, bodies)
-    vertices = surface.vertices
-    curves, kinds, radii = curves_by_kind(vertices, edges)
-    curve_id = chain_edges(vertices, edges, kind)
-    cut = subdivide(vertices, edges, np.arange(len(edges), dtype=np.int32), kind, spacing)
-    whole = cut.curve_id  # the edge of the mesh that each segment is part of
-    visible = seen_by(Caster(surface), cut.points[cut.edges].mean(axis=1), cameras, camera)
-    kept = visible.sum(axis=1) >= MIN_VIEWS
-    used, local = np.unique(cut.edges[kept], return_inverse=True)
-    return TrueCurves(
-        points=cut.points[used],
-        edges=local.reshape(-1, 2).astype(np.int32),
-        curve_id=curve_id[whole[kept]],
-        kind=cut.kind[kept].astype(np.uint8),
-        curves=curves[whole[kept]].astype(np.int32),
-        kinds=kinds,
-        radii=radii,
-        visible=visible[kept],
-    )
+    points, segments, own = subdivide(surface.vertices, edges, spacing)
+    curve_id = chain_edges(surface.vertices, edges, kind)[own]
+    return Curves(points=points, edges=segments, curve_id=curve_id, kind=kind[own]), edges, own
+
+
+def find_curves(surface: Surface, bodies: list[Body], rig: Rig, spacing: float) -> TrueCurves:
+    """The curves that at least two views see, in segments of at most `spacing`."""
+    every, edges, own = cut_curves(surface, bodies, spacing)
+    curves, kinds, radii = curves_by_kind(surface.vertices, edges)
+    visible = seen_by(Caster(surface), every.points[every.edges].mean(axis=1), rig)
+    by_kind = {"curves": curves[own].astype(np.int32), "kinds": kinds, "radii": radii}
+    return TrueCurves(**every.__dict__, **by_kind, visible=visible).seen(visible)
 
 
 def shown(curves: TrueCurves, contrasts: Array, noise: float) -> TrueCurves:
     """The curves that at least two views show: (E, V) contrasts exceed the noise there."""
-    visible = curves.visible & (contrasts > max(MIN_CONTRAST, NOISES * noise))
-    kept = visible.sum(axis=1) >= MIN_VIEWS
-    used, local = np.unique(curves.edges[kept], return_inverse=True)
-    return TrueCurves(
-        points=curves.points[used],
-        edges=local.reshape(-1, 2).astype(np.int32),
-        curve_id=curves.curve_id[kept],
-        kind=curves.kind[kept],
-        curves=curves.curves[kept],
-        kinds=curves.kinds,
-        radii=curves.radii,
-        visible=visible[kept],
-    )
+    return curves.seen(curves.visible & (contrasts > max(MIN_CONTRAST, NOISES * noise)))
 
 
 def contrasts_in(
-    image: np.ndarray, curves: TrueCurves, view: TrueCamera, camera: pycolmap.Camera
+    image: np.ndarray, curves: TrueCurves, view: View, camera: pycolmap.Camera
 ) -> Array:
     """(E,) largest difference of a channel of an image (H, W, 3) between the sides of segments."""
-    ends = curves.points[curves.edges] @ view.cam_from_world[:, :3].T + view.cam_from_world[:, 3]
+    ends = view.local(curves.points[curves.edges])
     depths = np.where(ends[..., 2:] > 0, ends[..., 2:], np.inf)
     pixels = np.asarray(camera.img_from_cam((ends / depths).reshape(-1, 3))).reshape(-1, 2, 2)
     along = pixels[:, 1] - pixels[:, 0]
@@ -115,16 +103,12 @@ def contrasts_in(
     return np.abs(np.array(one) - other).max(axis=0).astype(np.float64)
 
 
-def seen_by(
-    caster: Caster, points: Array, cameras: list[TrueCamera], camera: pycolmap.Camera
-) -> np.ndarray:
+def seen_by(caster: Caster, points: Array, rig: Rig) -> np.ndarray:
     """(N, V) whether each view shows points (N, 3) of a surface."""
-    seen = np.zeros((len(points), len(cameras)), bool)
-    for v, view in enumerate(cameras):
-        local = points @ view.cam_from_world[:, :3].T + view.cam_from_world[:, 3]
-        inside = np.flatnonzero(in_image(camera, local))
-        rays = points[inside] - view.centre()
-        _, distance = caster.hits(view.centre(), rays)
+    seen = np.zeros((len(points), len(rig.views)), bool)
+    for v, view in enumerate(rig.views):
+        inside = np.flatnonzero(in_image(rig.camera, view.local(points)))
+        _, distance = caster.hits(view.centre(), points[inside] - view.centre())
         seen[inside, v] = distance > 1 - HIDDEN
     return seen
 
@@ -141,12 +125,15 @@ def in_image(camera: pycolmap.Camera, local: Array) -> np.ndarray:
     return front & (pixels > 1).all(axis=1) & (pixels < (width - 1, height - 1)).all(axis=1)
 
 
-def as_arrays(curves: TrueCurves, surface: Surface, bodies: list[Body]) -> dict[str, np.ndarray]:
-    """The content of curves.npz."""
-    return {
-        **curves.__dict__,
+def write_truth(
+    folder: Path, surface: Surface, bodies: list[Body], curves: Curves, **more: Any
+) -> None:
+    """Write surface.ply, and curves.npz with the bodies of the faces and `more`."""
+    write_surface(folder / "surface.ply", surface)
+    of_surface = {
         "kind_names": np.array(KINDS),
-        "face_body": surface.face_body.astype(np.int32),
+        "face_body": surface.face_body,
         "body_names": np.array([body.name for body in bodies]),
         "body_materials": np.array([body.material for body in bodies]),
     }
+    np.savez_compressed(folder / "curves.npz", **{**curves.__dict__, **of_surface, **more})

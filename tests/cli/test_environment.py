@@ -73,7 +73,7 @@ def test_variables_that_opencv_cannot_read_are_named(monkeypatch, tmp_path, name
 
 
 def test_libraries_that_do_not_load_are_one_line(monkeypatch):
-    monkeypatch.setattr(imports, "HEEDED", [])
+    monkeypatch.setattr(imports, "HANDLED", [])
     text = r"cannot load the libraries \(no such thing\)"
     with pytest.raises(ColmapEdgesError, match=text), importing():
         raise ImportError("no such\nthing")

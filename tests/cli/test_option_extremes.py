@@ -31,7 +31,7 @@ PAPER = {"matching", "correspondence", "following", "visibility", "sampling"}
 def options():
     """Every option, as (field of PipelineOptions or nothing, its own field)."""
     for entry in fields(PipelineOptions):
-        if entry.metadata:
+        if is_option(entry):
             yield "", entry
         else:
             own = fields(entry.default_factory)

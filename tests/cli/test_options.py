@@ -20,7 +20,7 @@ from colmap_edges.options import (
 
 GROUPS = [
     PipelineOptions,
-    *(entry.default_factory for entry in fields(PipelineOptions) if not entry.metadata),
+    *(entry.default_factory for entry in fields(PipelineOptions) if not is_option(entry)),
 ]
 NUMBERS = [
     pytest.param(group, entry, id=f"{group.__name__}.{entry.name}")

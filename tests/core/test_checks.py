@@ -199,6 +199,7 @@ def test_wrong_arrays_are_refused_or_make_no_difference(
 
 
 def test_errors_name_the_array_and_its_fault(scene_edges):
+    num_offsets = len(scene_edges.edge_offsets)
     cases = {
         "edges.points has the shape": replace(scene_edges, points=scene_edges.points[:, :2]),
         "edges.points has the dtype float32": replace(
@@ -208,6 +209,9 @@ def test_errors_name_the_array_and_its_fault(scene_edges):
         "edges.sigmas has the shape": replace(scene_edges, sigmas=scene_edges.sigmas[1:]),
         "edges.edge_offsets must rise": replace(
             scene_edges, edge_offsets=scene_edges.edge_offsets[::-1]
+        ),
+        "edges.edge_offsets gives 0 entries to row 1": replace(
+            scene_edges, edge_offsets=scene_edges.edge_offsets[[0, 1, 1, *range(3, num_offsets)]]
         ),
         "edges.observations is of type NoneType": replace(scene_edges, observations=None),
         "too small; scale the model up": replace(scene_edges, points=scene_edges.points * 1e-60),

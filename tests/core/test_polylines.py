@@ -12,6 +12,7 @@ from colmap_edges.core.polylines import (
     curve_tangents,
     end_points,
     match_best_first,
+    nearest_on_lines,
     points_along,
     walk_joined,
 )
@@ -135,3 +136,13 @@ def test_tangents_are_central_differences_within_a_curve(dimension):
 
 def test_no_points_have_no_tangents():
     assert curve_tangents(np.zeros((0, 3)), np.zeros(1, np.int64)).shape == (0, 3)
+
+
+def test_lines_are_nearest_where_their_connection_is_perpendicular_to_both():
+    random = np.random.default_rng(2)
+    origins, ways = random.normal(size=(2, 20, 3)), random.normal(size=(2, 20, 3))
+    ways /= np.linalg.norm(ways, axis=2, keepdims=True)
+    near = nearest_on_lines(origins[0], ways[0], origins[1], ways[1])
+    for point, origin, way in zip(near, origins, ways, strict=True):
+        np.testing.assert_allclose(np.cross(point - origin, way), 0, atol=1e-9)
+        np.testing.assert_allclose(np.einsum("ni,ni->n", near[1] - near[0], way), 0, atol=1e-9)

@@ -11,7 +11,7 @@ import pytest
 
 from colmap_edges.core.arrays import flattened
 from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.graphs import DiskBackend, Graphs, Kept, graph_bytes
+from colmap_edges.edges2d.graphs import DiskBackend, Graphs, LRUCache, graph_bytes
 from colmap_edges.edges3d.chains.tracing import trace_edges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import PipelineOptions
@@ -116,7 +116,7 @@ def test_kept_graphs_are_not_recomputed():
         made.append(key)
         return 10 * key
 
-    kept = Kept(2)
+    kept = LRUCache(2)
     found = [kept.get(key, lambda key=key: make(key)) for key in (0, 1, 0, 2, 0, 1)]
     assert found == [0, 10, 0, 20, 0, 10]
     assert made == [0, 1, 2, 1]

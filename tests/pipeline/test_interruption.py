@@ -53,8 +53,8 @@ def undisturbed(mesh_command, tmp_path_factory):
 
 def wait_for(output, process):
     """Wait until the work on an output has begun or the process is gone."""
-    pattern = f".{output.name}.colmap-edges-*/new"
-    while not any(output.parent.glob(pattern)) and process.poll() is None:
+    work = output.with_name(f".{output.name}.colmap-edges") / "new"
+    while not work.exists() and process.poll() is None:
         time.sleep(0.002)
 
 

@@ -6,6 +6,7 @@ import pwd
 import shutil
 import stat
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ from colmap_edges.runtime.output import new_folder
 from colmap_edges.runtime.ownership import EVALUATION, OUTPUT, file_sizes
 
 ROUNDS, SOAK_ROUNDS = 60, 5000
-OLD_NAMES = (".out.colmap-edges-partial", ".out.colmap-edges-previous")
 
 
 def command(small, output, *flags):
@@ -193,12 +193,13 @@ def test_a_file_edited_during_a_run_is_kept_aside(tmp_path, caplog):
             if edited:
                 (output / "a").write_text("edited")
     assert (output / "a").read_text() == "ours: a"
-    [work] = tmp_path.glob(".out.colmap-edges-*")
-    assert (work / "previous" / "a").read_text() == "edited"
-    assert str(work) in caplog.text
+    [kept] = tmp_path.glob("out.earlier-*")
+    assert (kept / "a").read_text() == "edited"
+    assert f"kept in {kept}" in caplog.text
     with new_folder(output, overwrite=True) as folder:
         write_output(folder, ["a"])
-    assert (work / "previous" / "a").read_text() == "edited"
+    assert (kept / "a").read_text() == "edited"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", kept.name]
 
 
 def test_a_list_of_files_leads_nowhere_else(tmp_path):
@@ -218,58 +219,50 @@ def test_a_list_of_files_leads_nowhere_else(tmp_path):
 # Links and folders where a run puts its own.
 
 
-@pytest.mark.parametrize("name", OLD_NAMES)
-@pytest.mark.parametrize("kind", ["link", "folder"])
-def test_planted_leftovers_are_left_alone(small, tmp_path, name, kind):
-    if kind == "link":
-        link_to_evil(tmp_path / name, above=0)
-    else:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "precious").write_text("s")
-    before = tree(tmp_path)
-    assert call(small, tmp_path / "out").returncode == 0
-    assert not (tmp_path / "out").is_symlink()
-    shutil.rmtree(tmp_path / "out")
-    assert tree(tmp_path) == before
-
-
-def planted_work(tmp_path, token="0" * 32, lock=None):
-    work = tmp_path / f".out.colmap-edges-{token}"
+def planted_work(tmp_path, *, with_lock):
+    work = tmp_path / ".out.colmap-edges"
     for name in ("new", "previous"):
         (work / name).mkdir(parents=True)
         (work / name / "precious").write_text("s")
-    if lock is not None:
-        (work / "lock").write_bytes(lock)
+    if with_lock:
+        (work / "lock").write_text("")
     return work
 
 
-@pytest.mark.parametrize("lock", [None, b"", b"{}", b"colmap-edges " + b"1" * 32 + b"\n"])
-def test_work_folders_without_their_token_are_left_alone(tmp_path, lock):
-    work = planted_work(tmp_path, lock=lock)
-    before = {name: found for name, found in tree(work).items() if "precious" in name}
-    with new_folder(tmp_path / "out") as folder:
-        write_output(folder, ["a"])
-    assert before.items() <= tree(work).items()
+def check_work_refused(tmp_path, reason):
+    before = tree(tmp_path)
+    with pytest.raises(ColmapEdgesError, match=reason), new_folder(tmp_path / "out"):
+        pass
+    assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("at", ["work", "lock", "previous", "new"])
-def test_links_in_place_of_work_are_not_followed(tmp_path, at):
-    token = "0" * 32
-    evil = tmp_path / "evil"
-    work = planted_work(tmp_path, token, b"colmap-edges " + token.encode() + b"\n")
-    if at == "new":
-        shutil.rmtree(work / "previous")  # it would come back as the output
-    if at == "work":
-        work.rename(evil)
-        work.symlink_to(evil)
+@pytest.mark.parametrize("kind", ["file", "link", "folder", "without a lock", "with notes"])
+def test_what_is_no_work_folder_is_named_and_kept(tmp_path, kind):
+    work = tmp_path / ".out.colmap-edges"
+    if kind == "file":
+        work.write_text("mine")
+    elif kind == "link":
+        link_to_evil(work, above=0)
+    elif kind == "folder":
+        work.mkdir()
+        (work / "precious").write_text("s")
     else:
-        (work / at).rename(evil)
-        (work / at).symlink_to(evil)
-    before = tree(evil) if evil.is_dir() else evil.read_bytes()
-    with new_folder(tmp_path / "out") as folder:
+        planted_work(tmp_path, with_lock=kind == "with notes")
+        (work / "notes.txt").write_text("mine")
+    check_work_refused(tmp_path, r"\.out\.colmap-edges is in the way of the output .* move it away")
+
+
+@pytest.mark.parametrize("at", ["lock", "previous", "new"])
+def test_links_in_place_of_work_are_not_followed(tmp_path, at):
+    work = planted_work(tmp_path, with_lock=True)
+    shutil.rmtree(work / "previous")  # it would come back as the output
+    (work / at).rename(tmp_path / "evil") if at != "previous" else (tmp_path / "evil").mkdir()
+    (work / at).symlink_to(tmp_path / "evil")
+    before = tree(tmp_path / "evil"), (tmp_path / "evil").lstat().st_mode
+    with suppress(ColmapEdgesError), new_folder(tmp_path / "out") as folder:
         write_output(folder, ["a"])
-    assert before == (tree(evil) if evil.is_dir() else evil.read_bytes())
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "report.json"]
+    assert (tree(tmp_path / "evil"), (tmp_path / "evil").lstat().st_mode) == before
+    assert (work / at).is_symlink()
 
 
 @pytest.mark.parametrize("filled", [True, False])
@@ -435,11 +428,10 @@ def test_folders_of_another_user(shared, as_nobody, meshed):
 
 def test_a_work_folder_of_another_user_is_left_alone(as_nobody):
     mine, call = as_nobody
-    token = "0" * 32
-    work = planted_work(mine, token, b"colmap-edges " + token.encode() + b"\n")
+    work = planted_work(mine, with_lock=True)
     work.chmod(0o777)
     before = tree(work)
-    assert call(mine / "out").returncode == 0
+    check_refused(call(mine / "out"), work, "not a work folder of yours; move it away")
     assert tree(work) == before
 
 

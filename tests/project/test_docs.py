@@ -50,7 +50,6 @@ START = "from colmap_edges.cli.main import main; main()"
 
 def test_there_are_examples():
     assert {name for name, *_ in EXAMPLES} == {"README.md", "meshing.md", "recipes.md"}
-    assert len(EXAMPLES) >= 7
 
 
 @pytest.mark.parametrize(("page", "language", "text"), EXAMPLES)
@@ -105,7 +104,7 @@ def test_every_dependency_has_its_licence_listed():
     ].splitlines()
     lines = [line for line in lines if not line.startswith("dev = ")]
     wanted = re.findall(r'"([a-z-]+)>=([0-9.]+)', "\n".join(lines))
-    assert len(wanted) >= 13
+    assert wanted
     page = (ROOT / "docs" / "licences.md").read_text()
     listed = dict(re.findall(r"^\| ([a-z-]+)(?: \([^|]*\))? \| ([0-9.]+) \|", page, re.MULTILINE))
     assert {name: listed.get(name) for name, _ in wanted} == dict(wanted)

@@ -22,7 +22,7 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.pipeline.run import run
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.page import write_report
-from colmap_edges.report.pictures import PictureTaker
+from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.tracks import residual_per_edge, views_per_edge
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
@@ -123,7 +123,10 @@ def test_hundred_images_and_hundred_thousand_points_stay_small(scene_model, tmp_
     )
     model = dataclasses.replace(scene_model, views=views)
     rng = np.random.default_rng(0)
-    taker, graph = PictureTaker(100), curves.bare_graph(rng.uniform(0, 360, (20_000, 2)), [20_000])
+    taker, graph = (
+        PictureVisitor(100),
+        curves.bare_graph(rng.uniform(0, 360, (20_000, 2)), [20_000]),
+    )
     found = DetectedEdges(graph=graph, dropped=np.zeros((0, 2)), num_chains=1, num_chain_pixels=0)
     noise = rng.integers(0, 255, (1500, 2000, 3), np.uint8)
     for index, view in enumerate(views):

@@ -1,6 +1,5 @@
 """Fallbacks for platforms that lack a system call, tested by removing the call."""
 
-import json
 import os
 import re
 import signal
@@ -11,17 +10,11 @@ from types import SimpleNamespace
 import pytest
 from project import ROOT
 
-from colmap_edges.cli.terminal import heeded_signals
-from colmap_edges.errors import ColmapEdgesError, NotAFileError
-from colmap_edges.runtime import memory, ownership, platform
+from colmap_edges.cli.terminal import handled_signals
+from colmap_edges.errors import NotAFileError
+from colmap_edges.runtime import memory, platform
 from colmap_edges.runtime.input_files import open_file
-from colmap_edges.runtime.output import new_folder
-from colmap_edges.runtime.ownership import OUTPUT, file_sizes, read_record
-
-
-def record(folder):
-    report = {"versions": {"colmap-edges": "1"}, "files": file_sizes(folder)}
-    (folder / "report.json").write_text(json.dumps(report))
+from colmap_edges.runtime.ownership import read_record
 
 
 def test_c_library_that_cannot_be_asked(monkeypatch):
@@ -37,7 +30,7 @@ def test_c_library_that_cannot_be_asked(monkeypatch):
 def test_signals_that_there_are_not(monkeypatch):
     monkeypatch.delattr(signal, "SIGHUP", raising=False)
     assert platform.ending_signals() == [signal.SIGINT, signal.SIGTERM]
-    assert set(heeded_signals()) <= {signal.SIGINT, signal.SIGTERM}
+    assert set(handled_signals()) <= {signal.SIGINT, signal.SIGTERM}
 
 
 def test_links_are_refused_without_o_nofollow(monkeypatch, tmp_path):
@@ -61,109 +54,6 @@ def test_all_files_are_ours_without_owners(monkeypatch, tmp_path):
     assert not platform.is_own(foreign)
     monkeypatch.delattr(os, "geteuid")
     assert platform.is_own(foreign)
-
-
-class Msvcrt:
-    """Windows' locks of bytes, kept in a table."""
-
-    LK_NBLCK = 2
-
-    def __init__(self):
-        self.held = {}
-
-    def locking(self, descriptor, mode, count):
-        assert (mode, count) == (self.LK_NBLCK, 1)
-        assert os.lseek(descriptor, 0, os.SEEK_CUR) > 1000  # not what others read
-        inode = os.fstat(descriptor).st_ino
-        if self.held.get(inode, descriptor) != descriptor:
-            raise PermissionError(13, "Permission denied")
-        self.held[inode] = descriptor
-
-
-@pytest.fixture
-def windows(monkeypatch):
-    """Locks of Windows, where no open file can be removed either."""
-    locks = Msvcrt()
-    monkeypatch.setattr(platform, "fcntl", None)
-    monkeypatch.setattr(platform, "msvcrt", locks)
-    monkeypatch.setattr(platform, "removes_open_files", lambda: False)
-    return locks
-
-
-def test_windows_locks_keep_a_second_run_out(windows, tmp_path):
-    first = platform.make_own(tmp_path / "lock")
-    os.write(first, b"text")
-    platform.lock(first)
-    second = platform.open_plain(tmp_path / "lock", os.O_RDWR, follow=False)
-    with pytest.raises(BlockingIOError):
-        platform.try_lock(second)
-    assert os.read(second, 10) == b"text"  # its place is where it was
-    windows.held.clear()
-    platform.try_lock(second)
-    os.close(first)
-    os.close(second)
-
-
-def test_waiting_for_a_windows_lock(windows, tmp_path, monkeypatch):
-    first = platform.make_own(tmp_path / "lock")
-    platform.lock(first)
-    second = platform.open_plain(tmp_path / "lock", os.O_RDWR, follow=False)
-    monkeypatch.setattr(platform.time, "sleep", lambda _: windows.held.clear())
-    platform.lock(second)
-    assert list(windows.held.values()) == [second]
-    os.close(first)
-    os.close(second)
-
-
-def test_output_appears_with_windows_locks(windows, tmp_path, monkeypatch):
-    """And every lock is closed before its file is removed."""
-    opened = {}
-    make, close, unlink = platform.make_own, os.close, type(tmp_path).unlink
-
-    def remember(path):
-        opened[descriptor := make(path)] = path
-        return descriptor
-
-    def forget(descriptor):
-        opened.pop(descriptor, None)
-        close(descriptor)
-
-    def check(path, **how):
-        assert path not in opened.values(), "Windows would not remove a file that is open"
-        unlink(path, **how)
-
-    monkeypatch.setattr(platform, "make_own", remember)
-    monkeypatch.setattr(os, "close", forget)
-    monkeypatch.setattr(type(tmp_path), "unlink", check)
-    for text in ("first", "second"):
-        with new_folder(tmp_path / "out", OUTPUT, overwrite=text == "second") as folder:
-            (folder / "edges.ply").write_text(text)
-            record(folder)
-            with (
-                pytest.raises(ColmapEdgesError, match="another run is writing"),
-                new_folder(tmp_path / "out", OUTPUT, overwrite=True),
-            ):
-                pass
-        windows.held.clear()
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert (tmp_path / "out" / "edges.ply").read_text() == "second"
-
-
-def test_leftovers_of_a_killed_run_are_removed_on_windows(windows, tmp_path):
-    left = tmp_path / f".out.colmap-edges-{'a' * 32}"
-    (left / "new").mkdir(parents=True)
-    (left / "lock").write_text(f"colmap-edges {'a' * 32}\n")
-    with new_folder(tmp_path / "out") as folder:
-        record(folder)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_neither_kind_of_lock(monkeypatch, tmp_path):
-    monkeypatch.setattr(platform, "fcntl", None)
-    monkeypatch.setattr(platform, "msvcrt", None)
-    with new_folder(tmp_path / "out") as folder:
-        record(folder)
-    assert (tmp_path / "out" / "report.json").is_file()
 
 
 @pytest.mark.parametrize("module", ["resource", None])
@@ -192,10 +82,10 @@ def test_package_starts_without_modules_of_posix():
         "for name in ('fcntl', 'resource', 'pwd', 'grp', 'termios'): sys.modules[name] = None\n"
         "import colmap_edges.cli.main, colmap_edges.pipeline.run\n"
         "from colmap_edges.runtime import platform\n"
-        "print(platform.fcntl, platform.resource)"
+        "print(platform.resource)"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout == "None None\n", done.stderr
+    assert done.stdout == "None\n", done.stderr
 
 
 def test_posix_calls_are_in_the_platform_module_only():
@@ -205,4 +95,3 @@ def test_posix_calls_are_in_the_platform_module_only():
     for path in (ROOT / "colmap_edges").rglob("*.py"):
         if path.name != "platform.py":
             assert not posix.search(path.read_text()), path
-    assert ownership.read_record is read_record

@@ -12,16 +12,17 @@ import trimesh
 
 pytest.importorskip("manifold3d", reason="the scenes are made with manifold3d")
 
-from demo_scene.bodies import Body, box
-from demo_scene.cameras import TrueCamera
-from demo_scene.geometry import Surface, unite
 from project import run_script
 from scipy import ndimage
-from zoo import cad
-from zoo.camera import Grid, draw_camera
-from zoo.make import FAMILIES, draw_settings, free_views, make_scene
-from zoo.render import GAMMA, Caster, Sensor, exposed, illuminate, see, write_image
-from zoo.stage import Light, Material, Place, Stage, blotches, plain
+from zoo import FAMILIES, cad
+from zoo.camera import Grid, Place, Rig, View, draw_camera
+from zoo.casting import Caster
+from zoo.geometry import Body, Surface, unite
+from zoo.light import Light, Stage, illuminate, plain
+from zoo.make import draw_settings, exposed, free_views, make_scene
+from zoo.materials import Material, blotches
+from zoo.render import GAMMA, Sensor, see, write_image
+from zoo.solids import box
 from zoo.truth import find_curves, in_image, seen_by
 
 SMALL = {"size": (160, 120), "num_views": 14}
@@ -44,7 +45,7 @@ def true_views(folder):
         **{key: truth[key] for key in ("model", "width", "height", "params")},
     )
     views = [
-        TrueCamera(name=name, cam_from_world=np.array(pose))
+        View(name=name, cam_from_world=np.array(pose))
         for name, pose in truth["cam_from_world"].items()
     ]
     return camera, views
@@ -68,7 +69,7 @@ def test_true_curves_lie_on_the_surface_and_are_seen(made):
     assert len(curves["kind"]) == len(curves["curve_id"]) == len(curves["curves"]) == len(edges)
     assert curves["curves"].max() < len(curves["kinds"]) == len(curves["radii"])
     assert visible.sum(axis=1).min() >= 2
-    again = seen_by(Caster(surface), points[edges].mean(axis=1), views, camera)
+    again = seen_by(Caster(surface), points[edges].mean(axis=1), Rig(camera, views))
     assert (again == visible).mean() > 0.98
     triangles, size = surface.vertices[surface.faces], np.ptp(surface.vertices, axis=0).max()
     for point in points[:: len(points) // 10]:
@@ -112,7 +113,7 @@ def test_images_show_the_scene(made):
         picture = cv2.imread(str(made / "images" / view.name))
         assert picture.shape == (120, 160, 3)
         assert picture.std() > 8
-        rays = np.column_stack([at, np.ones(len(at))]) @ view.cam_from_world[:, :3]
+        rays = view.rays(at)
         faces, distance = caster.hits(view.centre(), rays)
         assert (faces >= 0).mean() > 0.05
         assert (np.einsum("ij,ij->i", rays, caster.normals[faces])[faces >= 0] < 0).mean() > 0.999
@@ -147,18 +148,18 @@ def test_images_change_most_at_the_true_curves(tmp_path):
     settings, stage = draw_settings(random, 3), cad.make(random)
     camera = draw_camera(random, (480, 360), wide=False)
     surface = unite(stage.bodies)
-    cameras = free_views(random, stage, settings, camera, Caster(surface))
-    curves = find_curves(surface, stage.bodies, cameras, camera, 0.01)
-    lit = exposed(illuminate(stage, surface, camera), cameras, Grid.of(camera), 95)
+    rig = Rig(camera, free_views(random, stage, settings, camera, Caster(surface)))
+    curves = find_curves(surface, stage.bodies, rig, 0.01)
+    lit = exposed(illuminate(stage, surface, camera), rig, 95)
     sensor = Sensor(gain=0.4, blur_px=0.5, noise=0, shot_noise=0, quality=0)
     found = []
-    for v, view in enumerate(cameras):
-        light = see(lit, view, Grid.of(camera), (480, 360))
+    for v, view in enumerate(rig.views):
+        light = see(lit, view, Grid.of(camera))
         write_image(tmp_path / "image.png", light, sensor, random)
         picture = (cv2.imread(str(tmp_path / "image.png")) / 255.0) ** GAMMA
         smooth = ndimage.gaussian_filter(picture.sum(axis=2), 0.8)
         points = curves.points[curves.edges[curves.visible[:, v]]]
-        local = points @ view.cam_from_world[:, :3].T + view.cam_from_world[:, 3]
+        local = view.local(points)
         pixels = camera.img_from_cam(local.reshape(-1, 3)).reshape(-1, 2, 2)
         offset, change = across(smooth, pixels, 1.5, 0.05)
         found.append(offset[change > 0.1])
@@ -172,15 +173,13 @@ def test_light_of_an_open_plane_and_of_one_in_the_shadow():
     floor, board = box((-2, 2), (-2, 2), (-0.2, 0)), box((-0.5, 0.5), (-0.5, 0.5), (0.5, 0.6))
     light = Light(position=np.array([0, 0, 40.0]), radius=0.5, strength=0.6, ambient=0.5, below=0.4)
     stage = Stage(
-        bodies=[Body(name="floor", material="m", solid=floor),
-                Body(name="board", material="m", solid=board)],
+        bodies=[Body("floor", "m", floor), Body("board", "m", board)],
         materials={"m": Material(albedo=(0.5, 0.5, 0.5))},
         light=light, place=Place(middle=np.zeros(3), extent=2.0), background=plain((1, 1, 1)),
-        facts={},
     )  # fmt: skip
     camera = pycolmap.Camera(model="PINHOLE", width=200, height=150, params=[200, 200, 100, 75])
     lit = illuminate(stage, unite(stage.bodies), camera)
-    places, up = lit.surface.vertices, lit.vectors[:, 2] > 0.9
+    places, up = lit.caster.surface.vertices, lit.vectors[:, 2] > 0.9
     board = up & (places[:, 2] > 0.5)
     np.testing.assert_allclose(lit.vectors[board, 3], 1)
     expected = 0.5 * (0.4 + 0.6 * (1 + 2 / 3) / 2)  # the mean over the upper half space by cosine

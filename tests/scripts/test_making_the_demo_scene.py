@@ -16,7 +16,7 @@ from project import DEMO, SCRIPTS, run_script
 
 from colmap_edges.pipeline.paths import Paths
 
-SCALE = ("--num_views", 4, "--scale_percent", 50)
+SCALE = ("--num_views", 4, "--size", "512x384")
 
 
 def lengths_of(curves):
@@ -25,8 +25,7 @@ def lengths_of(curves):
 
 def test_geometry_is_that_of_the_demo(tmp_path):
     pytest.importorskip("manifold3d", reason="the bodies are made with manifold3d")
-    arguments = ("--output_path", tmp_path, "--stages", "geometry", *SCALE)
-    run_script("make_demo_scene.py", *arguments)
+    run_script("make_scene.py", "demo", "geometry", "--output_path", tmp_path, *SCALE)
     made, kept = (trimesh.load(path / "surface.ply", process=False) for path in (tmp_path, DEMO))
     assert made.is_watertight
     np.testing.assert_allclose(made.bounds, kept.bounds, atol=1e-5)
@@ -51,8 +50,7 @@ def test_sparse_model_of_few_small_images(tmp_path):
         image = cv2.imread(str(DEMO / "images" / f"view{index:02d}.jpg"))
         small = cv2.resize(image, (512, 384), interpolation=cv2.INTER_AREA)
         cv2.imwrite(str(tmp_path / "images" / f"view{index:02d}.jpg"), small)
-    arguments = ("--output_path", tmp_path, "--stages", "sparse", *SCALE)
-    done = run_script("make_demo_scene.py", *arguments)
+    done = run_script("make_scene.py", "demo", "sparse", "--output_path", tmp_path, *SCALE)
     assert done.stdout.startswith("4 images, ")
     model, kept = (pycolmap.Reconstruction(path / "sparse") for path in (tmp_path, DEMO))
     (camera,) = model.cameras.values()
@@ -65,13 +63,15 @@ def test_sparse_model_of_few_small_images(tmp_path):
 
 def test_images_are_rendered(tmp_path):
     python = os.environ.get("BLENDER_PYTHON", sys.executable)
-    found = subprocess.run([python, "-c", "import bpy, manifold3d"], capture_output=True)
+    found = subprocess.run(
+        [python, "-c", "import bpy, manifold3d, embreex, scipy, trimesh"], capture_output=True
+    )
     if found.returncode:
         pytest.skip("Blender's Python module is not there (set BLENDER_PYTHON)")
-    arguments = ("--stages", "images", "--num_views", "2", "--scale_percent", "25")
-    command = [python, SCRIPTS / "make_demo_scene.py", "--output_path", tmp_path, *arguments]
+    arguments = ("--num_views", "2", "--size", "256x192", "--output_path", tmp_path)
+    command = [python, SCRIPTS / "make_scene.py", "demo", "images", *arguments]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    subprocess.run([*command, "--samples", "4"], env=environment, capture_output=True, check=True)
+    subprocess.run(command, env=environment, capture_output=True, check=True)
     names = sorted(path.name for path in (tmp_path / "images").iterdir())
     assert names == ["view00.jpg", "view01.jpg"]
     for name in names:

@@ -53,3 +53,10 @@ def rounded_rectangle(width, height, radius, step):
     places = np.arange(0, lengths[-1] - step / 2, step)
     plane = [np.interp(places, lengths, column) for column in outline.T]
     return np.column_stack([*plane, np.zeros(len(places))])
+
+
+def lines_around(count=30):
+    """Straight edges far away, from which the noise is learned."""
+    random = np.random.default_rng(7)
+    starts, ends = 50 + random.normal(size=(2, count, 3))
+    return [segment(a, b, 25) for a, b in zip(starts, ends, strict=True)]

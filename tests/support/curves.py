@@ -6,12 +6,15 @@ two surfaces has for all views of the same side.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import scenes
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import offsets_of
+from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -147,6 +150,19 @@ def unplaced(offsets, views) -> Observations:
     nowhere = np.full(len(views), np.nan)
     found = ChainObservations(offsets=offsets, views=views, positions=nowhere)
     return Observations.of_positions(found)
+
+
+def observed_edges(pieces, observing, sigmas=0.0, closed=False) -> Edges3D:
+    """Edges of (n, 3) points, each observed by some views, at no known pixels."""
+    points, lengths = np.concatenate(pieces), np.array([len(piece) for piece in pieces])
+    observing = np.array(list(observing), np.int32)
+    offsets = len(observing) * np.arange(len(points) + 1)
+    return replace(
+        Edges3D.of_polylines(points, lengths),
+        observations=unplaced(offsets, np.tile(observing, len(points))),
+        sigmas=np.repeat(np.full(len(pieces), sigmas), lengths),
+        closed=np.full(len(pieces), closed),
+    )
 
 
 def model_of(views, points=None, observed=None) -> Model:

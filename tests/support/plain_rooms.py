@@ -49,23 +49,26 @@ def room_views():
         angle = 2 * np.pi * (i // 2) / 12
         center = np.array([2 + 0.7 * np.cos(3 * angle), 1.3 + 0.6 * np.sin(2 * angle), 1.2])
         center += (0.25 * (i % 2), 0.1, 0.2 * (i % 2))
-        forward = np.array([np.sin(angle), np.cos(angle), 0.15 * (-1) ** (i // 2)])
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0, 0, 1])
-        right /= np.linalg.norm(right)
-        rotation = np.array([right, np.cross(forward, right), forward])
-        views.append(
-            View(
-                image_id=i + 1,
-                name=f"{i:02d}.png",
-                width=160,
-                height=120,
-                camera=camera,
-                rotation=rotation,
-                translation=-rotation @ center,
-            )
-        )
+        forward = (np.sin(angle), np.cos(angle), 0.15 * (-1) ** (i // 2))
+        views.append(upright_view(i, camera, center, forward))
     return tuple(views)
+
+
+def upright_view(index, camera, center, forward):
+    """A view from a centre in a direction, upright: z is up."""
+    forward = np.array(forward) / np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    rotation = np.array([right, np.cross(forward, right), forward])
+    return View(
+        image_id=index + 1,
+        name=f"{index:02d}.png",
+        width=camera.width,
+        height=camera.height,
+        camera=camera,
+        rotation=rotation,
+        translation=-rotation @ center,
+    )
 
 
 def cast(center, directions):

@@ -16,7 +16,6 @@ from colmap_edges.edges3d.chains.observing import associate, drop_lone
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import RefinementOptions
 
-DISPLACEMENT_PX = 12.0  # displacement of the curve in depth, larger than its error
 CLOSE_SIGMAS = 2.5  # maximum residual of observations that count, in standard deviations of a chain
 PRIOR_TRIALS = 20  # pseudo-count of trials with one hit, the prior of the accidental rate
 MIN_LOG = -12.0  # lower bound of the log probability of a single point
@@ -50,7 +49,8 @@ def chance_of_observations(
     visible = in_images(views, points).sum(axis=0)
     observed = np.sum(np.abs(residuals) <= close_px, axis=1)
     signs = np.where(ids % 2 == 0, 1, -1)
-    moved = replace_depths(curves, curves.inverse_depths + DISPLACEMENT_PX * signs * displacements)
+    # The curve is displaced in depth by more than its error.
+    moved = replace_depths(curves, curves.inverse_depths + 12.0 * signs * displacements)
     positions = associate(
         reference, moved, edge_indexes, close_px, options.max_tangent_angle_deg, num_threads
     )

@@ -18,7 +18,6 @@ from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.bends import cut_at_bends
 from colmap_edges.edges3d.linking.circles import join_circles
-from colmap_edges.edges3d.linking.corners3d import meet_at_corners
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.edges3d.linking.nodes import meet_at_nodes
@@ -51,8 +50,7 @@ def link(
     edges = linked(pieces.edges)
     edges = linked(edges)  # again, since longer pieces have more accurate directions
     edges = join_circles(edges, given, options, num_threads)
-    edges = meet_at_corners(cut_at_bends(edges), given, options, num_threads)
-    edges = meet_at_nodes(edges, given, options, num_threads)
+    edges = meet_at_nodes(cut_at_bends(edges), given, options, num_threads)
     contours = linked(pieces.contours)
     given.graphs.trim()
     return with_look_up(given, edges, contours), {

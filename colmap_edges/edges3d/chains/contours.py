@@ -14,10 +14,6 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.options import TracingOptions
 
-MOVING_CHANCE = 1e-3  # of taking an edge for a contour because a radius explains its noise
-ROBUST_PX = 1.0  # residual at which the weight of an observation of a radius is 1/4
-ROBUST_STEPS = 4  # iterations of the estimate of radii
-
 
 def are_fixed(
     traced: TracedCurves, groups: IntArray, limits_px: FloatArray | float, options: TracingOptions
@@ -60,15 +56,16 @@ def are_less(seen: Seen, moving: FloatArray, fixed: FloatArray) -> BoolArray:
     left = squares(moving)
     freedom = (counts > 0).reshape(shape).sum(axis=1) - 2  # a depth and a radius are fitted
     ratio = (squares(fixed) - left) * freedom / (left + 1e-300)
-    limits = fdtri(1, np.arange(1, freedom.max(initial=1) + 1), 1 - MOVING_CHANCE)
+    # The chance of taking an edge for a contour because a radius explains its noise.
+    limits = fdtri(1, np.arange(1, freedom.max(initial=1) + 1), 1 - 1e-3)
     return np.asarray((freedom > 0) & (ratio > limits[np.maximum(freedom, 1) - 1]))
 
 
 def fit_radii(seen: Seen) -> FloatArray:
     """(G,) radii of rounded edges in pixels, robustly fitted (Geman-McClure weights)."""
     radii = np.zeros(len(seen.spare))
-    for _ in range(ROBUST_STEPS):
-        rest = (seen.residuals + radii[seen.owners] * seen.drifts) / ROBUST_PX
+    for _ in range(4):
+        rest = seen.residuals + radii[seen.owners] * seen.drifts  # at 1 px, the weight is 1/4
         weighted = seen.drifts / (1 + rest**2) ** 2
         information = np.bincount(seen.owners, weighted * seen.drifts, len(radii))
         pull = np.bincount(seen.owners, weighted * seen.residuals, len(radii))

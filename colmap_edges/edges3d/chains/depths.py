@@ -31,9 +31,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ChainDepthOptions
 
 SURE_SCORE = 8.0  # minimum log likelihood ratio of the depths from which side similarity is learned
-SURE_SHARE = 0.3  # share of the most reliable depths used if fewer exceed SURE_SCORE
-MIN_SURE = 200  # minimum number of matches to learn from
-CHANCE_PAIRS = 4  # random pairs per match
 END_PX = 6  # length at the ends of polylines that is displaced by blur and neighbouring edges
 # minimum distance of two samples on a short polyline, whose ends are then shortened
 MIN_INNER_PX = 8
@@ -173,10 +170,10 @@ def learn_side_likelihoods(
         for other in np.unique(depths.support_views).tolist():
             rows, theirs = sure & (depths.support_views == other), given.graph(other).sides
             same.append(np.abs(own[rows] - theirs[depths.support_positions[rows].astype(int)]))
-            elsewhere = random.integers(0, len(theirs), (CHANCE_PAIRS, int(rows.sum())))
+            elsewhere = random.integers(0, len(theirs), (4, int(rows.sum())))
             chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))
     examples = np.concatenate(same)
-    if len(examples) < MIN_SURE:
+    if len(examples) < 200:
         return NOTHING_LEARNED
     return estimate(examples, np.concatenate(chance))
 
@@ -186,4 +183,5 @@ def sure_score(depths: ChainDepths) -> float:
     scores = depths.scores[depths.found]
     if len(scores) == 0:
         return SURE_SCORE
-    return min(SURE_SCORE, float(np.quantile(scores, 1 - SURE_SHARE)))
+    # The most reliable depths are used if fewer exceed SURE_SCORE.
+    return min(SURE_SCORE, float(np.quantile(scores, 1 - 0.3)))

@@ -25,9 +25,6 @@ from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.options import TracingOptions
 
-TESTS_PER_CURVE = 30  # number of independent depths of a chain (tests of the a-contrario model)
-INDEPENDENT_PX = 16  # distance along a chain beyond which observations are independent
-
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
@@ -150,7 +147,8 @@ def find_limits(traced: list[TracedCurves], options: TracingOptions) -> Limits:
 
 def chance_limit(traced: list[TracedCurves], options: TracingOptions) -> float:
     """log10 of the threshold of the a-contrario test, for `max_false_edges` false pieces."""
-    tests = TESTS_PER_CURVE * sum(len(t.offsets) - 1 for t in traced)
+    # A chain has about 30 independent depths, the tests of the a-contrario model.
+    tests = 30 * sum(len(t.offsets) - 1 for t in traced)
     return float(np.log10(options.max_false_edges / max(tests, 1)))
 
 
@@ -263,8 +261,8 @@ def find_pieces(
     broken[1:] = (np.diff(ids) != 0) | (keep[1:] != keep[:-1])
     pieces = np.cumsum(broken) - 1
     sizes = np.bincount(pieces) if len(pieces) else np.zeros(0, np.int64)
-    # Points nearer to each other than that are not independent evidence.
-    share = min(1.0, options.curve_step_points / INDEPENDENT_PX)
+    # Points less than 16 px apart are not independent evidence.
+    share = min(1.0, options.curve_step_points / 16)
     logs = share * np.bincount(pieces, weights=traced.log_chances, minlength=len(sizes))
     return pieces, (sizes >= options.min_curve_points) & (logs <= log_chance)
 

@@ -31,7 +31,7 @@ from colmap_edges.edges3d.chains.refinement import (
 )
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
-from colmap_edges.edges3d.linking.copies import Pieces, merge_pieces
+from colmap_edges.edges3d.linking.duplicates import Pieces, merge_pieces
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 

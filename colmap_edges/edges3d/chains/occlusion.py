@@ -15,12 +15,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 # maximum tangent of the angle between the surface through neighbours and the image plane
 MAX_SLOPE = 3.0
-MIN_GAP = 0.002  # minimum relative depth difference of an occluder
-MARGIN_SIGMAS = 3.0  # tolerance of a point's depth, in standard deviations
-MIN_RADIUS_PX = 0.01  # lower bound of image distances between neighbours
 FARTHEST_PX = 1e6  # distance from the principal point beyond which projections are ignored
-# minimum ratio of nearer neighbours to those at the same depth for an occluded point
-NEARER_SHARE = 0.5
 
 
 def find_hidden(
@@ -61,7 +56,8 @@ def find_hidden(
             radius_px,
             num_threads,
         )
-        hidden[own] = (nearer > NEARER_SHARE * agreeing)[: len(own)]
+        # Of the neighbours at the same depth.
+        hidden[own] = (nearer > 0.5 * agreeing)[: len(own)]
     return hidden
 
 
@@ -85,9 +81,9 @@ def count_around(
     counts = _kernels.count_around(
         undistorted[ahead],
         depths[ahead],
-        MIN_GAP / 2 * depths[ahead] + MARGIN_SIGMAS * sigmas[ahead],
+        0.002 / 2 * depths[ahead] + 3.0 * sigmas[ahead],  # an occluder is nearer by 0.2 %
         curves[ahead],
-        max(radius_px, MIN_RADIUS_PX),
+        max(radius_px, 0.01),
         MAX_SLOPE / view.focal_px,
         num_threads,
     )

@@ -28,8 +28,6 @@ GRAY_REACHES = (4, 2, 1, 0)
 WELL_ACROSS = 0.25
 # half width, in curve points, of the window in which intensity differences are compared
 GRAY_WINDOW = 8
-# least speed of a point's projections, in terms of the mean of all points
-MIN_SPEED_RATIO = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +111,7 @@ def typical_speed(sums: Sums) -> FloatArray:
     count = sums.count
     overall = np.sqrt(sums.speed2.sum() / max(count.sum(), 1)) if count.any() else 1.0
     speeds = np.where(count > 0, np.sqrt(sums.speed2 / np.maximum(count, 1)), overall)
-    return np.maximum(speeds, MIN_SPEED_RATIO * overall)
+    return np.maximum(speeds, 1e-3 * overall)
 
 
 def second_differences(offsets: IntArray) -> tuple[IntArray, IntArray]:

@@ -14,7 +14,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray
 
-ANY_DIFFERENCE = 255.0  # largest possible difference of intensities
 BINS = np.array([0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 70, 256])  # bins of intensity differences
 OUTLIER_RATE = 0.1  # share of true matches with random differences
 PRIOR_COUNT = 20  # pseudo-count of matches with random differences
@@ -43,7 +42,7 @@ class SideLikelihoods:
         return np.where(small <= self.limit, ratios, 0).astype(np.float32)
 
 
-NOTHING_LEARNED = SideLikelihoods(limit=ANY_DIFFERENCE, ratios=np.ones((len(BINS) - 1,) * 2))
+NOTHING_LEARNED = SideLikelihoods(limit=255.0, ratios=np.ones((len(BINS) - 1,) * 2))
 
 
 def estimate(same: IntArray, chance: IntArray) -> SideLikelihoods:

@@ -13,7 +13,7 @@ from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph, keep_points
 from colmap_edges.edges2d.edge_index import make_edge_index
-from colmap_edges.edges2d.graphs import CacheBackend, Graphs, Kept
+from colmap_edges.edges2d.graphs import CacheBackend, Graphs, LRUCache
 from colmap_edges.edges2d.image_graphs import save_graph
 from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods
 from colmap_edges.edges3d.chains.view_selection import Neighborhood
@@ -25,9 +25,8 @@ T = TypeVar("T")
 ByView = Sequence[T] | Mapping[int, T]  # an item per view, of all or of those used by a task
 
 NUM_KEPT = 64  # least number of search indices that a worker keeps, more than a task needs
-WORKERS_SHARE = 0.25  # part of the memory for graphs that a worker may use: machines have several
 # On a worker of a cluster, by graph and pose, since tasks on nearby views share indices.
-KEPT_BY_WORKER: Kept[Any] = Kept(NUM_KEPT)
+KEPT_BY_WORKER: LRUCache[Any] = LRUCache(NUM_KEPT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +54,8 @@ class TracingInput:
     polyline_offsets: ByView[IntArray]
     sides: SideLikelihoods = NOTHING_LEARNED
     free: ByView[BoolArray] | None = None
-    parts: Kept[EdgeGraph]
-    indexes: Kept[Any]
+    parts: LRUCache[EdgeGraph]
+    indexes: LRUCache[Any]
     part_keys: dict[int, str] = field(default_factory=dict)
     is_sent: bool = False
 
@@ -101,16 +100,17 @@ class TracingInput:
             observing_views=chosen(self.observing_views, [view]),
             polyline_offsets={},
             free=None,
-            parts=Kept(1),
+            parts=LRUCache(1),
             part_keys={},
-            indexes=Kept(self.num_kept(workers)),
+            indexes=LRUCache(self.num_kept(workers)),
             is_sent=True,
         )
 
     def num_kept(self, workers: Workers) -> int:
         """Number of search indices that a process which runs tasks keeps."""
         if workers.remote:
-            return max(self.graphs.num_fitting(WORKERS_SHARE), NUM_KEPT)
+            # Machines have several workers.
+            return max(self.graphs.num_fitting(0.25), NUM_KEPT)
         return self.indexes.num_kept
 
     def key_of(self, view: int) -> str:
@@ -141,8 +141,8 @@ def make_input(model: Model, graphs: Graphs, near: Neighborhood) -> TracingInput
         neighbors=near.neighbors,
         observing_views=near.observing_views,
         polyline_offsets=offsets,
-        parts=Kept(num_kept),
-        indexes=Kept(num_kept),
+        parts=LRUCache(num_kept),
+        indexes=LRUCache(num_kept),
     )
 
 
@@ -154,6 +154,8 @@ def remaining(whole: TracingInput, free: Sequence[BoolArray]) -> TracingInput:
         free: per view (P,) bool, the points that remain.
     """
     num_kept = whole.indexes.num_kept
-    rest = replace(whole, free=free, parts=Kept(num_kept), part_keys={}, indexes=Kept(num_kept))
+    rest = replace(
+        whole, free=free, parts=LRUCache(num_kept), part_keys={}, indexes=LRUCache(num_kept)
+    )
     offsets = [rest.graph(view).polyline_offsets for view in range(len(free))]
     return replace(rest, polyline_offsets=offsets)

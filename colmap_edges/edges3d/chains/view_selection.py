@@ -18,7 +18,6 @@ from colmap_edges.options import ViewSelectionOptions
 # margin of a view's range of inverse depths, on both sides, relative to the range
 RANGE_MARGIN = 0.25
 NEAR_POINTS = 16  # nearest SfM points that determine the depth range of a pixel
-NEAR_MARGIN = 0.15  # margin of a pixel's range, on both sides, relative to the view's range
 MIN_POINTS = 20  # minimum number of SfM points of a view; with fewer its pose is used instead
 MOST_SHARED = 8192  # maximum number of points of a view by which its neighbours are scored
 MOST_BY_POSE = 256  # maximum number of views that a view without points is compared with
@@ -60,7 +59,7 @@ class DepthRange:
         inverse = _kernels.nearest_ranges(
             self.pixels, self.inverse_depths, places * size + size / 2 + corner, size, NEAR_POINTS
         )
-        margin = NEAR_MARGIN * (high - low)
+        margin = 0.15 * (high - low)
         ranges: FloatArray = np.clip(inverse[own] + (-margin, margin), low, high)
         return ranges
 

@@ -2,55 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray
-from colmap_edges.edges3d.curves.rounds import least_squares, principal_axes
-from colmap_edges.edges3d.curves.stacks import Stack, softened, solved
+from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 
-STEPS = 10  # Gauss-Newton steps
-FOOT_STEPS = 4  # Newton steps for the nearest point of an ellipse
 MAX_STEP = 0.3  # maximum change per step, relative to the smaller radius
 MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lines
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ellipses:
-    """Ellipses fitted to S sequences of points.
-
-    Attributes:
-        frames: (S, 3, 3) rows: centre and the two half axes, the longer first.
-        squares: (N,) squared distances of the stack's points.
-        sigmas: (S, 5) standard deviations of the centre in the plane and across it, of the normal
-            (radians), and of the two radii.
-        found: (S,) whether the fit is an ellipse.
-    """
-
-    frames: FloatArray
-    squares: FloatArray
-    sigmas: FloatArray
-    found: BoolArray
-
-
-def fit_ellipses(stack: Stack, steps: int = STEPS) -> Ellipses:
+def fit_ellipses(points: PointSequences) -> Fits:
     """Fit an ellipse to every sequence, by distances in its plane and across it."""
-    owners, given = stack.owners, stack.weights
-    origins, vectors = principal_axes(stack, given)
-    axes = np.stack([vectors[:, 2], vectors[:, 1], np.cross(vectors[:, 2], vectors[:, 1])], axis=1)
-    local = np.einsum("ijk,ik->ij", axes[owners], stack.points - origins[owners])
+    owners = points.owners
+    origins, axes = points.planes(points.weights)
+    local = points.coordinates(origins, axes)
     rows = np.column_stack([local[:, :2], np.ones(len(local))])
-    slopes, flat_inverse = least_squares(
-        stack, softened(given, local[:, 2] ** 2), rows, local[:, 2]
-    )
+    flat_weights = points.robust_weights(local[:, 2] ** 2)
+    slopes, flat_inverse = points.least_squares(flat_weights, rows, local[:, 2])
     height = local[:, 2] - np.einsum("ij,ij->i", rows, slopes[owners])
-    shapes, found = algebraic_ellipses(stack, local[:, :2])
-    for _ in range(steps):
+    shapes, found = algebraic_ellipses(points, local[:, :2])
+    for _ in range(10):
         distances, jacobian = residuals(shapes[owners], local[:, :2])
-        weights = softened(given, distances**2 + height**2)
-        normal = stack.products(weights, jacobian, jacobian)
-        moves, inverse = solved(normal, stack.sums((weights * distances)[:, None] * jacobian))
+        weights = points.robust_weights(distances**2 + height**2)
+        moves, inverse = points.least_squares(weights, jacobian, distances)
         limit = MAX_STEP * np.abs(shapes[:, 2:4]).min(axis=1, keepdims=True)
         shapes = shapes + np.clip(moves, -limit, limit)
         radii = np.sort(np.abs(shapes[:, 2:4]), axis=1)
@@ -60,7 +34,8 @@ def fit_ellipses(stack: Stack, steps: int = STEPS) -> Ellipses:
     inside, off = (np.einsum("sii->si", each) for each in (inverse, flat_inverse))
     variances = [inside[:, :2].mean(axis=1), off[:, 2], off[:, :2].mean(axis=1), *inside[:, 2:4].T]
     frames, sigmas = frames_of(shapes, slopes, origins, axes, np.sqrt(np.abs(variances)).T)
-    return Ellipses(frames=frames, squares=distances**2 + height**2, sigmas=sigmas, found=found)
+    sigmas[~found] = np.inf
+    return Fits(frames=frames, squares=distances**2 + height**2, sigmas=sigmas)
 
 
 def frames_of(
@@ -77,7 +52,7 @@ def frames_of(
         slopes: (S, 3) slopes of the planes along the first two axes, and height at the origins.
         origins: (S, 3) origins of these coordinates.
         axes: (S, 3, 3) their axes.
-        sigmas: (S, 5) as in `Ellipses`, with the radii in the order of `shapes`.
+        sigmas: (S, 5) as in `Fits`, with the radii in the order of `shapes`.
     """
     turn = shapes[:, 4]
     ways = np.stack([np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)], axis=1)
@@ -109,7 +84,7 @@ def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatA
     x, y = (plane - shapes[:, :2]).T
     u, v = x * c + y * s, y * c - x * s
     t = np.arctan2(v * a, u * b)
-    for _ in range(FOOT_STEPS):
+    for _ in range(4):
         cos, sin = np.cos(t), np.sin(t)
         slope = (u - a * cos) * a * sin - (v - b * sin) * b * cos
         bend = (a * sin) ** 2 + (b * cos) ** 2 + (u - a * cos) * a * cos + (v - b * sin) * b * sin
@@ -123,20 +98,19 @@ def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatA
     return distances, np.column_stack(columns)
 
 
-def algebraic_ellipses(stack: Stack, plane: FloatArray) -> tuple[FloatArray, BoolArray]:
+def algebraic_ellipses(points: PointSequences, plane: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Halir and Flusser's direct fits (1998) to sequences of (N, 2) points.
 
     Returns:
         (S, 5) centre, radii and rotation angle, and (S,) whether the conic is an ellipse.
     """
-    owners = stack.owners
     ones = np.ones(len(plane))
-    counts = stack.sums(ones)
-    size = np.sqrt(stack.sums((plane**2).sum(axis=1)) / counts)
+    counts = points.sums(ones)
+    size = np.sqrt(points.sums((plane**2).sum(axis=1)) / counts)
     size = np.maximum(size, 1e-300)
-    x, y = (plane / size[owners][:, None]).T
+    x, y = (plane / size[points.owners][:, None]).T
     monomials = np.column_stack([x * x, x * y, y * y, x, y, ones])
-    scatter = stack.sums(np.einsum("ij,ik->ijk", monomials, monomials))
+    scatter = points.sums(np.einsum("ij,ik->ijk", monomials, monomials))
     mixed, flat = scatter[:, :3, 3:], scatter[:, 3:, 3:]
     flat = flat + 1e-12 * np.trace(flat, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     back = -np.linalg.solve(flat, np.swapaxes(mixed, 1, 2))

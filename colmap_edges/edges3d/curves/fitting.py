@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -26,17 +25,15 @@ from colmap_edges.core.curves3d import (
     Curves3D,
 )
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.edges3d.curves.choosing import Choice, choose
-from colmap_edges.edges3d.curves.cutting import NOTHING, Noise, cut, learn_noise
+from colmap_edges.edges3d.curves.arc_groups import find_arc_groups
 from colmap_edges.edges3d.curves.fillets import with_fillets
-from colmap_edges.edges3d.curves.joints import joined_at_corners
+from colmap_edges.edges3d.curves.joints import coordinates_in, joined_at_corners
+from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.relations import regularized
-from colmap_edges.edges3d.curves.shared import with_shared_circles
-from colmap_edges.edges3d.curves.wholes import wholes_of
-
-# Largest gap of an arc that is closed to a circle, in distances between points; the value of
-# Linking.max_gap_spacings.
-MAX_GAP_SPACINGS = 8.0
+from colmap_edges.edges3d.curves.segmentation import NOTHING, learn_noise, segmented
+from colmap_edges.edges3d.curves.selection import SelectedCurves, select_curves
+from colmap_edges.edges3d.curves.shared_circles import with_shared_circles
+from colmap_edges.options import LinkingOptions
 
 
 @checked
@@ -49,7 +46,7 @@ def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1
     deviations and the correlation of successive points are estimated from the edges.
 
     Args:
-        edges: the edges, whole or in pieces.
+        edges: the edges, whole or in segments.
         regularize: make curves exactly parallel, perpendicular, coplanar or concentric if they
             are so within their deviations.
         num_threads: number of threads; does not affect the result.
@@ -63,16 +60,16 @@ def fit_curves(edges: Edges3D, *, regularize: bool = False, num_threads: int = 1
     order = cut_order(edges, noise, num_threads)
     points = edges.points[order]
     noise = replace(noise, sigmas=noise.sigmas[order])
-    pieces = cut(points, edges.edge_offsets, noise, num_threads)
-    choice = choose(points, noise, pieces, edges.closed)
-    choice = with_fillets(points, noise, choice, edges.edge_offsets, edges.closed)
-    choice, circles = with_shared_circles(points, noise, choice)
-    curves = assembled(points, noise, choice)
+    segments = segmented(points, edges.edge_offsets, noise, num_threads)
+    selected = select_curves(points, noise, segments, edges.closed)
+    selected = with_fillets(points, noise, selected, edges.edge_offsets, edges.closed)
+    selected, circles = with_shared_circles(points, noise, selected)
+    curves = assembled(points, noise, selected)
     curves = joined_at_corners(curves, points, noise)
     if regularize:
         curves = regularized(curves, points, noise)
-    wholes = wholes_of(curves, circles, edges)
-    return replace(curves, wholes=wholes, ranges=ranges_in(edges, order, choice))
+    groups = find_arc_groups(curves, circles, edges)
+    return replace(curves, arc_groups=groups, ranges=ranges_in(order, selected.bounds))
 
 
 def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
@@ -84,53 +81,49 @@ def cut_order(edges: Edges3D, noise: Noise, num_threads: int) -> IntArray:
     offsets = offsets_of(np.diff(edges.edge_offsets)[loops])
     rows = ranges_of(edges.edge_offsets[loops], edges.edge_offsets[loops + 1])
     part = replace(noise, sigmas=noise.sigmas[rows])
-    pieces = cut(edges.points[rows], offsets, part, num_threads)
+    segments = segmented(edges.points[rows], offsets, part, num_threads)
     for place, edge in enumerate(loops.tolist()):
         first, end = edges.edge_offsets[edge : edge + 2].tolist()
-        own = slice(pieces.offsets[place], pieces.offsets[place + 1])
-        curved = pieces.kinds[own] != NOTHING
-        cuts = pieces.bounds[own, 0][curved if curved.any() else ~curved] - offsets[place]
+        own = slice(segments.offsets[place], segments.offsets[place + 1])
+        curved = segments.kinds[own] != NOTHING
+        cuts = segments.bounds[own, 0][curved if curved.any() else ~curved] - offsets[place]
         middle = int(cuts[np.argmin(np.abs(cuts - (end - first) / 2))])
         order[first:end] = np.roll(order[first:end], -middle)
     return order
 
 
-def ranges_in(edges: Edges3D, order: IntArray, choice: Choice) -> IntArray:
+def ranges_in(order: IntArray, bounds: IntArray) -> IntArray:
     """(C, 2) ranges of the curves as indices into the edges' original points."""
-    if not len(choice.bounds):
-        return np.zeros((0, 2), np.int64)
-    first = order[choice.bounds[:, 0]]
-    ranges: IntArray = np.column_stack([first, first + np.diff(choice.bounds)[:, 0]])
-    return ranges
+    first = order[bounds[:, :1]]
+    return np.asarray(np.concatenate([first, first + np.diff(bounds)], axis=1))
 
 
-def assembled(points: FloatArray, noise: Noise, choice: Choice) -> Curves3D:
+def assembled(points: FloatArray, noise: Noise, selected: SelectedCurves) -> Curves3D:
     """Convert the selected fits to curves, each from its first point to its last."""
-    kinds = choice.kinds.astype(np.uint8)
+    kinds, free = selected.kinds.astype(np.uint8), selected.kinds == SPLINE
     spread = np.sqrt(noise.correlation)
-    splines = [choice.splines[curve] for curve in sorted(choice.splines)]
+    splines = selected.splines[free].tolist()
     spans = np.zeros((len(kinds), 2))
     lengths = np.zeros(len(kinds), np.int64)
-    spans[kinds == SPLINE] = [fit.knots[[0, -1]] for fit in splines] or np.zeros((0, 2))
-    lengths[kinds == SPLINE] = [len(fit.knots) for fit in splines]
-    sigmas = np.where((kinds == SPLINE)[:, None], np.nan, choice.sigmas)
-    radius_sigmas = np.where(has_radii(kinds)[:, None], sigmas[:, 3:], np.nan)
+    spans[free] = [fit.knots[[0, -1]] for fit in splines] or np.zeros((0, 2))
+    lengths[free] = [len(fit.knots) for fit in splines]
+    sigmas = np.where(free[:, None], np.nan, selected.sigmas * spread)
     curves = Curves3D(
         kinds=kinds,
-        edges=choice.edges,
-        ranges=choice.bounds,
-        wholes=np.arange(len(kinds)),
-        frames=np.where((kinds == SPLINE)[:, None, None], 0, choice.frames),
+        edges=selected.edges,
+        ranges=selected.bounds,
+        arc_groups=np.arange(len(kinds)),
+        frames=np.where(free[:, None, None], 0, selected.frames),
         spans=spans,
         knot_offsets=offsets_of(lengths),
         knots=np.concatenate([np.zeros(0), *(fit.knots for fit in splines)]),
         control_points=np.concatenate([np.zeros((0, 3)), *(fit.control for fit in splines)]),
-        position_sigmas=sigmas[:, :2] * spread,
-        direction_sigmas=sigmas[:, 2] * spread,
-        radius_sigmas=radius_sigmas * spread,
+        position_sigmas=sigmas[:, :2],
+        direction_sigmas=sigmas[:, 2],
+        radius_sigmas=np.where(has_radii(kinds)[:, None], sigmas[:, 3:], np.nan),
         control_sigmas=np.concatenate([np.zeros(0), *(fit.sigmas for fit in splines)]) * spread,
     )
-    return bounded_rounds(bounded_lines(curves, points), points)
+    return bounded_arcs(bounded_lines(curves, points), points)
 
 
 def has_radii(kinds: ByteArray) -> BoolArray:
@@ -156,28 +149,23 @@ def bounded_lines(curves: Curves3D, points: FloatArray) -> Curves3D:
     return replace(curves, frames=frames, position_sigmas=positions, spans=spans)
 
 
-def bounded_rounds(curves: Curves3D, points: FloatArray) -> Curves3D:
+def bounded_arcs(curves: Curves3D, points: FloatArray) -> Curves3D:
     """Bound arcs by their first and last points; nearly closed ones become closed."""
     kinds, frames, spans = curves.kinds.copy(), curves.frames.copy(), curves.spans.copy()
     for curve in np.flatnonzero(has_radii(kinds)).tolist():
         first, end = curves.ranges[curve].tolist()
-        angles = np.unwrap(angles_of(frames[curve], points[first:end]))
+        x, y = coordinates_in(frames[curve][None], points[first:end])
+        angles = np.unwrap(np.arctan2(y, x))
         if angles[-1] < angles[0]:
             frames[curve, 2] *= -1
             angles = -angles
         step = abs(angles[-1] - angles[0]) / (len(angles) - 1)
         open_kind = kinds[curve] in (ARC, ELLIPTIC_ARC)
-        if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > MAX_GAP_SPACINGS * step:
+        # A gap across which edges are joined is closed.
+        largest = LinkingOptions().max_gap_spacings * step
+        if open_kind and 2 * np.pi - (angles[-1] - angles[0]) > largest:
             spans[curve] = angles[0], angles[-1]
         else:
             kinds[curve] = CIRCLE if kinds[curve] in (ARC, CIRCLE) else ELLIPSE
             spans[curve] = angles[0], angles[0] + 2 * np.pi
     return replace(curves, kinds=kinds, frames=frames, spans=spans)
-
-
-def angles_of(frame: FloatArray, points: FloatArray) -> FloatArray:
-    """(n,) angles t of (n, 3) points on o + cos(t) a + sin(t) b."""
-    origin, a, b = frame
-    q = points - origin
-    angles: Any = np.arctan2(q @ b / (b @ b), q @ a / (a @ a))
-    return np.asarray(angles, dtype=np.float64)

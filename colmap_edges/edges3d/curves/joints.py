@@ -8,10 +8,9 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.curves3d import CIRCLE, ELLIPSE, LINE, SPLINE, Curves3D
-from colmap_edges.edges3d.curves.cutting import Noise
-from colmap_edges.edges3d.curves.stacks import MISFIT
+from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
-STEPS = 30  # iterations of the search for the common point
 # maximum number of points between two curves that meet, such as at a rounded corner
 MAX_POINTS_BETWEEN = 8
 REACH = 3.0  # maximum extension of a curve beyond the gap, in distances between points
@@ -37,15 +36,16 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
     ends = curves.ends()
     at_left, at_right = ends[left, 1], ends[right, 0]
     starts = at_left.copy(), at_right.copy()
-    for _ in range(STEPS):
+    for _ in range(30):
         middle = (at_left + at_right) / 2
         at_left = nearest_on(curves, left, middle, starts[0])
         at_right = nearest_on(curves, right, middle, starts[1])
     sigmas = noise.sigmas[curves.ranges[left, 1] - 1] + noise.sigmas[curves.ranges[right, 0]]
     allowed = (1 + REACH) * np.maximum(gaps, np.median(gaps))
-    led = [np.linalg.norm(a - b, axis=1) for a, b in zip((at_left, at_right), starts, strict=True)]
-    meet = np.linalg.norm(at_left - at_right, axis=1) < MISFIT * sigmas
-    meet &= np.maximum(*led) < allowed
+    moved = at_left - starts[0], at_right - starts[1]
+    extended = np.maximum(*(np.linalg.norm(shift, axis=1) for shift in moved))
+    meet = np.linalg.norm(at_left - at_right, axis=1) < OUTLIER_SIGMAS * sigmas
+    meet &= extended < allowed
     place = np.where(is_line(curves, right)[:, None], at_left, at_right)
     both = is_line(curves, left) & is_line(curves, right)
     place[both] = ((at_left + at_right) / 2)[both]
@@ -75,16 +75,28 @@ def nearest_on(
 
     For ellipses, approximately: the point at the same angle. Splines are not extended: their end.
     """
-    origin, a, b = np.moveaxis(curves.frames[which], 1, 0)
-    q = targets - origin
-    squares = np.maximum(np.einsum("ij,ij->i", a, a), 1e-300)
-    along = np.einsum("ij,ij->i", q, a) / squares
-    foot = origin + along[:, None] * a
-    aside = np.einsum("ij,ij->i", q, b) / np.maximum(np.einsum("ij,ij->i", b, b), 1e-300)
-    angle = np.arctan2(aside, along)
-    round_foot = origin + np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b
-    found = np.where(is_line(curves, which)[:, None], foot, round_foot)
+    found = foot_points(curves.frames[which], is_line(curves, which), targets)
     return np.where((curves.kinds[which] == SPLINE)[:, None], ends, found)
+
+
+def foot_points(frames: FloatArray, straight: BoolArray, points: FloatArray) -> FloatArray:
+    """(n, 3) nearest points to (n, 3) points on the whole lines or circles of (n, 3, 3) frames."""
+    along, aside = coordinates_in(frames, points)
+    angles = np.arctan2(aside, along)
+    x, y = np.where(straight, along, np.cos(angles)), np.where(straight, 0, np.sin(angles))
+    origin, a, b = np.moveaxis(frames, 1, 0)
+    return np.asarray(origin + x[:, None] * a + y[:, None] * b)
+
+
+def coordinates_in(frames: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) and (n,) coordinates of (n, 3) points along the half axes of (n, 3, 3) frames."""
+    origin, *axes = np.moveaxis(frames, 1, 0)
+    q = points - origin
+    x, y = (
+        np.einsum("ij,ij->i", q, of) / np.maximum(np.einsum("ij,ij->i", of, of), 1e-300)
+        for of in axes
+    )
+    return x, y
 
 
 def with_ends(curves: Curves3D, which: IntArray, places: FloatArray, side: int) -> Curves3D:
@@ -97,10 +109,8 @@ def with_ends(curves: Curves3D, which: IntArray, places: FloatArray, side: int) 
         frames[straight, 0], frames[straight, 1] = places[lines], last - places[lines]
     else:
         frames[straight, 1] = places[lines] - first
-    origin, a, b = np.moveaxis(frames[round_], 1, 0)
-    q = places[~lines & (curves.kinds[which] != SPLINE)] - origin
-    along = np.einsum("ij,ij->i", q, a) / np.einsum("ij,ij->i", a, a)
-    aside = np.einsum("ij,ij->i", q, b) / np.einsum("ij,ij->i", b, b)
+    targets = places[~lines & (curves.kinds[which] != SPLINE)]
+    along, aside = coordinates_in(frames[round_], targets)
     now = spans[round_, side]
     turn = np.arctan2(aside, along) - now
     spans[round_, side] = now + (turn + np.pi) % (2 * np.pi) - np.pi

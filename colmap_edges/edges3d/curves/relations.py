@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, ranges_of
+from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, SPLINE, Curves3D
-from colmap_edges.edges3d.curves.cutting import Noise
-from colmap_edges.edges3d.curves.stacks import MISFIT, Stack
+from colmap_edges.edges3d.curves.joints import foot_points
+from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
 # maximum growth of a curve's mean squared residual, beyond that explained by deviations
 MAX_GROWTH = 1.5
@@ -37,8 +38,7 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
         return curves
     directions, groups = shared_directions(curves, which)
     moved = with_directions(curves, which, directions)
-    moved = with_shared_axes(moved, which, groups, directions)
-    moved = with_shared_planes(moved, which, groups, directions)
+    moved = with_shared_axes_and_planes(moved, which, groups, directions)
     worse = residual_squares(moved, points, noise) > MAX_GROWTH * np.maximum(
         residual_squares(curves, points, noise), 1.0
     )
@@ -66,7 +66,7 @@ def shared_directions(curves: Curves3D, which: IntArray) -> tuple[FloatArray, In
         open_ = np.flatnonzero(groups < 0)
         cosines = directions[open_] @ directions[place]
         apart = np.arccos(np.minimum(np.abs(cosines), 1))
-        limit = np.minimum(MISFIT * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
+        limit = np.minimum(OUTLIER_SIGMAS * np.hypot(sigmas[open_], sigmas[place]), MAX_ANGLE)
         members = open_[(apart <= limit) | (open_ == place)]
         signs = np.sign(directions[members] @ directions[place])
         weights = signs / sigmas[members] ** 2
@@ -92,7 +92,7 @@ def perpendicular(means: FloatArray, spreads: FloatArray, counts: IntArray) -> F
         fixed: list[int] = []
         for other in done:
             off = abs(float(np.arcsin(np.clip(turned[group] @ turned[other], -1, 1))))
-            limit = min(MISFIT * float(np.hypot(spreads[group], spreads[other])), MAX_ANGLE)
+            limit = min(OUTLIER_SIGMAS * float(np.hypot(spreads[group], spreads[other])), MAX_ANGLE)
             square = all(abs(turned[other] @ turned[f]) < 1e-9 for f in fixed)
             if off <= limit and square and len(fixed) < 2:
                 fixed.append(other)
@@ -121,43 +121,28 @@ def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -
     return replace(curves, frames=frames)
 
 
-def with_shared_axes(
+def with_shared_axes_and_planes(
     curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
 ) -> Curves3D:
-    """Move circles and arcs whose axes agree within the noise to a common axis."""
-    frames = curves.frames.copy()
-    for group in np.unique(groups).tolist():
-        members = np.flatnonzero((groups == group) & (curves.kinds[which] != LINE))
-        if len(members) < 2:
-            continue
-        normal = directions[members[0]]
-        chosen = which[members]
-        sigmas = np.maximum(curves.position_sigmas[chosen, 0], 1e-300)
-        across = frames[chosen, 0] - np.outer(frames[chosen, 0] @ normal, normal)
-        for part in agreeing(across, sigmas):
-            mean = np.average(across[part], axis=0, weights=1 / sigmas[part] ** 2)
-            frames[chosen[part], 0] += mean - across[part]
-    return replace(curves, frames=frames)
+    """Move curves to a common axis or plane where they agree within the noise.
 
-
-def with_shared_planes(
-    curves: Curves3D, which: IntArray, groups: IntArray, directions: FloatArray
-) -> Curves3D:
-    """Move arcs, and lines in their planes, to a common plane where they agree within the noise."""
-    frames = curves.frames.copy()
-    lines = curves.kinds[which] == LINE
+    Circles and arcs are moved to common axes; they, and lines in their planes, to common planes.
+    """
+    frames, lines = curves.frames.copy(), curves.kinds[which] == LINE
     for group in np.unique(groups[~lines]).tolist():
         normal = directions[groups == group][0]
+        circular = (groups == group) & ~lines
         flat = lines & (np.abs(directions @ normal) < 1e-9)
-        members = np.flatnonzero(((groups == group) & ~lines) | flat)
-        chosen = which[members]
-        middle = frames[chosen, 0] + np.where(lines[members, None], frames[chosen, 1] / 2, 0)
-        column = np.where(lines[members], 0, 1)
-        sigmas = np.maximum(curves.position_sigmas[chosen, column], 1e-300)
-        heights = middle @ normal
-        for part in agreeing(heights[:, None], sigmas):
-            mean = np.average(heights[part], weights=1 / sigmas[part] ** 2)
-            frames[chosen[part], 0] += np.outer(mean - heights[part], normal)
+        for members, on_axis in ((circular, True), (circular | flat, False)):
+            chosen, straight = which[members], lines[members]
+            middle = frames[chosen, 0] + np.where(straight[:, None], frames[chosen, 1] / 2, 0)
+            places = np.outer(middle @ normal, normal)
+            places = middle - places if on_axis else places
+            column = np.where(straight | on_axis, 0, 1)
+            sigmas = np.maximum(curves.position_sigmas[chosen, column], 1e-300)
+            for part in agreeing(places, sigmas):
+                mean = np.average(places[part], axis=0, weights=1 / sigmas[part] ** 2)
+                frames[chosen[part], 0] += mean - places[part]
     return replace(curves, frames=frames)
 
 
@@ -169,10 +154,10 @@ def agreeing(places: FloatArray, sigmas: FloatArray) -> list[IntArray]:
     for place in np.argsort(sigmas, kind="stable").tolist():
         if not left[place]:
             continue
-        reach = MISFIT * float(np.hypot(sigmas[place], sigmas[left].max()))
+        reach = OUTLIER_SIGMAS * float(np.hypot(sigmas[place], sigmas[left].max()))
         near = np.array(sorted(tree.query_ball_point(places[place], reach)), dtype=np.int64)
         apart = np.linalg.norm(places[near] - places[place], axis=1)
-        near = near[left[near] & (apart <= MISFIT * np.hypot(sigmas[near], sigmas[place]))]
+        near = near[left[near] & (apart <= OUTLIER_SIGMAS * np.hypot(sigmas[near], sigmas[place]))]
         left[near] = False
         left[place] = False
         if len(near) > 1:
@@ -185,17 +170,9 @@ def residual_squares(curves: Curves3D, points: FloatArray, noise: Noise) -> Floa
 
     For ellipses, the distance from the point at the same angle; 0 for splines.
     """
-    lengths = np.diff(curves.ranges)[:, 0]
-    rows = ranges_of(curves.ranges[:, 0], curves.ranges[:, 1])
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    stack = Stack(points=points[rows], weights=noise.weights[rows], offsets=offsets)
-    origin, a, b = np.moveaxis(curves.frames[stack.owners], 1, 0)
-    q = stack.points - origin
-    along = np.einsum("ij,ij->i", q, a) / np.maximum(np.einsum("ij,ij->i", a, a), 1e-300)
-    aside = np.einsum("ij,ij->i", q, b) / np.maximum(np.einsum("ij,ij->i", b, b), 1e-300)
-    straight: BoolArray = (curves.kinds == LINE)[stack.owners]
-    angle = np.arctan2(aside, along)
-    x, y = np.where(straight, along, np.cos(angle)), np.where(straight, 0, np.sin(angle))
-    squares = ((q - x[:, None] * a - y[:, None] * b) ** 2).sum(axis=1)
-    means = stack.sums(np.minimum(stack.weights * squares, MISFIT**2)) / np.maximum(lengths, 1)
+    on_curves = noise.sequences(points, curves.ranges)
+    owners = on_curves.owners
+    feet = foot_points(curves.frames[owners], (curves.kinds == LINE)[owners], on_curves.points)
+    squares = on_curves.weights * ((on_curves.points - feet) ** 2).sum(axis=1)
+    means = on_curves.sums(np.minimum(squares, OUTLIER_SIGMAS**2)) / on_curves.lengths
     return np.where(curves.kinds == SPLINE, 0, means)

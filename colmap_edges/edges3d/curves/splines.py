@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import DEGREE
-from colmap_edges.edges3d.curves.stacks import Stack, costs_of, softened, solved
+from colmap_edges.edges3d.curves.noise import Noise
+from colmap_edges.edges3d.curves.point_sequences import PointSequences
 
-FREEDOM = 3  # parameters per control point; a spline has one more, its end along the edge
-ROUNDS = 3  # rounds of reweighting and of updating the parameters of points
 GROWTH = 1.35  # ratio of consecutive candidate numbers of control points
 MIN_SPAN = 2.5  # minimum number of points per control point
 
@@ -35,33 +33,31 @@ class SplineFit:
 
 
 def fit_splines(
-    stack: Stack, log_counts: FloatArray, shares: FloatArray, correlation: float, most: FloatArray
+    points: PointSequences, noise: Noise, prices: FloatArray, max_costs: FloatArray
 ) -> dict[int, SplineFit]:
     """Fit the spline of least cost (BIC) to each of S sequences of points.
 
     Args:
-        stack: the sequences.
-        log_counts: (S,) cost of one parameter.
-        shares: (S,) divisors of squared residuals.
-        correlation: number of consecutive points that count as one independent point.
-        most: (S,) upper limits of the costs.
+        points: the sequences.
+        noise: the noise of edge points.
+        prices: (S,) cost of one parameter.
+        max_costs: (S,) upper limits of the costs.
 
     Returns:
         Splines by index of the sequence; only those below the limits.
     """
-    lengths, most = np.diff(stack.offsets), most.copy()
-    before = np.full(stack.size, np.inf)
+    lengths, most = points.lengths, max_costs.copy()
+    before = np.full(points.size, np.inf)
     found: dict[int, SplineFit] = {}
-    rows, size = np.arange(stack.size), DEGREE + 1
+    rows, size = np.arange(points.size), DEGREE + 1
     while True:
         rows = rows[size * MIN_SPAN <= lengths[rows]]
-        rows = rows[spline_price(size, 1.0) * log_counts[rows] < most[rows]]
+        rows = rows[num_parameters(size) * prices[rows] < most[rows]]
         if not len(rows):
             return found
-        part = stack.select(rows)
+        part = points.select(rows)
         knots, control, squares, sigmas = splines_of(part, size)
-        costs = part.sums(costs_of(part.weights * squares, shares[rows][part.owners], correlation))
-        costs += spline_price(size, 1.0) * log_counts[rows]
+        costs = noise.costs(part, squares) + num_parameters(size) * prices[rows]
         for at in np.flatnonzero(costs < np.minimum(most, before)[rows]).tolist():
             found[int(rows[at])] = SplineFit(
                 knots=knots[at], control=control[at], sigmas=sigmas[at], cost=float(costs[at])
@@ -72,61 +68,44 @@ def fit_splines(
         size = max(size + 1, round(size * GROWTH))
 
 
-def smooth_squares(stack: Stack, degree: int) -> FloatArray:
-    """(N,) squared distances of a stack's points from polynomials fitted to each sequence.
-
-    A lower bound for splines with few control points: if it is too large, none need be fitted.
-    """
-    along = lengths_along(stack)
-    half = np.maximum(along[stack.offsets[1:] - 1] / 2, 1e-300)
-    rows = np.asarray(chebvander(along / half[stack.owners] - 1, degree), np.float64)
-    weights = stack.weights
-    for _ in range(2):
-        matrices = stack.products(weights, rows, rows)
-        values = stack.products(weights, rows, stack.points)
-        _, inverses = solved(matrices, values[:, :, 0])
-        found = np.einsum("ij,ijk->ik", rows, (inverses @ values)[stack.owners])
-        squares: FloatArray = ((stack.points - found) ** 2).sum(axis=1)
-        weights = softened(stack.weights, squares)
-    return squares
+def num_parameters(size: int) -> int:
+    """Number of parameters of a spline with `size` control points; one is its end on the edge."""
+    return 3 * size + 1
 
 
-def spline_price(size: int, log_count: float) -> float:
-    """Cost of the parameters of a spline with `size` control points."""
-    return (FREEDOM * size + 1) * log_count
-
-
-def splines_of(stack: Stack, size: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def splines_of(
+    points: PointSequences, size: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Fit splines with `size` control points to all sequences of points.
 
     Returns:
         (S, size + 4) knots, (S, size, 3) control points, (N,) squared distances of the points, and
         (S, size) standard deviations of the control points.
     """
-    offsets, owners = stack.offsets, stack.owners
-    places = lengths_along(stack)
+    offsets, owners = points.offsets, points.owners
+    places = lengths_along(points)
     knots = knots_of(places, offsets, size)
-    weights, at = stack.weights, places
-    for _ in range(ROUNDS):
+    weights, at = points.weights, places
+    for _ in range(3):  # reweighting, and updates of the parameters of points
         rows = basis_of(knots, owners, at)
-        matrices = stack.products(weights, rows, rows)
+        matrices = points.products(weights, rows, rows)
         traces = np.trace(matrices, axis1=1, axis2=2)
         matrices += 1e-12 * traces[:, None, None] / size * np.eye(size)
         inverses = np.linalg.inv(matrices)
-        control = inverses @ stack.products(weights, rows, stack.points)
-        squares, along = distances_of(np.einsum("ij,ijk->ik", rows, control[owners]), stack)
-        weights = softened(stack.weights, squares)
+        control = inverses @ points.products(weights, rows, points.points)
+        squares, along = distances_of(np.einsum("ij,ijk->ik", rows, control[owners]), points)
+        weights = points.robust_weights(squares)
         # Move parameters towards the foot points.
         at = np.clip(at + along, 0, knots[owners, -1])
     sigmas = np.sqrt(np.einsum("sii->si", inverses))
     return knots, control, squares, sigmas
 
 
-def lengths_along(stack: Stack) -> FloatArray:
+def lengths_along(points: PointSequences) -> FloatArray:
     """(N,) arc length of each point along the polyline of its sequence."""
-    along = np.zeros(len(stack.points))
-    along[1:] = np.cumsum(np.linalg.norm(np.diff(stack.points, axis=0), axis=1))
-    return along - along[stack.offsets[:-1]][stack.owners]
+    along = np.zeros(len(points.points))
+    along[1:] = np.cumsum(np.linalg.norm(np.diff(points.points, axis=0), axis=1))
+    return along - along[points.offsets[:-1]][points.owners]
 
 
 def knots_of(places: FloatArray, offsets: IntArray, size: int) -> FloatArray:
@@ -161,15 +140,15 @@ def basis_of(knots: FloatArray, owners: IntArray, at: FloatArray) -> FloatArray:
     return rows
 
 
-def distances_of(found: FloatArray, stack: Stack) -> tuple[FloatArray, FloatArray]:
-    """(N,) squared distances of a stack's points across curves, from (N, 3) points on these curves.
+def distances_of(found: FloatArray, points: PointSequences) -> tuple[FloatArray, FloatArray]:
+    """(N,) squared distances of points across curves, from (N, 3) points on these curves.
 
     Also (N,) their signed distances along the curves.
     """
     each = np.arange(len(found))
-    first, last = stack.offsets[:-1][stack.owners], stack.offsets[1:][stack.owners] - 1
+    first, last = points.offsets[:-1][points.owners], points.offsets[1:][points.owners] - 1
     tangents = found[np.minimum(each + 1, last)] - found[np.maximum(each - 1, first)]
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
-    off = stack.points - found
+    off = points.points - found
     along: FloatArray = np.einsum("ij,ij->i", off, tangents)
     return np.maximum(np.einsum("ij,ij->i", off, off) - along**2, 0), along

@@ -14,16 +14,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtri
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.polylines import end_points, unit
+from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
+from colmap_edges.edges3d.linking.ends import MAX_MISS_SPACINGS, MIN_ANGLE_DEG
 
 SIDE_POINTS = (6, 5, 4)  # points fitted on each side; the largest number that the edge has
 FEWEST = 3  # minimum number of points of a piece that is joined as a smooth curve
 ROUNDED = 1  # points on each side of a corner that refinement may have displaced
-MIN_TURN_DEG = 20.0  # minimum angle of a bend, as of edges that meet at a corner
 SURE = 0.95  # probability of the F test
-MAX_MISS_SPACINGS = 0.5  # maximum distance of both sides' tangents to their meeting point
 MAX_ASIDE_SPACINGS = 0.85  # maximum distance of that point to the edge; larger at fillets
 MIN_APART = 3  # minimum number of points between two bends
 BLOCK = 1 << 12  # number of pairs whose polynomials are in memory at once
@@ -37,21 +36,17 @@ def cut_at_bends(edges: Edges3D) -> Edges3D:
     bends = find_bends(edges)
     if not len(bends):
         return edges
-    starts = [np.searchsorted(bends, edges.edge_offsets[:-1]), 0]
-    starts[1] = np.searchsorted(bends, edges.edge_offsets[1:])
-    order, lengths, closed = [], [], []
-    for edge, (first, last) in enumerate(zip(*starts, strict=True)):
-        rows = np.arange(*edges.edge_offsets[edge : edge + 2])
-        places = bends[first:last] - edges.edge_offsets[edge]
-        is_loop = bool(edges.closed[edge]) and not len(places)
-        if edges.closed[edge] and len(places):
-            rows, places = np.roll(rows, -places[0]), places[1:] - places[0]
-        pieces = np.split(rows, places)
-        order += pieces
-        lengths += [len(piece) for piece in pieces]
-        closed += [is_loop] * len(pieces)
-    offsets = offsets_of(np.array(lengths))
-    return edges.reordered(np.concatenate(order), offsets, np.array(closed))
+    owners, offsets, sizes = edges.edge_ids, edges.edge_offsets, np.diff(edges.edge_offsets)
+    first, last = (np.searchsorted(bends, of) for of in (offsets[:-1], offsets[1:]))
+    # A closed edge begins at its first bend.
+    shifts, rolled = np.zeros(edges.num_edges, np.int64), edges.closed & (last > first)
+    shifts[rolled] = bends[first[rolled]] - offsets[:-1][rolled]
+    ranks = np.arange(edges.num_points) - offsets[owners]
+    order = offsets[owners] + (ranks + shifts[owners]) % sizes[owners]
+    of = owners[bends]
+    cuts = offsets[of] + (ranks[bends] - shifts[of]) % sizes[of]
+    pieces = np.unique(np.append(offsets, cuts))
+    return edges.reordered(order, pieces, (edges.closed & ~rolled)[owners[pieces[:-1]]])
 
 
 def find_bends(edges: Edges3D) -> IntArray:
@@ -90,7 +85,9 @@ def turn_somewhat(windows: FloatArray) -> BoolArray:
     middle = windows.shape[1] // 2
     before = unit(windows[:, middle - ROUNDED - 1] - windows[:, 0])
     behind = unit(windows[:, -1] - windows[:, middle + ROUNDED + 1])
-    return np.asarray(np.einsum("ni,ni->n", before, behind) <= np.cos(np.radians(MIN_TURN_DEG / 2)))
+    return np.asarray(
+        np.einsum("ni,ni->n", before, behind) <= np.cos(np.radians(MIN_ANGLE_DEG / 2))
+    )
 
 
 def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
@@ -111,17 +108,11 @@ def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
     slopes = np.arange(3) * along[:, side + ROUNDED, None, None] ** np.array([0, 0, 1])
     starts = [(powers @ of)[:, 0] for of in (before, behind)]
     ways = [unit((slopes @ of)[:, 0]) for of in (before, behind)]
-    cosine = np.einsum("ni,ni->n", *ways)
-    # Meeting point: where the tangents of both sides are nearest to each other.
-    offset = starts[1] - starts[0]
-    on = [np.einsum("ni,ni->n", offset, way) for way in ways]
-    sine2 = np.maximum(1 - cosine**2, 1e-12)
-    starts[0] += ((on[0] - cosine * on[1]) / sine2)[:, None] * ways[0]
-    starts[1] += ((cosine * on[0] - on[1]) / sine2)[:, None] * ways[1]
-    shift = (starts[0] + starts[1]) / 2 - middle
-    meet = np.linalg.norm(starts[1] - starts[0], axis=1) <= 2 * MAX_MISS_SPACINGS * spacings
+    near = nearest_on_lines(starts[0], ways[0], starts[1], ways[1])
+    shift = (near[0] + near[1]) / 2 - middle
+    meet = np.linalg.norm(near[1] - near[0], axis=1) <= 2 * MAX_MISS_SPACINGS * spacings
     meet &= np.linalg.norm(shift, axis=1) <= MAX_ASIDE_SPACINGS * spacings
-    meet &= cosine <= np.cos(np.radians(MIN_TURN_DEG))
+    meet &= np.einsum("ni,ni->n", *ways) <= np.cos(np.radians(MIN_ANGLE_DEG))
     ratios = smooth / (rest + more + 1e-300) / by_chance(np.array(2 * side), 6)
     return np.where(meet, ratios, 0), np.einsum("ni,ni->n", shift, ways[0] + ways[1]) > 0
 

@@ -1,13 +1,13 @@
 """Joining of the pieces of one circle, with points on it where views observe the gap.
 
 Pieces of a small circle are short, and their ends are their least certain points, so directions of
-ends do not tell whether they face each other. One circle through both pieces does: it must describe
-them at less cost (BIC) than a line or a circle for each.
+ends do not determine whether they face each other. One circle through both pieces does: it must
+describe them at less cost (BIC) than a line or a circle for each.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,33 +19,32 @@ from colmap_edges.core.arrays import (
     ranges_of,
     ranks_of,
 )
+from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import ChainObservations, Observations
+from colmap_edges.core.observations import Observations
 from colmap_edges.core.polylines import end_points, match_best_first
-from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
-from colmap_edges.edges3d.curves.cutting import (
-    ARC_FREEDOM,
-    LINE_FREEDOM,
-    Noise,
-    learn_noise,
-    log_counts,
-)
-from colmap_edges.edges3d.curves.rounds import Circles, fit_circles, fit_lines
-from colmap_edges.edges3d.curves.stacks import MISFIT, Stack, costs_of
-from colmap_edges.edges3d.linking.joining import (
+from colmap_edges.edges2d.edge_index import IndexedGraphs
+from colmap_edges.edges3d.curves.joints import coordinates_in, foot_points
+from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
+from colmap_edges.edges3d.curves.noise import NUM_PARAMETERS, Noise
+from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
+from colmap_edges.edges3d.curves.segmentation import learn_noise
+from colmap_edges.edges3d.curves.shared_circles import joint_circles
+from colmap_edges.edges3d.linking.ends import (
     REACH,
     SHORT_GAP,
     Ends,
     find_ends,
-    joined,
     near_pairs,
+    points_inward,
     views_near,
 )
+from colmap_edges.edges3d.linking.gaps import observed_along
+from colmap_edges.edges3d.linking.joining import joined
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 MIN_POINTS = (3, 8)  # minimum numbers of points of the shorter and the longer piece of a circle
 MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cover
-MAX_OVERLAP_SPACINGS = 2.0  # maximum length by which the pieces overlap
 LONG_GAP = 2.0  # maximum gap that is observed everywhere, relative to other gaps
 
 
@@ -67,12 +66,7 @@ class Gaps:
 
     def select(self, rows: IntArray) -> Gaps:
         """The selected points."""
-        return Gaps(
-            points=self.points[rows],
-            tangents=self.tangents[rows],
-            ends=self.ends[rows],
-            owners=self.owners[rows],
-        )
+        return replace(self, **{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 def join_circles(
@@ -93,17 +87,24 @@ def join_circles(
     if not len(pairs):
         return edges
     noise = learn_noise(edges, num_threads)
-    fits, same = circles_through(edges, noise, pairs // 2)
-    strays = np.column_stack([num_strays(edges, noise, fits, of) for of in pairs.T])
+    frames, same = circles_through(edges, noise, pairs // 2)
+    strays = np.column_stack([num_strays(edges, noise, frames, of) for of in pairs.T])
     spacings = ends.spacings[pairs].min(axis=1)
-    gaps, lengths, facing = gaps_on(edges, fits, pairs, strays, spacings)
+    gaps, lengths, facing = gaps_on(edges, frames, pairs, strays, spacings)
     facing &= same
     gaps = gaps.select(np.flatnonzero(facing[gaps.owners]))
-    observed = observe(edges, gaps, given, options, num_threads)
+    observed = observed_along(
+        given,
+        views_near(edges, gaps.ends, given.num_views),
+        gaps.points[:, None],
+        gaps.tangents[:, None],
+        options.refinement.max_residual_px,
+        (options.refinement.max_tangent_angle_deg,),
+        num_threads,
+    )
     seen = observed.counts >= options.tracing.min_observations
     everywhere = np.bincount(gaps.owners[~seen], minlength=len(pairs)) == 0
-    near = lengths <= options.linking.max_gap_spacings
-    allowed = facing & (near | everywhere)
+    allowed = facing & ((lengths <= options.linking.max_gap_spacings) | everywhere)
     partner = match_best_first(len(ends.positions), pairs[:, 0], pairs[:, 1], allowed, lengths)
     used = partner[pairs[:, 0]] == pairs[:, 1]
     skip = np.zeros(len(partner), np.int64)
@@ -114,139 +115,86 @@ def join_circles(
 
 
 def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntArray:
-    """(n, 2) ends of two open edges, one of them bent, near each other but no third edge's end."""
+    """(n, 2) ends of two open edges near each other, but near no end of a third edge."""
     a, b, gap = near_pairs(ends, LONG_GAP * options.max_gap_spacings)
     sizes = np.diff(edges.edge_offsets)[np.column_stack([a // 2, b // 2])]
     keep = (sizes.min(axis=1) >= MIN_POINTS[0]) & (sizes.max(axis=1) >= MIN_POINTS[1])
     keep &= ~edges.closed[a // 2] & ~edges.closed[b // 2] & (a // 2 != b // 2)
-    bends = sagittas(edges)
-    keep &= np.maximum(bends[a // 2], bends[b // 2]) >= np.tan(MIN_TURN / 8) / 2
     c, d, _ = near_pairs(ends, options.node_radius_spacings)
     met = np.bincount(np.concatenate([c, d]), minlength=len(ends.positions))
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
     lengths = np.linalg.norm(gap, axis=1)
     own = lengths <= options.node_radius_spacings * spacing
-    ahead = [np.einsum("ni,ni->n", ends.outward[of], gap * way) for of, way in ((a, 1), (b, -1))]
-    keep &= (lengths <= (REACH + SHORT_GAP) * spacing) | (np.minimum(*ahead) > 0)
     keep &= (met[a] <= own) & (met[b] <= own)
     return np.asarray(np.column_stack([a, b])[keep], np.int64)
 
 
-def sagittas(edges: Edges3D) -> FloatArray:
-    """(E,) distances of the edges' middle points from their chords' middles, relative to chords."""
-    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
-    start, middle, end = (edges.points[at] for at in (first, (first + last) // 2, last))
-    aside = np.linalg.norm(middle - (start + end) / 2, axis=1)
-    return np.asarray(aside / (np.linalg.norm(end - start, axis=1) + 1e-300))
-
-
-def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Circles, BoolArray]:
-    """Circles through (n, 2) pairs of edges, and (n,) whether a pair is one circle, by BIC."""
+def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[FloatArray, BoolArray]:
+    """(n, 3, 3) circles through (n, 2) pairs of edges, (n,) whether a pair is one circle (BIC)."""
+    bounds = np.column_stack([edges.edge_offsets[:-1], edges.edge_offsets[1:]])
     each, place = np.unique(pairs, return_inverse=True)
-    single = stack_of(edges, noise, each)
-    fits_apart = ((fit_lines(single), LINE_FREEDOM), (fit_circles(single), ARC_FREEDOM))
-    both = stack_of(edges, noise, pairs.ravel())
-    steps = np.linalg.norm(np.diff(both.points, axis=0), axis=1)
-    steps[both.offsets[1:-1] - 1] = 0
+    single = noise.sequences(edges.points, bounds[each])
+    both = noise.sequences(edges.points, bounds[pairs.ravel()])
+    steps = np.append(np.linalg.norm(np.diff(both.points, axis=0), axis=1), 0)
+    steps[both.offsets[1:] - 1] = 0
     both = replace(both, offsets=both.offsets[::2])
-    fits = fit_circles(both)
-    turns = both.sums(np.append(steps, 0)) / fits.radii
-    logs = log_counts(np.diff(both.offsets), noise.correlation)
-    apart = [
-        costs(single, fit.squares, noise)[place.reshape(-1, 2)] + freedom * logs[:, None]
-        for fit, freedom in fits_apart
+    prices = noise.parameter_costs(both.lengths)
+    separate = [
+        noise.costs(single, fit(single).squares)[place.reshape(-1, 2)]
+        + NUM_PARAMETERS[kind] * prices[:, None]
+        for fit, kind in ((fit_lines, LINE), (fit_circles, ARC))
     ]
-    joint = costs(both, fits.squares, noise) + (ARC_FREEDOM + 1) * logs
-    return fits, (joint < np.minimum(*apart).sum(axis=1)) & (turns >= MIN_TURN)
+    fits, gains = joint_circles(noise, both, 1, np.minimum(*separate).sum(axis=1))
+    turns = both.sums(steps) / np.linalg.norm(fits.frames[:, 1], axis=1)
+    return fits.frames, (gains > 0) & (turns >= MIN_TURN)
 
 
-def stack_of(edges: Edges3D, noise: Noise, which: IntArray) -> Stack:
-    """Stack of the points of (n,) edges."""
-    first, end = edges.edge_offsets[which], edges.edge_offsets[which + 1]
-    rows, offsets = ranges_of(first, end), offsets_of(end - first)
-    return Stack(points=edges.points[rows], weights=noise.weights[rows], offsets=offsets)
-
-
-def costs(stack: Stack, squares: FloatArray, noise: Noise) -> FloatArray:
-    """(S,) costs of the (N,) squared distances of a stack's points."""
-    shares = noise.shares(np.diff(stack.offsets))[stack.owners]
-    return stack.sums(costs_of(stack.weights * squares, shares, noise.correlation))
-
-
-def num_strays(edges: Edges3D, noise: Noise, fits: Circles, of: IntArray) -> IntArray:
+def num_strays(edges: Edges3D, noise: Noise, frames: FloatArray, of: IntArray) -> IntArray:
     """(n,) number of points at the tips of ends that lie beside their circles, at most `REACH`.
 
     At least two points of an edge remain if both of its ends lose as many.
     """
-    count = np.zeros(len(of), np.int64)
+    count, straight = np.zeros(len(of), np.int64), np.zeros(len(of), bool)
     sizes = np.diff(edges.edge_offsets)[of // 2]
     for step in range(REACH):
-        at = points_inward(edges, of, np.full(len(of), step))
-        local = np.einsum("nij,nj->ni", fits.axes, edges.points[at] - fits.centers)
-        off = np.hypot(np.hypot(local[:, 0], local[:, 1]) - fits.radii, local[:, 2])
-        count += (count == step) & (off > MISFIT * noise.sigmas[at]) & (2 * step + 3 < sizes)
+        at = points_inward(edges, of, step)
+        off = edges.points[at] - foot_points(frames, straight, edges.points[at])
+        stray = np.linalg.norm(off, axis=1) > OUTLIER_SIGMAS * noise.sigmas[at]
+        count += (count == step) & stray & (2 * step + 3 < sizes)
     return count
 
 
-def points_inward(edges: Edges3D, of: IntArray, steps: IntArray) -> IntArray:
-    """(n,) points `steps` inward of the tips of ends, at most as far as the opposite tips."""
-    first, last = edges.edge_offsets[of // 2], edges.edge_offsets[of // 2 + 1] - 1
-    inward = np.where(of % 2 == 0, first + steps, last - steps)
-    return np.clip(inward, first, last)
-
-
 def gaps_on(
-    edges: Edges3D, fits: Circles, pairs: IntArray, strays: IntArray, spacings: FloatArray
+    edges: Edges3D, frames: FloatArray, pairs: IntArray, strays: IntArray, spacings: FloatArray
 ) -> tuple[Gaps, FloatArray, BoolArray]:
     """The gaps between (n, 2) ends on circles, without their (n, 2) numbers of stray points.
 
     Returns:
         The gaps, (n,) their lengths in spacings, and (n,) whether the ends face each other.
     """
-    axes, angles, ways = fits.axes[:, :2], [], []
+    angles, ways = [], []
     for of, skip in zip(pairs.T, strays.T, strict=True):
-        tips, inner = (edges.points[points_inward(edges, of, skip + more)] for more in (0, REACH))
-        local = np.einsum("nij,nj->ni", axes, tips - fits.centers)
-        outward = np.einsum("nij,nj->ni", axes, tips - inner)
-        angles.append(np.arctan2(local[:, 1], local[:, 0]))
-        ways.append(np.sign(local[:, 0] * outward[:, 1] - local[:, 1] * outward[:, 0]))
+        tips, inner = (
+            coordinates_in(frames, edges.points[points_inward(edges, of, skip + more)])
+            for more in (0, REACH)
+        )
+        angles.append(np.arctan2(tips[1], tips[0]))
+        ways.append(np.sign(tips[1] * inner[0] - tips[0] * inner[1]))
     turns = (angles[1] - angles[0] + np.pi) % (2 * np.pi) - np.pi
-    lengths = ways[0] * turns * fits.radii / spacings
-    facing = (ways[0] == -ways[1]) & (lengths > -MAX_OVERLAP_SPACINGS)
+    lengths = ways[0] * turns * np.linalg.norm(frames[:, 1], axis=1) / spacings
+    facing = (ways[0] == -ways[1]) & (lengths > -SHORT_GAP)
     counts = np.where(facing & (lengths > SHORT_GAP), np.ceil(lengths) - 1, 0).astype(np.int64)
     owners = np.repeat(np.arange(len(pairs)), counts)
     t = angles[0][owners] + turns[owners] * (ranks_of(counts) + 1) / (counts[owners] + 1)
-    radial = np.einsum("nk,nki->ni", np.column_stack([np.cos(t), np.sin(t)]), axes[owners])
-    tangents = np.einsum("nk,nki->ni", np.column_stack([-np.sin(t), np.cos(t)]), axes[owners])
-    points = fits.centers[owners] + fits.radii[owners, None] * radial
-    gaps = Gaps(ends=pairs[owners], points=points, tangents=tangents, owners=owners)
-    return gaps, lengths, facing
-
-
-def observe(
-    edges: Edges3D,
-    gaps: Gaps,
-    given: IndexedGraphs,
-    options: PipelineOptions,
-    num_threads: int,
-) -> ChainObservations:
-    """Observations of the points in gaps, in the views that observe one of both ends."""
-    asked = views_near(edges, gaps.ends, given.num_views)
-    radius = options.refinement.max_residual_px
-    cosine = float(np.cos(np.radians(options.refinement.max_tangent_angle_deg)))
-    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
-    for view in np.flatnonzero(np.diff(asked.indptr)).tolist():
-        rows = asked.indices[asked.indptr[view] : asked.indptr[view + 1]]
-        places = gaps.points[rows, None], gaps.tangents[rows, None]
-        at = positions_near(given.index(view), radius, num_threads, *places, cosine)[:, 0]
-        found.append((np.full((at >= 0).sum(), view), at[at >= 0], rows[at >= 0]))
-    views, positions, points = (np.concatenate(of) for of in zip(*found, strict=True))
-    order = np.argsort(points, kind="stable")
-    return ChainObservations(
-        offsets=offsets_of(np.bincount(points, minlength=len(gaps.points))),
-        views=views[order].astype(np.int32),
-        positions=positions[order],
+    centers, a, b = np.moveaxis(frames[owners], 1, 0)
+    cosines, sines = np.cos(t)[:, None], np.sin(t)[:, None]
+    gaps = Gaps(
+        points=centers + cosines * a + sines * b,
+        tangents=cosines * b - sines * a,
+        ends=pairs[owners],
+        owners=owners,
     )
+    return gaps, lengths, facing
 
 
 def without_tips(edges: Edges3D, skip: IntArray) -> Edges3D:

@@ -1,128 +1,107 @@
 """Nodes at which ends of edges meet: points with their own standard deviations and tracks.
 
-Nodes are corners, joints of consecutive edges, and T junctions, where an edge ends on another one.
+Nodes are corners, to which edges are extended if views observe the extension; joints of consecutive
+edges; and T junctions, where an edge ends on another one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, ranges_of
 from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import ChainObservations, Observations
-from colmap_edges.core.polylines import curve_tangents, end_points
+from colmap_edges.core.polylines import curve_tangents, nearest_on_lines, unit
 from colmap_edges.edges2d.edge_index import IndexedGraphs
 from colmap_edges.edges3d.linking.bends import go_on_smoothly
-from colmap_edges.edges3d.linking.corners3d import (
-    MAX_MISS_SPACINGS,
-    MAX_PAST_SPACINGS,
-    MIN_ANGLE_DEG,
-    MIN_SEEN_RATIO,
-    Corners,
-    Lines,
-    fit_lines,
-    observe,
-    order_to,
+from colmap_edges.edges3d.linking.corners import (
+    EndLines,
+    Meetings,
+    find_corners,
+    fit_end_lines,
+    meeting_points,
 )
-from colmap_edges.edges3d.linking.joining import REACH, Ends, near_pairs, views_near
+from colmap_edges.edges3d.linking.ends import (
+    MAX_MISS_SPACINGS,
+    MIN_ANGLE_DEG,
+    REACH,
+    SHORT_GAP,
+    near_pairs,
+    num_behind,
+    views_near,
+)
+from colmap_edges.edges3d.linking.gaps import observed_along
 from colmap_edges.options import PipelineOptions
 
 # Minimum number of points of an edge that ends on another one: two or three points fit any line.
 MIN_JUNCTION_POINTS = 4
-MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
-
-
-@dataclass(frozen=True, kw_only=True)
-class Meetings:
-    """Ends that meet at nodes, and the points of edges that pass through these nodes.
-
-    Attributes:
-        corners: the ends and the nodes at which they meet.
-        through: (C,) the edge point that passes through each node, -1 where none does.
-    """
-
-    corners: Corners
-    through: IntArray
-
-    def select(self, nodes: BoolArray) -> Meetings:
-        """The selected nodes, renumbered, with their ends."""
-        left = nodes[self.corners.owners]
-        corners = Corners(
-            positions=self.corners.positions[nodes],
-            members=self.corners.members[left],
-            owners=(np.cumsum(nodes) - 1)[self.corners.owners[left]],
-        )
-        return Meetings(corners=corners, through=self.through[nodes])
+MIN_GAP_SPACINGS = 0.5  # distance within which the node replaces an edge point
+# positions at which an edge must be observed, from the node back to the end, as fractions
+WAY = np.array([0, 1 / 3, 2 / 3])
+MIN_SEEN_RATIO = 0.5  # minimum share of an end's observing views that observe the extension
 
 
 def meet_at_nodes(
     edges: Edges3D, given: IndexedGraphs, options: PipelineOptions, num_threads: int
 ) -> Edges3D:
-    """Create nodes where ends of edges meet, and extend the ends to them.
+    """Create nodes where ends of edges meet, and extend or shorten the ends to them.
 
     Args:
-        edges: linked edges, extended to corners.
+        edges: linked edges.
         given: the edge graphs of all views.
-        options: maximum distance of ends that meet, search radius, minimum number of views.
+        options: maximum distances of corners and of ends that meet, search radius, minimum number
+            of views.
         num_threads: threads to use; the result does not depend on it.
     """
     if edges.num_edges == 0:
         return edges
-    lines = fit_lines(edges)
-    meetings = with_junctions(edges, lines, meeting_ends(edges, lines, options), options)
-    meetings, observed = observed_meetings(edges, lines, meetings, given, options, num_threads)
-    corners = meetings.corners
+    lines, reach = fit_end_lines(edges), options.linking.max_corner_spacings
+    corners = find_corners(edges, lines, reach)
+    observed, least = observe(edges, lines, corners, given, options, num_threads)
+    corners = corners.with_ends(observed.counts >= least)
+    positions = lines.ends.positions.copy()
+    positions[corners.members] = corners.points
+    lines = replace(lines, ends=replace(lines.ends, positions=positions))
+    meetings = with_joints(edges, lines, corners, options.linking.node_radius_spacings)
+    meetings = with_junctions(edges, lines, meetings, options.linking.node_radius_spacings)
+    meetings, track = observed_meetings(edges, lines, meetings, given, options, num_threads)
     nodes = Nodes(
-        points=corners.positions,
+        points=meetings.positions,
         sigmas=node_sigmas(edges, lines, meetings),
-        observations=Observations.of_positions(observed),
-        colors=np.zeros(corners.positions.shape, np.uint8),
+        observations=Observations.of_positions(track),
+        colors=np.zeros(meetings.positions.shape, np.uint8),
         through_points=meetings.through,
     )
-    return run_to_nodes(edges, lines, corners, nodes)
+    return extended(edges, lines, meetings, nodes)
 
 
-def meeting_ends(edges: Edges3D, lines: Lines, options: PipelineOptions) -> Meetings:
-    """Find open ends near each other whose lines meet in one point."""
-    radius = options.linking.node_radius_spacings
+def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings, radius: float) -> Meetings:
+    """Add joints: open ends near each other, or near a corner, whose lines meet in one point."""
+    at_corner = np.zeros(len(lines.centers), bool)
+    at_corner[corners.members] = True
     a, b, gap = near_pairs(lines.ends, radius)
     is_open = np.repeat(~edges.closed, 2)
     # Ends of parallel neighbouring edges point in the same direction and do not meet.
-    cosine = np.einsum("ij,ij->i", lines.ends.outward[a], lines.ends.outward[b])
+    cosine = np.einsum("ij,ij->i", lines.outward[a], lines.outward[b])
     keep = is_open[a] & is_open[b] & (cosine <= np.cos(np.radians(MIN_ANGLE_DEG)))
     keep &= a // 2 != b // 2
-    led = share_place(lines.ends)
-    keep[keep] = (led[a] & led[b])[keep] | ~go_on_smoothly(edges, a[keep], b[keep])
+    keep[keep] = (at_corner[a] & at_corner[b])[keep] | ~go_on_smoothly(edges, a[keep], b[keep])
     links = nearest_links(a[keep], b[keep], np.linalg.norm(gap[keep], axis=1))
-    count = len(lines.centers)
-    graph = coo_array((np.ones(len(links)), links.T), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1]
-    members = np.flatnonzero(np.bincount(labels)[labels] > 1)
-    owners = np.unique(labels[members], return_inverse=True)[1].astype(np.int64)
-    none = np.zeros((int(owners.max(initial=-1)) + 1, 3))
-    corners = Corners(positions=none, members=members, owners=owners)
+    meetings = Meetings.of_links(links[:, 0], links[:, 1], len(lines.centers))
     # Ends extended to a corner determine its position; otherwise all ends, then those near it.
-    told = np.bincount(owners[led[members]], minlength=len(none)) > 0
-    firm = led[members] | ~told[owners]
-    of_these = replace(corners, members=members[firm], owners=owners[firm])
+    placed = at_corner[meetings.members]
+    certain = placed | (np.bincount(meetings.owners, placed) == 0)[meetings.owners]
+    rows = replace(meetings, members=meetings.members[certain], owners=meetings.owners[certain])
     for _ in range(2):
-        corners = replace(corners, positions=solve_nodes(edges, lines, of_these)[0])
-        along, miss = lines.reaches(corners.members[:, None], corners.points[:, None])
+        tips, sigmas = lines.ends.positions[rows.members], lines.sigmas[rows.members]
+        meetings = replace(meetings, positions=meeting_points(lines, rows, tips, sigmas)[0])
+        along, miss = lines.reaches(meetings.members, meetings.points)
         near = (np.abs(along) <= radius) & (miss <= MAX_MISS_SPACINGS)
-        corners = of_these = corners.select(near[:, 0] | led[corners.members])
-    used = np.bincount(corners.owners, minlength=len(none)) > 0
-    return Meetings(corners=corners, through=np.full(len(none), -1, np.int64)).select(used)
-
-
-def share_place(ends: Ends) -> BoolArray:
-    """(2E,) whether an end coincides with another one, as ends extended to one corner do."""
-    _, place, counts = np.unique(ends.positions, axis=0, return_inverse=True, return_counts=True)
-    return np.asarray((counts[place.ravel()] > 1) & (ends.spacings > 0))
+        meetings = rows = meetings.with_ends(near | at_corner[meetings.members])
+    return meetings
 
 
 def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:
@@ -133,36 +112,15 @@ def nearest_links(a: IntArray, b: IntArray, distances: FloatArray) -> IntArray:
     return np.column_stack([each, others[first]])
 
 
-def solve_nodes(edges: Edges3D, lines: Lines, corners: Corners) -> tuple[FloatArray, FloatArray]:
-    """(C, 3) weighted least-squares points of the lines of their ends, (C, 3, 3) covariances.
-
-    The ends' positions, with a standard deviation of one spacing, fix points along parallel lines.
-    """
-    members, count = corners.members, len(corners.positions)
-    outward, spacings = lines.outward[members], lines.ends.spacings[members]
-    spacings = np.maximum(spacings, 1e-6 * spacings.max(initial=0.0))
-    tips, _ = end_points(edges.edge_offsets, 0)
-    sigmas = np.nan_to_num(edges.sigmas[tips[members]], nan=0.0, posinf=0.0)
-    across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
-    across /= np.maximum(sigmas, MIN_SIGMA_SPACINGS * spacings)[:, None, None] ** 2
-    stay = 1 / spacings**2
-    information, pulls = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(information, corners.owners, across + stay[:, None, None] * np.eye(3))
-    pull = np.einsum("nij,nj->ni", across, lines.centers[members])
-    np.add.at(pulls, corners.owners, pull + stay[:, None] * lines.ends.positions[members])
-    information[np.bincount(corners.owners, minlength=count) == 0] = np.eye(3)
-    covariances = np.asarray(np.linalg.inv(information), np.float64)
-    return np.asarray(np.einsum("nij,nj->ni", covariances, pulls), np.float64), covariances
-
-
-def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
+def node_sigmas(edges: Edges3D, lines: EndLines, meetings: Meetings) -> FloatArray:
     """(C,) standard deviations of nodes in their most uncertain directions."""
     if len(meetings.through) == 0:
         return np.zeros(0)
-    information = np.linalg.inv(solve_nodes(edges, lines, meetings.corners)[1])
+    sigmas = lines.sigmas[meetings.members]
+    information = np.linalg.inv(meeting_points(lines, meetings, meetings.points, sigmas)[1])
     passed = np.flatnonzero(meetings.through >= 0)
     points = meetings.through[passed]
-    tangents = unit_tangents(edges)[points]
+    tangents = unit(curve_tangents(edges.points, edges.edge_offsets))[points]
     across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
     known = (edges.sigmas[points] > 0) & np.isfinite(edges.sigmas[points])
     weights = np.where(known, 1 / np.where(known, edges.sigmas[points], 1) ** 2, 0)
@@ -170,49 +128,34 @@ def node_sigmas(edges: Edges3D, lines: Lines, meetings: Meetings) -> FloatArray:
     return np.asarray(1 / np.sqrt(np.linalg.eigvalsh(information)[:, 0]), np.float64)
 
 
-def unit_tangents(edges: Edges3D) -> FloatArray:
-    """(N, 3) unit directions along the edges."""
-    tangents = curve_tangents(edges.points, edges.edge_offsets)
-    lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
-    return np.asarray(tangents / (lengths + 1e-300), np.float64)
-
-
-def with_junctions(
-    edges: Edges3D, lines: Lines, meetings: Meetings, options: PipelineOptions
-) -> Meetings:
+def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings, reach: float) -> Meetings:
     """Add T junctions: ends that meet no other end, but the inside of another edge."""
-    reach = options.linking.node_radius_spacings
     known = np.diff(edges.edge_offsets) >= MIN_JUNCTION_POINTS
     free = np.repeat(~edges.closed & known, 2)
-    free[meetings.corners.members] = False
+    free[meetings.members] = False
     of, onto = pairs_beside(edges, lines, np.flatnonzero(free), reach)
-    tangents = unit_tangents(edges)[onto]
-    outward, spacings = lines.outward[of], lines.ends.spacings[of] + 1e-300
-    cosine = np.einsum("ij,ij->i", outward, tangents)
-    away = lines.centers[of] - edges.points[onto]
-    # The point on the tangent nearest to the line of the end.
-    sine2 = np.maximum(1 - cosine**2, 1e-12)
-    shift = np.einsum("ij,ij->i", away, tangents) - cosine * np.einsum("ij,ij->i", away, outward)
-    places = edges.points[onto] + (shift / sine2)[:, None] * tangents
-    along, miss = (each[:, 0] for each in lines.reaches(of[:, None], places[:, None]))
-    steps = np.linalg.norm(places - edges.points[onto], axis=1) / spacings
-    fits = (np.abs(cosine) <= np.cos(np.radians(MIN_ANGLE_DEG))) & (steps <= 1)
-    fits &= (along >= -MAX_PAST_SPACINGS) & (along <= reach) & (miss <= MAX_MISS_SPACINGS)
+    tangents = unit(curve_tangents(edges.points, edges.edge_offsets))[onto]
+    beside, outward = edges.points[onto], lines.outward[of]
+    _, places = nearest_on_lines(lines.centers[of], outward, beside, tangents)
+    along, miss = lines.reaches(of, places)
+    steps = np.linalg.norm(places - beside, axis=1) / (lines.ends.spacings[of] + 1e-300)
+    cosine = np.abs(np.einsum("ij,ij->i", outward, tangents))
+    fits = (cosine <= np.cos(np.radians(MIN_ANGLE_DEG))) & (steps <= 1)
+    fits &= lines.may_reach(of, places, reach)
     rows = np.flatnonzero(fits)[np.argsort((np.abs(along) + 2 * miss + steps)[fits], kind="stable")]
     rows = rows[np.unique(of[rows], return_index=True)[1]]
     points, owners = np.unique(onto[rows], return_inverse=True)
     first = np.unique(owners, return_index=True)[1]
-    earlier = len(meetings.through)
-    corners = Corners(
-        positions=np.concatenate([meetings.corners.positions, places[rows][first]]),
-        members=np.concatenate([meetings.corners.members, of[rows]]),
-        owners=np.concatenate([meetings.corners.owners, earlier + owners]).astype(np.int64),
+    return Meetings(
+        positions=np.concatenate([meetings.positions, places[rows][first]]),
+        members=np.concatenate([meetings.members, of[rows]]),
+        owners=np.concatenate([meetings.owners, len(meetings.through) + owners]).astype(np.int64),
+        through=np.concatenate([meetings.through, points]),
     )
-    return Meetings(corners=corners, through=np.concatenate([meetings.through, points]))
 
 
 def pairs_beside(
-    edges: Edges3D, lines: Lines, of: IntArray, reach: float
+    edges: Edges3D, lines: EndLines, of: IntArray, reach: float
 ) -> tuple[IntArray, IntArray]:
     """Pairs of ends and inner points of other edges, within a distance in spacings."""
     sizes = np.diff(edges.edge_offsets)[edges.edge_ids]
@@ -230,39 +173,67 @@ def pairs_beside(
     return ends[other], onto[other]
 
 
+def observe(
+    edges: Edges3D,
+    lines: EndLines,
+    meetings: Meetings,
+    given: IndexedGraphs,
+    options: PipelineOptions,
+    num_threads: int,
+) -> tuple[ChainObservations, FloatArray]:
+    """Observations of the meetings of M ends, on any chain, in the views that observe the ends.
+
+    If it is farther than `SHORT_GAP` from the end, a view must also observe the extension.
+
+    Returns:
+        Observations of M points, and the (M,) numbers of observations that they need.
+    """
+    tips, angle = lines.ends.positions[meetings.members], options.refinement.max_tangent_angle_deg
+    asked = views_near(edges, meetings.members[:, None], given.num_views)
+    away = meetings.points - tips
+    far = np.linalg.norm(away, axis=1) > SHORT_GAP * lines.ends.spacings[meetings.members]
+    observed = observed_along(
+        given,
+        asked,
+        meetings.points[:, None] - WAY[:, None] * away[:, None],
+        np.stack([lines.ends.outward[meetings.members], away, away], axis=1),
+        options.refinement.max_residual_px,
+        (90.0, angle, angle),
+        num_threads,
+        np.column_stack([np.ones(len(far), bool), far, far]),
+    )
+    num_asked = np.bincount(asked.indices, minlength=len(meetings.members))
+    return observed, np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
+
+
 def observed_meetings(
     edges: Edges3D,
-    lines: Lines,
+    lines: EndLines,
     meetings: Meetings,
     given: IndexedGraphs,
     options: PipelineOptions,
     num_threads: int,
 ) -> tuple[Meetings, ChainObservations]:
-    """The nodes that enough views observe, with one observation per view."""
-    corners = meetings.corners
-    asked = views_near(edges, corners.members[:, None], given.num_views)
-    seen = observe(corners, lines.ends, asked, given, options, num_threads)
+    """The meetings that enough views observe, with one observation per view."""
+    seen, least = observe(edges, lines, meetings, given, options, num_threads)
     count = len(meetings.through)
-    owners, num_views = corners.owners[seen.points], given.num_views
-    _, first = np.unique(owners * num_views + seen.views, return_index=True)
-    of_nodes = ChainObservations(
+    owners = meetings.owners[seen.points]
+    _, first = np.unique(owners * given.num_views + seen.views, return_index=True)
+    track = ChainObservations(
         offsets=offsets_of(np.bincount(owners[first], minlength=count)),
         views=seen.views[first],
         positions=seen.positions[first],
     )
-    # The threshold is relative to the end with the fewest views, which must see the node, too.
-    num_asked = np.full(count, np.iinfo(np.int64).max)
-    np.minimum.at(
-        num_asked, corners.owners, np.bincount(asked.indices, minlength=len(corners.members))
-    )
-    least = np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
-    enough = of_nodes.counts >= least
-    return meetings.select(enough), of_nodes.select(np.flatnonzero(enough))
+    # The end with the fewest views, which must see the node, too, determines how many are needed.
+    needed = np.full(count, np.inf)
+    np.minimum.at(needed, meetings.owners, least)
+    enough = track.counts >= needed
+    return meetings.select(enough), track.select(np.flatnonzero(enough))
 
 
-def run_to_nodes(edges: Edges3D, lines: Lines, corners: Corners, nodes: Nodes) -> Edges3D:
+def extended(edges: Edges3D, lines: EndLines, meetings: Meetings, nodes: Nodes) -> Edges3D:
     """Extend ends to nodes, and move the points of passing edges to them."""
-    owners = corners.owners
+    owners, members = meetings.owners, meetings.members
     longer = replace(
         edges,
         points=np.concatenate([edges.points, nodes.points[owners]]),
@@ -272,19 +243,25 @@ def run_to_nodes(edges: Edges3D, lines: Lines, corners: Corners, nodes: Nodes) -
         sigmas=np.concatenate([edges.sigmas, nodes.sigmas[owners]]),
         colors=np.concatenate([edges.colors, nodes.colors[owners]]),
     )
-    order, lengths = order_to(edges, lines.ends, corners)
+    # Points beyond a node or next to it are left out.
+    limits = MIN_GAP_SPACINGS * lines.ends.spacings[members]
+    skip = num_behind(edges, members, meetings.points, -lines.ends.outward[members], limits)
+    begins, stops = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
+    points = np.concatenate([ranges_of(begins, stops), edges.num_points + np.arange(len(members))])
+    of = np.concatenate([np.repeat(np.arange(edges.num_edges), stops - begins), members // 2])
+    rank = np.concatenate([np.zeros(len(points) - len(members)), np.where(members % 2 == 0, -1, 1)])
+    order = points[np.lexsort((rank, of))]  # stable: points of an edge stay in their order
+    # In an edge that passes through a node, the node replaces the edge's point.
     through = nodes.through_points
     passed = np.flatnonzero(through >= 0)
-    # In an edge that passes through a node, the node replaces the edge's point.
     stands = np.arange(len(longer.points))
     ends_at = np.unique(owners, return_index=True)[1]
     stands[through[passed]] = edges.num_points + ends_at[passed]
     new_index = np.full(len(longer.points), -1, np.int64)
     new_index[order] = np.arange(len(order))
     end_nodes = np.full(2 * edges.num_edges, -1, np.int32)
-    end_nodes[corners.members] = owners
+    end_nodes[members] = owners
+    offsets = offsets_of(np.bincount(of, minlength=edges.num_edges))
+    longer = longer.reordered(stands[order], offsets, edges.closed, end_nodes.reshape(-1, 2))
     through = np.where(through >= 0, new_index[through], -1)
-    longer = longer.reordered(
-        stands[order], offsets_of(lengths), edges.closed, end_nodes.reshape(-1, 2)
-    )
     return replace(longer, nodes=replace(nodes, through_points=through))

@@ -26,8 +26,6 @@ from colmap_edges.options import CorrespondenceOptions
 DEPTH_MARGIN = 2.0  # factor by which the depth range of a view's SfM points is extended
 # largest fraction of the way to the next point; the last may connect to the first
 NEAREST_TO_NEXT = 1 - 1e-9
-# percentiles of the SfM points' depths used as range, without outliers
-DEPTH_PERCENTILES = (1.0, 99.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +177,7 @@ def depth_bounds(model: Model) -> FloatArray:
         depths = model.views[index].cam_from_world(points)[:, 2]
         depths = depths[depths > 0]
         if len(depths):
-            near, far = np.percentile(depths, DEPTH_PERCENTILES)
+            near, far = np.percentile(depths, (1.0, 99.0))  # without outliers
             ranges[index] = near / DEPTH_MARGIN, far * DEPTH_MARGIN
     return ranges
 

@@ -22,7 +22,6 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import FollowingOptions
 
-MIN_SELECTION_VIEWS = 3  # minimum number of observations (paper: PEPC-selection)
 OUTCOMES = (
     "accepted",
     "on_covered_stretch",
@@ -103,7 +102,7 @@ def follow_pepcs(
         float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         float(np.sin(np.radians(options.full_triangulation_angle_deg))),
         options.max_stretch,
-        MIN_SELECTION_VIEWS,
+        3,  # minimum number of observations (paper: PEPC-selection)
         options.min_steps,
         options.max_selections,
         num_threads,

@@ -28,7 +28,6 @@ from colmap_edges.options import VisibilityOptions
 MIN_POINT_VIEWS = 3  # minimum number of views of an edge point (paper: PEPC-selection)
 # minimum number of an edge's points in a view that observes it: a point and its neighbours
 MIN_VIEW_POINTS = 3
-MIN_VIEW_SHARE = 1 / 3  # minimum share of an edge's points in a view that observes it; set by trial
 
 
 def expand_visibility(
@@ -303,7 +302,7 @@ def drop_doubtful_views(
     rms = rms_of_groups(errors_across(edges, chains), inverse, len(pairs))
     sure = rms <= options.max_rms_ratio * options.max_error_px
     sure &= counts >= np.minimum(MIN_VIEW_POINTS, lengths)
-    sure &= counts >= MIN_VIEW_SHARE * lengths
+    sure &= counts >= (1 / 3) * lengths  # set by trial
     kept = replace(edges, observations=observed.keep(sure[inverse]))
     anew, _ = triangulate_observations(
         observations_of(kept, chains), kept.num_points, chains, num_threads

@@ -40,7 +40,7 @@ def true_curves(path: Path, spacing: float) -> TrueCurves | None:
     """Read true curves of an .npz with `points`, `edges`, `curves`, `kinds` and `radii`.
 
     Args:
-        path: the file, as scripts/make_cad_objects.py writes it.
+        path: the file, as scripts/make_scene.py writes it.
         spacing: largest distance between samples along a curve.
 
     Returns:
@@ -88,7 +88,7 @@ def compare_kinds(result: Curves3D, true: TrueCurves, threshold: float) -> Recor
     errors, lengths = radius_errors(result, true, owners[near], of[near], weights[near])
     num_true = len(np.unique(of[near]))
     on_true = np.bincount(owners[near], minlength=result.num_curves) > counts / 2
-    num_found = len(np.unique(result.wholes[on_true]))
+    num_found = len(np.unique(result.arc_groups[on_true]))
     total = max(float(weights[near].sum()), 1e-300)
     return {
         "num_true": num_true,

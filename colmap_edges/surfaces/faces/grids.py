@@ -96,7 +96,7 @@ def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntA
     return cells[:, 1], cells[:, 0]
 
 
-class GridTaker:
+class GridVisitor:
     """Takes the small pictures of all views while their images are in memory."""
 
     def __init__(self) -> None:

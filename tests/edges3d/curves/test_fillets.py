@@ -4,17 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from curve_edges import edges_of, rounded_rectangle, segment
+from curve_edges import edges_of, lines_around, rounded_rectangle, segment
 
 from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.edges3d.curves.fitting import fit_curves
-
-
-def lines_around(count=30):
-    """Straight edges far away, from which the noise is learned."""
-    random = np.random.default_rng(7)
-    starts, ends = 50 + random.normal(size=(2, count, 3))
-    return [segment(a, b, 25) for a, b in zip(starts, ends, strict=True)]
 
 
 def outline_curves(radius, roll, step=0.02, sigma=3e-4):

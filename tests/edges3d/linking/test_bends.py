@@ -1,4 +1,4 @@
-"""Edges are cut where they turn sharply, and only there; gaps in bends are told from corners."""
+"""Edges are cut where they turn sharply, and only there, not at gaps in bends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def noisy(points, seed=0):
 
 
 def corner(turn_deg, count=12, rounded=0.3):
-    """Two straight arms whose corner, at the origin, is led a little inside by its neighbours."""
+    """Two straight arms whose corner, at the origin, is a little inside by its neighbours."""
     turn = np.radians(turn_deg)
     steps = np.arange(count) + 0.5
     before = np.column_stack([-steps[::-1], 0 * steps, 0 * steps])
@@ -110,9 +110,9 @@ def test_the_unit_does_not_matter(scale):
 def goes_on(before, behind):
     """Whether the last end of the one and the first of the other are of one smooth curve."""
     edges = edges_of([before, behind], sigma=0)
-    told = go_on_smoothly(edges, np.array([1, 2]), np.array([2, 1]))
-    assert told[0] == told[1]
-    return bool(told[0])
+    found = go_on_smoothly(edges, np.array([1, 2]), np.array([2, 1]))
+    assert found[0] == found[1]
+    return bool(found[0])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -120,7 +120,7 @@ def test_ends_beside_a_gap_in_a_circle_go_on_in_each_other(seed):
     for radius, gap_deg in ((4, 30), (5, 45), (8, 45)):
         whole = ring(radius, gap_deg, 200), ring(radius, -150, 0)
         assert goes_on(noisy(whole[1], seed), noisy(whole[0], seed + 9))
-    # Three points are few, but those of the other side tell the bend.
+    # Three points are few, but those of the other side determine the bend.
     assert goes_on(noisy(ring(4, -150, 0), seed), noisy(ring(4, 20, 58), seed + 9))
 
 
@@ -136,7 +136,7 @@ def test_ends_at_a_corner_do_not(seed):
     assert not goes_on(noisy(arcs[0], seed), noisy(turned, seed + 9))
 
 
-def test_pieces_of_two_points_tell_nothing():
+def test_pieces_of_two_points_determine_nothing():
     assert not goes_on(ring(4, -150, 0), ring(4, 20, 40))
 
 

@@ -4,7 +4,6 @@ import curves as known
 import numpy as np
 import pytest
 
-from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.edges3d.linking.circles import join_circles
 from colmap_edges.options import PipelineOptions
@@ -24,23 +23,6 @@ def arc(first_deg, last_deg, **circle):
     return at(angles, **circle) + noise
 
 
-def edges_of(pieces, closed=False):
-    """Edges that all views observe."""
-    points, count = np.concatenate(pieces), len(VIEWS)
-    return Edges3D(
-        points=points,
-        edge_offsets=offsets_of(np.array([len(piece) for piece in pieces])),
-        closed=np.full(len(pieces), closed),
-        observations=known.unplaced(
-            count * np.arange(len(points) + 1),
-            np.tile(np.arange(count, dtype=np.int32), len(points)),
-        ),
-        sigmas=np.full(len(points), NOISE),
-        end_nodes=np.full((len(pieces), 2), -1, np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
-
-
 def joined(pieces, num_observing=6, num_threads=1, closed=False):
     """The edges, joined, if so many views have chains along the whole circle."""
     chains = [known.circle((0, 0, 0), RADIUS)]
@@ -49,7 +31,8 @@ def joined(pieces, num_observing=6, num_threads=1, closed=False):
         for index, view in enumerate(VIEWS)
     ]
     given = known.tracing_input(VIEWS, graphs)
-    return join_circles(edges_of(pieces, closed), given, PipelineOptions(), num_threads)
+    edges = known.observed_edges(pieces, range(len(VIEWS)), NOISE, closed)
+    return join_circles(edges, given, PipelineOptions(), num_threads)
 
 
 def off_circle(edges):

@@ -6,11 +6,9 @@ import curves as known
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from scipy.sparse import csc_array
 
-from colmap_edges.core.arrays import offsets_of
-from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import Observations
-from colmap_edges.edges3d.linking.gaps import are_observed, hermite_weights
+from colmap_edges.edges3d.linking.gaps import are_observed, hermite_weights, observed_along
 from colmap_edges.edges3d.linking.joining import link_edges
 from colmap_edges.options import PipelineOptions
 
@@ -30,21 +28,7 @@ ARC = part_of(known.circle((0.5, 0, 0), 0.8), 0.0, 0.4)
 def pieces_of(curve, views):
     """The two pieces of a curve as edges that each of some views observes."""
     t = [np.arange(first, last, STEP) for first, last in (BEFORE, AFTER)]
-    points = curve(np.concatenate(t))
-    count = len(points) * len(views)
-    return Edges3D(
-        points=points,
-        edge_offsets=offsets_of(np.array([len(of) for of in t])),
-        closed=np.zeros(2, bool),
-        observations=Observations.of_pixels(
-            offsets=np.arange(0, count + 1, len(views)),
-            views=np.tile(np.array(views, np.int32), len(points)),
-            pixels=np.zeros((count, 2)),
-        ),
-        sigmas=np.zeros(len(points)),
-        end_nodes=np.full((2, 2), -1, np.int32),
-        colors=np.zeros((len(points), 3), np.uint8),
-    )
+    return known.observed_edges([curve(of) for of in t], views)
 
 
 def num_linked(curve, chains, observing=range(6), num_threads=1):
@@ -115,3 +99,19 @@ def test_weights_are_those_of_cubic_hermite_splines():
     points, tangents = ruled @ hermite_weights(t)
     np.testing.assert_allclose(points, expected(t))
     np.testing.assert_allclose(tangents, expected(t, 1))
+
+
+def test_points_are_observed_along_a_curve_where_all_that_are_needed_are():
+    chains = [[ARC]] * 3 + [broken(ARC)] * 3
+    graphs = [known.graph_of(view, of) for view, of in zip(VIEWS, chains, strict=True)]
+    given, t = known.tracing_input(VIEWS, graphs), np.array([0.3, 0.45])  # on a piece, in the gap
+    points, tangents = ARC(t)[None], (ARC(t + 1e-4) - ARC(t))[None]
+    asked = csc_array(np.array([[True, True, False, True, True, True]]))
+
+    def views(*needed):
+        mask = np.array([needed]) if needed else None
+        angles = (20.0, 20.0)
+        return observed_along(given, asked, points, tangents, 2.0, angles, 1, mask).views.tolist()
+
+    assert views() == [0, 1]
+    assert views(True, False) == [0, 1, 3, 4, 5]

@@ -5,11 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pycolmap
 import pytest
-from plain_rooms import model_of
+from plain_rooms import model_of, upright_view
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import points_of_samples
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import label_scene
@@ -27,22 +26,7 @@ def views_around():
     views = []
     for i, angle in enumerate(np.linspace(0, 2 * np.pi, 16, endpoint=False)):
         center = np.array([4 * np.cos(angle), 4 * np.sin(angle), 2.6 + 0.5 * (i % 2)])
-        forward = np.array([0, 0, 0.3]) - center
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0, 0, 1])
-        right /= np.linalg.norm(right)
-        rotation = np.array([right, np.cross(forward, right), forward])
-        views.append(
-            View(
-                image_id=i + 1,
-                name=f"{i:02d}.png",
-                width=160,
-                height=120,
-                camera=camera,
-                rotation=rotation,
-                translation=-rotation @ center,
-            )
-        )
+        views.append(upright_view(i, camera, center, np.array([0, 0, 0.3]) - center))
     return tuple(views)
 
 

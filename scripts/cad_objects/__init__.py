@@ -1,1 +1,0 @@
-"""Textureless CAD objects seen from all sides, with ground truth."""

@@ -1,1 +1,0 @@
-"""The demo scene: its true geometry, its renders and its sparse model."""
