@@ -23,7 +23,7 @@ def summary(report: dict[str, Any], output: Path, seconds: float, verbose: bool)
         lines.append(f"Note: {finding['text']}. To change that: {finding['remedy']}.")
     for name, text in outcome(report).items():
         lines.append(f"{name + ':':9} {text}")
-    names = ("report.html", "mesh.ply", "edges.ply", "overlays")
+    names = ("report.html", "mesh.ply", "mesh.obj", "mesh.glb", "edges.ply", "overlays")
     name = next((name for name in names if (output / name).exists()), "")
     how = f"in {VIEWERS[name].rpartition(': ')[2]}" if name else "the results"
     return [*lines, f"{'Look at:':9} {output / name} ({how})"]

@@ -55,6 +55,9 @@ class PipelineOptions(Options):
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
         stage="mesh",
     )
+    mesh_type: str = option(
+        "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
+    )
     report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
         False,

@@ -101,7 +101,7 @@ def mesh_stage(
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
         mesh = finished(mesh, extended, options.meshing)
-        is_far = write_mesh(mesh, folder / "mesh.ply")
+        is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts |= {"far_from_origin": 1} if is_far else {}
         stage.counts["details"] = plain_counts(mesh.stats)

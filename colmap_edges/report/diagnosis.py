@@ -50,7 +50,7 @@ def diagnose(stages: Sequence[Mapping[str, Any]], options: PipelineOptions) -> l
     if counts.get("mesh", {}).get("faces") == 0:
         findings.append(empty_mesh(counts["mesh"], options))
     if counts.get("mesh", {}).get("far_from_origin"):
-        findings.append(far_mesh())
+        findings.append(far_mesh(options))
     return findings
 
 
@@ -211,11 +211,16 @@ def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Fin
     )
 
 
-def far_mesh() -> Finding:
+def far_mesh(options: PipelineOptions) -> Finding:
     """The finding that 32-bit coordinates would distort the mesh."""
+    kept = {
+        "PLY": "mesh.ply holds 64-bit ones",
+        "OBJ": "mesh.obj holds all digits",
+        "GLB": "mesh.glb holds them relative to an offset",
+    }[options.mesh_type]
     return Finding(
         "the model lies so far from the origin that coordinates of 32 bits would distort the "
-        "mesh; mesh.ply holds 64-bit ones, but some programs round them when they read them",
+        f"mesh; {kept}, but some programs round them when they read them",
         "move the origin into the scene, for example with `colmap model_aligner` and its "
         "--alignment_type enu, and run again",
     )
