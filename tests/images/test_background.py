@@ -246,7 +246,7 @@ def test_a_backdrop_without_any_edge_is_meshed(small, tmp_path):
     assert counts["mesh"]["faces"] > 500
     assert "no edge was detected in any of 6 images" in report["findings"][1]["text"]
     result = reconstruct(pycolmap.Reconstruction(str(small[1])), images)
-    found = mesh(small[1], result.edges, background=result.background)
+    found = mesh(small[1], result.edges, background=result.background, faces=result.faces)
     assert len(found.faces) == counts["mesh"]["faces"]
 
 

@@ -115,18 +115,30 @@ def join_circles(
 
 
 def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntArray:
-    """(n, 2) ends of two open edges near each other, but near no end of a third edge."""
+    """(n, 2) ends of two open edges, one of them bent, near each other but no third edge's end."""
     a, b, gap = near_pairs(ends, LONG_GAP * options.max_gap_spacings)
     sizes = np.diff(edges.edge_offsets)[np.column_stack([a // 2, b // 2])]
     keep = (sizes.min(axis=1) >= MIN_POINTS[0]) & (sizes.max(axis=1) >= MIN_POINTS[1])
     keep &= ~edges.closed[a // 2] & ~edges.closed[b // 2] & (a // 2 != b // 2)
+    bends = sagittas(edges)
+    keep &= np.maximum(bends[a // 2], bends[b // 2]) >= np.tan(MIN_TURN / 8) / 2
     c, d, _ = near_pairs(ends, options.node_radius_spacings)
     met = np.bincount(np.concatenate([c, d]), minlength=len(ends.positions))
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
     lengths = np.linalg.norm(gap, axis=1)
     own = lengths <= options.node_radius_spacings * spacing
+    ahead = [np.einsum("ni,ni->n", ends.outward[of], gap * way) for of, way in ((a, 1), (b, -1))]
+    keep &= (lengths <= (REACH + SHORT_GAP) * spacing) | (np.minimum(*ahead) > 0)
     keep &= (met[a] <= own) & (met[b] <= own)
     return np.asarray(np.column_stack([a, b])[keep], np.int64)
+
+
+def sagittas(edges: Edges3D) -> FloatArray:
+    """(E,) distances of the edges' middle points from their chords' middles, relative to chords."""
+    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
+    start, middle, end = (edges.points[at] for at in (first, (first + last) // 2, last))
+    aside = np.linalg.norm(middle - (start + end) / 2, axis=1)
+    return np.asarray(aside / (np.linalg.norm(end - start, axis=1) + 1e-300))
 
 
 def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[FloatArray, BoolArray]:
