@@ -139,7 +139,7 @@ OutArray<uint8_t> EnclosedCellsArray(Labels2D shown, InArray<uint8_t, nb::ndim<3
 }
 
 OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
-                                   Bytes2D enclosed, double min_share) {
+                                   Bytes2D enclosed, bool has_backdrop, double min_share) {
   const size_t rows = shown.shape(0), columns = shown.shape(1);
   Require(touched.shape(0) == rows && touched.shape(1) == columns && enclosed.shape(0) == rows &&
               enclosed.shape(1) == columns,
@@ -149,7 +149,7 @@ OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>>
   const CellGrid grid{int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
                       shown.data(),     touched.data(), nullptr};
   const std::vector<uint8_t> given(enclosed.data(), enclosed.data() + enclosed.size());
-  return ToArray(WholePieces(grid, given, min_share), {rows, columns});
+  return ToArray(WholePieces(grid, given, has_backdrop, min_share), {rows, columns});
 }
 
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
@@ -323,7 +323,8 @@ void BindFaces(nb::module_& m) {
   m.def("enclosed_cells", &EnclosedCellsArray, "shown"_a, "touched"_a, "inside"_a, "directions"_a,
         "max_open"_a,
         "(h, w) uint8 whether going straight on within a cell's label meets its plane's points.");
-  m.def("whole_pieces", &WholePiecesArray, "shown"_a, "touched"_a, "enclosed"_a, "min_share"_a,
+  m.def("whole_pieces", &WholePiecesArray, "shown"_a, "touched"_a, "enclosed"_a, "has_backdrop"_a,
+        "min_share"_a,
         "(h, w) uint8 cells that are enclosed, and all of pieces most of whose cells are.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
       .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,

@@ -74,14 +74,16 @@ inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureO
 }
 
 // Cells that are enclosed or hold points of their plane, and all of pieces with a minimum share of
-// enclosed cells. A piece is a connected part of the cells of one plane without points: a wall that
-// goes on to the end of the picture is believed, what lies beyond the outline of a part is not.
+// enclosed cells. A piece is a connected part of the cells of one plane: a wall that goes on to the
+// end of the picture is believed. Where there is a backdrop, pieces end at cells with points, since
+// what lies beyond the outline of a part is not of its plane.
 inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<uint8_t>& enclosed,
-                                        double min_share) {
+                                        bool has_backdrop, double min_share) {
   std::vector<uint8_t> held = enclosed, seen(grid.num_cells(), false);
   for (int32_t cell = 0; cell < grid.num_cells(); ++cell) {
-    seen[cell] = grid.labels[cell] < 0 || grid.IsTouched(cell);
-    held[cell] |= grid.labels[cell] >= 0 && grid.IsTouched(cell);
+    const bool touched = grid.labels[cell] >= 0 && grid.IsTouched(cell);
+    seen[cell] = grid.labels[cell] < 0 || (has_backdrop && touched);
+    held[cell] |= touched;
   }
   std::vector<int32_t> piece;
   for (int32_t start = 0; start < grid.num_cells(); ++start) {
@@ -157,7 +159,9 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
   const CellGrid grid{view.columns, view.rows,      int32_t(count),
                       labels,       touched.data(), inside.data()};
   const std::vector<uint8_t> enclosed = EnclosedCells(grid, options);
-  std::vector<uint8_t> held = WholePieces(grid, enclosed, options.min_share);
+  const bool has_backdrop =
+      std::any_of(plain, plain + view.num_cells(), [](uint8_t p) { return p; });
+  std::vector<uint8_t> held = WholePieces(grid, enclosed, has_backdrop, options.min_share);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell)
     if (held[cell] && plain[cell])
       held[cell] = enclosed[cell] && inside[cell] && !grid.IsTouched(cell);

@@ -96,9 +96,9 @@ def test_the_end_of_the_picture_encloses_where_the_plane_is_known_to_go_on():
     assert enclosed_cells(shown, touched, inside)[8:12, 10:20].all()
 
 
-def held_cells(shown, touched, enclosed):
+def held_cells(shown, touched, enclosed, has_backdrop=False):
     return _kernels.whole_pieces(
-        shown, touched.astype(np.uint8), enclosed.astype(np.uint8), ENCLOSED_SHARE
+        shown, touched.astype(np.uint8), enclosed.astype(np.uint8), has_backdrop, ENCLOSED_SHARE
     ).astype(bool)
 
 
@@ -109,15 +109,17 @@ def test_pieces_are_believed_as_most_of_their_cells_are():
     assert held.tolist() == [[1, 1, 1, 1, 1, 0, 1, 0, 0]]
 
 
-def test_what_lies_beyond_the_points_of_a_piece_is_another_piece():
+def test_before_a_backdrop_what_lies_beyond_the_points_of_a_piece_is_another_piece():
     shown = np.zeros((1, 9), np.int32)
     touched = np.zeros((1, 9, 1), bool)
     touched[0, 6] = True
-    enclosed = np.array([[1, 1, 1, 1, 0, 0, 0, 0, 0]], bool)
-    assert held_cells(shown, touched, enclosed).tolist() == [[1] * 7 + [0] * 2]
+    enclosed = np.array([[1, 1, 1, 1, 1, 0, 0, 0, 0]], bool)
+    assert held_cells(shown, touched, enclosed, has_backdrop=True).tolist() == [[1] * 7 + [0] * 2]
+    assert held_cells(shown, touched, enclosed).all()
 
 
-def test_pieces_are_connected_along_sides():
+@pytest.mark.parametrize("has_backdrop", [False, True])
+def test_pieces_are_connected_along_sides(has_backdrop):
     rng = np.random.default_rng(2)
     shown = rng.integers(-1, 2, (12, 15)).astype(np.int32)
     touched = rng.random((*shown.shape, 2)) < 0.1
@@ -125,10 +127,11 @@ def test_pieces_are_connected_along_sides():
     expected = enclosed.copy()
     for plane in (0, 1):
         expected |= (shown == plane) & touched[..., plane]
-        pieces, count = ndimage.label((shown == plane) & ~touched[..., plane])
+        ends = touched[..., plane] & has_backdrop
+        pieces, count = ndimage.label((shown == plane) & ~ends)
         for piece in range(1, count + 1):
             expected |= (pieces == piece) & (enclosed[pieces == piece].mean() >= ENCLOSED_SHARE)
-    assert np.array_equal(held_cells(shown, touched, enclosed), expected)
+    assert np.array_equal(held_cells(shown, touched, enclosed, has_backdrop), expected)
 
 
 def picture_of(levels):
