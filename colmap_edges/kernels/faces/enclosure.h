@@ -73,17 +73,17 @@ inline std::vector<uint8_t> EnclosedCells(const CellGrid& grid, const EnclosureO
   return enclosed;
 }
 
-// Cells that are enclosed or hold points of their plane, and all of pieces with a minimum share of
-// enclosed cells. A piece is a connected part of the cells of one plane: a wall that goes on to the
-// end of the picture is believed. Where there is a backdrop, pieces end at cells with points, since
-// what lies beyond the outline of a part is not of its plane.
+// Cells that are enclosed, and all of pieces with a minimum share of such cells. A piece is a
+// connected part of the cells of one plane: a wall that goes on to the end of the picture is
+// believed. Where there is a backdrop, cells with points of their plane are held and end pieces,
+// since what lies beyond the outline of a part is not of its plane.
 inline std::vector<uint8_t> WholePieces(const CellGrid& grid, const std::vector<uint8_t>& enclosed,
                                         bool has_backdrop, double min_share) {
   std::vector<uint8_t> held = enclosed, seen(grid.num_cells(), false);
   for (int32_t cell = 0; cell < grid.num_cells(); ++cell) {
-    const bool touched = grid.labels[cell] >= 0 && grid.IsTouched(cell);
-    seen[cell] = grid.labels[cell] < 0 || (has_backdrop && touched);
-    held[cell] |= touched;
+    const bool ends = has_backdrop && grid.labels[cell] >= 0 && grid.IsTouched(cell);
+    seen[cell] = grid.labels[cell] < 0 || ends;
+    held[cell] |= ends;
   }
   std::vector<int32_t> piece;
   for (int32_t start = 0; start < grid.num_cells(); ++start) {

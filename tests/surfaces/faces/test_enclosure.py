@@ -126,8 +126,8 @@ def test_pieces_are_connected_along_sides(has_backdrop):
     enclosed = (rng.random(shown.shape) < 0.4) & (shown >= 0)
     expected = enclosed.copy()
     for plane in (0, 1):
-        expected |= (shown == plane) & touched[..., plane]
         ends = touched[..., plane] & has_backdrop
+        expected |= (shown == plane) & ends
         pieces, count = ndimage.label((shown == plane) & ~ends)
         for piece in range(1, count + 1):
             expected |= (pieces == piece) & (enclosed[pieces == piece].mean() >= ENCLOSED_SHARE)
