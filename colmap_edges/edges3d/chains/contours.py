@@ -44,8 +44,9 @@ def are_less(seen: Seen, moving: FloatArray, fixed: FloatArray) -> BoolArray:
 
     Residuals of one view are not independent of each other, so their means by view are tested.
     """
-    shape = len(seen.spare), int(seen.views.max(initial=0)) + 1
-    pairs = np.ravel_multi_index((seen.owners, seen.views), shape)
+    kept, views = np.unique(seen.views, return_inverse=True)  # few of the scene's
+    shape = len(seen.spare), max(len(kept), 1)
+    pairs = np.ravel_multi_index((seen.owners, views), shape)
     counts = np.bincount(pairs, minlength=shape[0] * shape[1])
 
     def squares(residuals: FloatArray) -> FloatArray:
