@@ -11,6 +11,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray
 from colmap_edges.edges2d.detection import Chains
+from colmap_edges.images.files import JPEG
 
 BLOCK_PX = 8
 QUANTISATION, SCAN = 0xDB, 0xDA  # markers of JPEG's quantisation tables, and of the image's data
@@ -65,8 +66,8 @@ def quantisation_of(data: ByteArray) -> FloatArray | None:
 
     Source: ITU-T T.81, B.2.4.1.
     """
-    file, start = data.tobytes(), 2
-    if not file.startswith(b"\xff\xd8"):
+    file, start = data.data, len(JPEG)
+    if file[:start] != JPEG:
         return None
     while start + 4 <= len(file) and file[start] == 0xFF and file[start + 1] != SCAN:
         content = file[start + 4 : start + 2 + int.from_bytes(file[start + 2 : start + 4], "big")]
