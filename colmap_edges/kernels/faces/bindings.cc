@@ -125,31 +125,32 @@ EnclosureOptions ToOptions(const Pairs& directions, int max_open, double min_sha
   return options;
 }
 
-OutArray<uint8_t> EnclosedCellsArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
-                                     Bytes2D inside, Pairs directions, int max_open) {
+// The grid of a view's cells. `others` is the further array of them; `inside` may be that or none.
+CellGrid ToCellGrid(const Labels2D& shown, const InArray<uint8_t, nb::ndim<3>>& touched,
+                    const Bytes2D& others, const uint8_t* inside) {
   const size_t rows = shown.shape(0), columns = shown.shape(1);
-  Require(touched.shape(0) == rows && touched.shape(1) == columns && inside.shape(0) == rows &&
-              inside.shape(1) == columns,
+  Require(touched.shape(0) == rows && touched.shape(1) == columns && others.shape(0) == rows &&
+              others.shape(1) == columns,
           "grids differ in shape");
   for (size_t i = 0; i < shown.size(); ++i)
     Require(shown.data()[i] < int64_t(touched.shape(2)), "labels hold an unknown plane");
-  const CellGrid grid{int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
-                      shown.data(),     touched.data(), inside.data()};
-  return ToArray(EnclosedCells(grid, ToOptions(directions, max_open, 0)), {rows, columns});
+  return {int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
+          shown.data(),     touched.data(), inside};
+}
+
+OutArray<uint8_t> EnclosedCellsArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
+                                     Bytes2D inside, Pairs directions, int max_open) {
+  const CellGrid grid = ToCellGrid(shown, touched, inside, inside.data());
+  return ToArray(EnclosedCells(grid, ToOptions(directions, max_open, 0)),
+                 {shown.shape(0), shown.shape(1)});
 }
 
 OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>> touched,
                                    Bytes2D enclosed, bool has_backdrop, double min_share) {
-  const size_t rows = shown.shape(0), columns = shown.shape(1);
-  Require(touched.shape(0) == rows && touched.shape(1) == columns && enclosed.shape(0) == rows &&
-              enclosed.shape(1) == columns,
-          "grids differ in shape");
-  for (size_t i = 0; i < shown.size(); ++i)
-    Require(shown.data()[i] < int64_t(touched.shape(2)), "labels hold an unknown plane");
-  const CellGrid grid{int32_t(columns), int32_t(rows),  int32_t(touched.shape(2)),
-                      shown.data(),     touched.data(), nullptr};
+  const CellGrid grid = ToCellGrid(shown, touched, enclosed, nullptr);
   const std::vector<uint8_t> given(enclosed.data(), enclosed.data() + enclosed.size());
-  return ToArray(WholePieces(grid, given, has_backdrop, min_share), {rows, columns});
+  return ToArray(WholePieces(grid, given, has_backdrop, min_share),
+                 {shown.shape(0), shown.shape(1)});
 }
 
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
