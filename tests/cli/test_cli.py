@@ -189,7 +189,10 @@ def test_usage_errors_exit_2(flags, tmp_path, args, message):
 
 @pytest.mark.parametrize(
     "flag",
-    ["--masks_are_background", "--use_faces", "--use_edges", "--Meshing.method", "--max_faces"],
+    [
+        *("--mesh_type", "--masks_are_background", "--use_faces", "--use_edges"),
+        *("--Meshing.method", "--max_faces"),
+    ],
 )
 def test_flags_of_the_mesh_alone_are_no_flags_of_reconstruct(flags, tmp_path, flag):
     assert "No such option" in call("reconstruct", *flags, flag, "1", code=2)
@@ -218,15 +221,16 @@ def test_messages_spell_flags_as_help_does(flags, tmp_path, args, message):
 def test_one_config_serves_all_commands(flags, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
-        "quality = 'low'\nexport = 'DXF, glb'\n[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n"
+        "quality = 'low'\nexport = 'DXF, glb'\nmesh_type = 'OBJ'\n"
+        "[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n"
     )
     call("detect", *flags, "--config", config)
     assert '"gamma": 2.0' in (tmp_path / "out" / "report.json").read_text()
     call("mesh", *flags, "--config", config, "--overwrite", "--report", "0")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["options"]["meshing"]["max_faces"] == 500
-    exported = {"edges.dxf", "edges.glb", "mesh.glb"}
-    assert exported <= set(report["files"]) and "edges.obj" not in report["files"]
+    exported = {"edges.dxf", "edges.glb", "mesh.obj", "mesh.glb"}
+    assert exported <= set(report["files"]) and not {"edges.obj", "mesh.ply"} & set(report["files"])
     call("export", "--run_path", tmp_path / "out", "--output_path", tmp_path / "a.dxf")
     exported = (tmp_path / "a.dxf", tmp_path / "out" / "edges.dxf")
     assert exported[0].read_bytes() == exported[1].read_bytes()

@@ -199,7 +199,8 @@ def test_changed_inputs_are_recomputed(small, tmp_path):
     scene, output = (images, small[1]), tmp_path / "out"
     edges = mesh(scene, output, cache)[1]["trace"]["edges"]
     meshing = MeshingOptions(quality_weight=0.5)
-    assert reused(mesh(scene, output, cache, meshing=meshing, output_type="TXT")[1]) == (6, edges)
+    written = {"output_type": "TXT", "mesh_type": "OBJ"}
+    assert reused(mesh(scene, output, cache, meshing=meshing, **written)[1]) == (6, edges)
     tracing = TracingOptions(curve_step_points=5)
     assert reused(mesh(scene, output, cache, tracing=tracing)[1]) == (6, 0)
     assert reused(mesh(scene, output, cache, random_seed=1)[1]) == (6, 0)
