@@ -82,6 +82,7 @@ def detect_chains(
     points, normals = _kernels.refine_subpixel(light, pixels)
     if pixel_chains:
         points, normals = followed_further(light, pixels, points, normals)
+    # Upper limit of the blur by which displacements by nearby edges are corrected: 2 px.
     blur_px = min(blur_of_edges(image, points + 0.5, normals), 2.0)
     blur_px = float(np.hypot(options.sigma_px, blur_px))
     points = _kernels.undo_displacement(light, points, normals, blur_px)

@@ -81,9 +81,10 @@ def count_around(
     counts = _kernels.count_around(
         undistorted[ahead],
         depths[ahead],
-        0.002 / 2 * depths[ahead] + 3.0 * sigmas[ahead],  # an occluder is nearer by 0.2 %
+        # An occluder is nearer by 0.2 % of the depth, and by three standard deviations.
+        0.002 / 2 * depths[ahead] + 3.0 * sigmas[ahead],
         curves[ahead],
-        max(radius_px, 0.01),
+        max(radius_px, 0.01),  # neighbours may coincide in the image
         MAX_SLOPE / view.focal_px,
         num_threads,
     )
