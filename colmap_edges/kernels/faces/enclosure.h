@@ -111,9 +111,8 @@ constexpr int32_t kMeetCells = 2;  // cells, each way, in which a plane ends at 
 // Planes end where they meet the plane of a cell next to theirs: walls end at the floor. Two planes
 // meet where the line in which they intersect passes through the window around a cell.
 inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
-                                 const std::vector<Plane>& planes, std::vector<uint8_t>* touched) {
-  std::vector<Vec3> inverse_depths;
-  for (const Plane& plane : planes) inverse_depths.push_back(view.InverseDepthOf(plane));
+                                 const std::vector<Vec3>& inverse_depths,
+                                 std::vector<uint8_t>* touched) {
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t own = labels[cell], x = cell % view.columns, y = cell / view.columns;
     if (own < 0) continue;
@@ -127,10 +126,32 @@ inline void TouchWherePlanesMeet(const FaceView& view, const int32_t* labels,
         const Vec3 line = inverse_depths[other] - inverse_depths[own];
         const double off = Dot(line, {pixel.x, pixel.y, 1});
         if (std::abs(off) <= kMeetCells * FaceView::kCellPx * (std::abs(line.x) + std::abs(line.y)))
-          (*touched)[cell * planes.size() + other] = true;
+          (*touched)[cell * inverse_depths.size() + other] = true;
       }
     }
   }
+}
+
+constexpr double kNearer = 1.02;  // ratio of depths from which one plane stands before another
+
+// Planes may go on behind what is held: a wall behind furniture. Returns whether any is new.
+inline bool TouchBehind(const FaceView& view, const int32_t* labels,
+                        const std::vector<uint8_t>& held, const std::vector<Vec3>& inverse_depths,
+                        std::vector<uint8_t>* touched) {
+  const size_t count = inverse_depths.size();
+  bool any = false;
+  for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    if (!held[cell]) continue;
+    const Vec2 at = view.CellCenter(cell);
+    const Vec3 pixel{at.x, at.y, 1};
+    const double inverse = Dot(inverse_depths[labels[cell]], pixel);
+    for (size_t k = 0; k < count; ++k) {
+      uint8_t& is_touched = (*touched)[cell * count + k];
+      if (is_touched || inverse < kNearer * Dot(inverse_depths[k], pixel)) continue;
+      is_touched = any = true;
+    }
+  }
+  return any;
 }
 
 // The cells of a view that are enclosed, or of a whole piece. `plain`: whether each cell may show
@@ -147,7 +168,9 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
          ++j)
       cell[points.planes[j]] = true;
   }
-  TouchWherePlanesMeet(view, labels, scene.planes, &touched);
+  std::vector<Vec3> inverse_depths;
+  for (const Plane& plane : scene.planes) inverse_depths.push_back(view.InverseDepthOf(plane));
+  TouchWherePlanesMeet(view, labels, inverse_depths, &touched);
   std::vector<uint8_t> inside(view.num_cells(), false);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     const int32_t label = labels[cell];
@@ -158,10 +181,14 @@ inline std::vector<uint8_t> HeldCells(const FaceScene& scene, int32_t v, const i
   }
   const CellGrid grid{view.columns, view.rows,      int32_t(count),
                       labels,       touched.data(), inside.data()};
-  const std::vector<uint8_t> enclosed = EnclosedCells(grid, options);
   const bool has_backdrop =
       std::any_of(plain, plain + view.num_cells(), [](uint8_t p) { return p; });
-  std::vector<uint8_t> held = WholePieces(grid, enclosed, has_backdrop, options.min_share);
+  std::vector<uint8_t> enclosed, held;
+  // Objects before a backdrop are seen from outside: slices through a body hide one another.
+  do {
+    enclosed = EnclosedCells(grid, options);
+    held = WholePieces(grid, enclosed, has_backdrop, options.min_share);
+  } while (!has_backdrop && TouchBehind(view, labels, held, inverse_depths, &touched));
   for (int32_t cell = 0; cell < view.num_cells(); ++cell)
     if (held[cell] && plain[cell])
       held[cell] = enclosed[cell] && inside[cell] && !grid.IsTouched(cell);

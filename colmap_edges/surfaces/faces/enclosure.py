@@ -20,8 +20,10 @@ DIRECTIONS = (
     *((1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)),
     *((-1, 0), (-2, -1), (-1, -1), (-1, -2), (0, -1), (1, -2), (1, -1), (2, -1)),
 )
-# maximum number of adjacent open directions: points enclose a cell from all sides
+# Maximum number of adjacent open directions, in which no points of a cell's plane are met: fewer
+# before a backdrop, since slices through a round body meet points on its near side only.
 MAX_OPEN = len(DIRECTIONS) // 2 - 1
+MAX_OPEN_BEFORE_BACKDROP = len(DIRECTIONS) // 4
 # minimum share of enclosed cells of a piece, or of agreeing views at a position
 ENCLOSED_SHARE = 1 / 2
 # Minimum share of a picture's border that shows the backdrop if there is one: 0.4 to 1 around
@@ -47,15 +49,16 @@ def are_enclosed(
         grids: (V,) the views' small pictures.
         num_threads: threads; the result does not depend on them.
     """
+    plain = np.concatenate([shows_backdrop(grid).ravel() for grid in grids])
     counts = scene.count_enclosing(
         labels,
-        np.concatenate([shows_backdrop(grid).ravel() for grid in grids]).astype(np.uint8),
+        plain.astype(np.uint8),
         samples.points,
         np.ascontiguousarray(samples.planes),
         samples.offsets,
         samples.views,
         np.array(DIRECTIONS, np.int32),
-        MAX_OPEN,
+        MAX_OPEN_BEFORE_BACKDROP if plain.any() else MAX_OPEN,
         ENCLOSED_SHARE,
         num_threads,
     )

@@ -32,6 +32,7 @@ class Evidence:
         sigmas: (N,) standard deviations across the rays, world units.
         ray_sigmas: (N,) standard deviations along the rays, world units.
         weights: (N,) lengths of edges in pixels.
+        edge_ids: (N,) edges of the points, which follow each other; -1 of SfM points.
         offsets: (N + 1,) of the tracks.
         views: (T,) int32 views of the tracks.
     """
@@ -42,6 +43,7 @@ class Evidence:
     sigmas: FloatArray
     ray_sigmas: FloatArray
     weights: FloatArray
+    edge_ids: IntArray
     offsets: IntArray
     views: Int32Array
 
@@ -64,6 +66,7 @@ def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
         sigmas=pixels,
         ray_sigmas=ray_sigmas,
         weights=np.concatenate([np.full(num_sfm, SFM_WEIGHT_PX), lengths]),
+        edge_ids=np.concatenate([np.full(num_sfm, -1), edges.edge_ids]),
         offsets=offsets,
         views=views,
     )

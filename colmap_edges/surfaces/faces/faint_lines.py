@@ -181,6 +181,7 @@ def as_evidence(marks: Marks, lines: list[Line], model: Model) -> Evidence:
         sigmas=SIGMA_PX * sizes,
         ray_sigmas=SIGMA_PX * sizes,
         weights=STEP_PX * sizes / pixels,
+        edge_ids=np.full(number, -1),
         offsets=offsets,
         views=views,
     )

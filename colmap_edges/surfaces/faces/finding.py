@@ -19,7 +19,7 @@ from colmap_edges.surfaces.faces.decision import (
     points_of_samples,
     sample_cells,
 )
-from colmap_edges.surfaces.faces.enclosure import are_enclosed
+from colmap_edges.surfaces.faces.enclosure import are_enclosed, shows_backdrop
 from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cell_offsets
@@ -112,9 +112,11 @@ def find_faces(
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     if not len(plain) or plain.mean() < MIN_PLAIN:
         return first.faces(model, NO_POINTS)
-    labels = first.accepted_labels(pictures)
-    evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
-    planes = find_planes(evidence, np.random.default_rng(random_seed))
+    if not any(shows_backdrop(picture).any() for picture in pictures):
+        # On objects before a backdrop, faint lines are shades of round bodies.
+        labels = first.accepted_labels(pictures)
+        evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
+        planes = find_planes(evidence, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
     return last.faces(model, points_of_samples(last.samples, last.accepted, model.views, pictures))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
+    BoolArray,
     FloatArray,
     Int32Array,
     IntArray,
@@ -16,6 +17,7 @@ from colmap_edges.core.arrays import (
     order_of,
     owners_of,
     parts_of,
+    ranks_of,
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import Evidence
@@ -25,6 +27,8 @@ from colmap_edges.surfaces.faces.hypotheses import MAX_SLOPE, Planes
 NUM_NEIGHBORS = 12  # number of views with the most shared points, with which labels are compared
 ON_TOLERANCE = 2.0  # maximum distance of a point from its plane, in standard deviations
 ON_SLOPE = 3 * MAX_SLOPE  # maximum sine of the angle between a short piece of an edge and its plane
+# Maximum range of the mean distances from a plane of a stretch's thirds, in tolerances.
+MAX_DRIFT = 0.4
 REACH = 2.0  # radius of the scene, relative to the distance of the farthest points from the centre
 NUM_SIDES = 16  # number of sides of the polygon around a plane's points
 INNER = 0.995  # share of the points inside each side
@@ -133,7 +137,44 @@ def planes_of_points(evidence: Evidence, planes: Planes) -> tuple[IntArray, Int3
         ON_TOLERANCE,
         ON_SLOPE,
     )
-    return offsets, rows
+    kept = ~only_touch(evidence, planes, offsets, rows)
+    counts = np.bincount(owners_of(offsets)[kept], minlength=len(evidence.points))
+    return offsets_of(counts), rows[kept]
+
+
+def only_touch(
+    evidence: Evidence, planes: Planes, offsets: IntArray, rows: Int32Array
+) -> BoolArray:
+    """(R,) whether the edge of a point only touches or crosses the plane there.
+
+    Along a stretch of an edge that lies on a plane, distances from the plane are noise. Where they
+    change steadily over much of the tolerance, the edge bends or runs away from the plane.
+
+    Args:
+        evidence: the points.
+        planes: the planes.
+        offsets: (N + 1,) of the planes within the tolerance of each point.
+        rows: (R,) these planes, point by point.
+    """
+    points = owners_of(offsets)
+    order = np.lexsort((points, rows))
+    order = order[evidence.edge_ids[points[order]] >= 0]
+    own, plane = points[order], rows[order]
+    away = np.einsum("ij,ij->i", evidence.points[own], planes.normals[plane])
+    away -= planes.offsets[plane]
+    across = np.einsum("ij,ij->i", evidence.rays[own], planes.normals[plane])
+    away /= np.hypot(evidence.sigmas[own], evidence.ray_sigmas[own] * across) * ON_TOLERANCE
+    steps = np.column_stack([np.diff(own) - 1, np.diff(plane), np.diff(evidence.edge_ids[own])])
+    is_first = np.concatenate([np.ones(min(len(own), 1), bool), steps.any(axis=1)])
+    counts = np.diff([*np.flatnonzero(is_first), len(own)])
+    stretch = owners_of(offsets_of(counts))
+    thirds = 3 * stretch + 3 * ranks_of(counts) // counts[stretch]
+    sizes = np.maximum(np.bincount(thirds, minlength=3 * len(counts)), 1)
+    means = (np.bincount(thirds, away, 3 * len(counts)) / sizes).reshape(-1, 3)
+    passes = (np.ptp(means, axis=1) > MAX_DRIFT) & (counts >= 3)
+    found = np.zeros(len(rows), bool)
+    found[order] = passes[stretch]
+    return found
 
 
 def observed_points(evidence: Evidence, num_views: int) -> tuple[IntArray, Int32Array]:

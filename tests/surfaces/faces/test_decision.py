@@ -59,6 +59,7 @@ def corners_of_plate():
         sigmas=np.full(count, 0.01),
         ray_sigmas=np.full(count, 0.01),
         weights=np.ones(count),
+        edge_ids=np.full(count, -1),
         offsets=np.arange(count + 1) * 4,
         views=np.tile(np.arange(4, dtype=np.int32), count),
     )

@@ -54,9 +54,9 @@ def steps_that_meet(shown, touched, inside, row, column):
 
 
 def is_enclosed(met):
-    """Whether no eight directions in a row are open."""
+    """Whether no more directions in a row are open than may be."""
     around = "".join("x" if hit else "." for hit in [*met, *met])
-    return "." * 8 not in around
+    return "." * (MAX_OPEN + 1) not in around
 
 
 def wall(touched_columns):
@@ -92,7 +92,7 @@ def test_a_wall_is_enclosed_between_its_edges_and_not_beyond():
 def test_the_end_of_the_picture_encloses_where_the_plane_is_known_to_go_on():
     shown, touched, inside = wall([5])
     assert not enclosed_cells(shown, touched, inside)[:, 6:].any()
-    inside[:, -2:] = True
+    inside[:, -2:] = inside[:2] = inside[-2:] = True
     assert enclosed_cells(shown, touched, inside)[8:12, 10:20].all()
 
 
@@ -157,10 +157,22 @@ def test_walls_of_changing_gray_are_no_backdrop():
 
 @pytest.mark.parametrize(
     ("depth_of_wall", "backdrop", "enclosed"),
-    [(4, False, True), (8, False, False), (4, True, False)],
+    [(4, False, True), (8, False, False), (3, False, False), (4, True, False)],
 )
 def test_a_floor_ends_where_it_meets_a_wall_or_a_backdrop(depth_of_wall, backdrop, enclosed):
     """The floor has a line of points next to the view, and a wall is shown from a depth of 4 on."""
+    assert floor_is_enclosed(depth_of_wall, backdrop) == enclosed
+
+
+def test_a_floor_goes_on_behind_what_is_enclosed():
+    """A board stands before the wall: it hides where floor and wall meet."""
+    frame = [(x, y, 3.0) for x in np.linspace(-3, 3, 301) for y in (-1.5, 0.74)]
+    frame += [(x, y, 3.0) for x in (-2.3, 2.3) for y in np.linspace(-1.5, 1, 100)]
+    assert floor_is_enclosed(3, more_points=np.array(frame))
+
+
+def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=()):
+    """Whether a place on the floor is."""
     view = View(
         image_id=1,
         name="0.png",
@@ -177,6 +189,8 @@ def test_a_floor_ends_where_it_meets_a_wall_or_a_backdrop(depth_of_wall, backdro
     labels[below < grid.focal_px / CELL_PX / 4] = 1
     count = 200
     line = np.column_stack([np.linspace(-2, 2, count), np.ones(count), np.full(count, 2.0)])
+    line = np.concatenate([line, np.reshape(more_points, (-1, 3))])
+    count = len(line)
     evidence = Evidence(
         points=line,
         tangents=np.zeros((count, 3)),
@@ -184,6 +198,7 @@ def test_a_floor_ends_where_it_meets_a_wall_or_a_backdrop(depth_of_wall, backdro
         sigmas=np.full(count, 0.01),
         ray_sigmas=np.full(count, 0.01),
         weights=np.ones(count),
+        edge_ids=np.full(count, -1),
         offsets=np.arange(count + 1),
         views=np.zeros(count, np.int32),
     )
@@ -202,5 +217,4 @@ def test_a_floor_ends_where_it_meets_a_wall_or_a_backdrop(depth_of_wall, backdro
         views=0 * one,
     )
     scene = make_scene(SimpleNamespace(views=(view,)), [grid], evidence, planes, 1)
-    found = are_enclosed(scene, samples, labels.ravel(), [grid])
-    assert found.tolist() == [enclosed]
+    return bool(are_enclosed(scene, samples, labels.ravel(), [grid])[0])

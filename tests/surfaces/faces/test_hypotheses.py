@@ -19,6 +19,7 @@ def evidence_of(points, tangents, weights):
         sigmas=np.full(count, SIGMA),
         ray_sigmas=np.full(count, SIGMA / 2),
         weights=weights,
+        edge_ids=np.full(count, -1),
         offsets=np.arange(count + 1),
         views=np.zeros(count, np.int32),
     )
