@@ -16,13 +16,19 @@ from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.faces.outlines import Face
 
 
-def write_faces(faces: Sequence[Face], model: Model, path: Path) -> None:
+def write_faces(faces: Sequence[Face], model: Model, path: Path, *, in_mesh: bool = False) -> None:
     """Write faces as JSON, atomically.
+
+    Args:
+        faces: the faces.
+        model: whose views they are seen in.
+        path: the file.
+        in_mesh: whether points on them were added to the mesh.
 
     Raises:
         ColmapEdgesError: if the file cannot be written.
     """
-    records = {"faces": [record_of(face, model) for face in faces]}
+    records = {"faces": [record_of(face, model) | {"in_mesh": in_mesh} for face in faces]}
     write_whole(path, json.dumps(records, allow_nan=False).encode(), "faces")
 
 

@@ -149,7 +149,8 @@ def run_edges(
     extended = write_stage(model, edges, found.curves, folder, options, stages)
     if command == "mesh":
         if options.use_faces:
-            write_faces(faces.faces, model, folder / "faces.json")
+            in_mesh = bool(len(faces.points.points)) and not found.background
+            write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
         given = (found.traced, extended, folder, options, stages, found.background, faces)
         mesh = mesh_stage(model, *given)
         viewer.show_mesh(mesh)

@@ -109,6 +109,7 @@ def test_faces_are_told_with_their_outlines(room, tmp_path):
         on = face.outline @ face.normal - face.offset
         assert np.abs(on).max() < 1e-9
         assert record["area"] > 0
+        assert record["in_mesh"] is False
 
 
 def test_no_point_lies_where_a_view_sees_the_background(room):
