@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.colmap.workspace import find_model, is_model
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.runtime.input_files import read_text
+from colmap_edges.runtime.input_files import read_json
 from colmap_edges.runtime.ownership import OUTPUT
 
 
@@ -75,11 +74,3 @@ def count_lines(counts: dict[str, Any], indent: str) -> list[str]:
         lines.append(f"{indent}{key.replace('_', ' ')}:{'' if nested else f' {value}'}")
         lines += count_lines(value, indent + "  ") if nested else []
     return lines
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object written by this package."""
-    try:
-        return dict(json.loads(read_text(path)))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ColmapEdgesError(f"cannot read {path}: {error}") from error

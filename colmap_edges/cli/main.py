@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import click
 
+from colmap_edges.cli.align_command import align
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.export_command import export
 from colmap_edges.cli.flags import normalize
@@ -111,7 +112,7 @@ for command in (
         "Reconstruct 3D edges, write them, and mesh points and edges.",
         *("detect", "trace", "refine", "write", "mesh"),
     ),
-    *(info, evaluate, export),
+    *(info, evaluate, export, align),
 ):
     cli.add_command(command)
 

@@ -246,10 +246,14 @@ class Curves3D:
 
     def lengths(self) -> FloatArray:
         """(C,) lengths, world units."""
-        counts = np.full(self.num_curves, 65)
-        points = self.at(np.repeat(np.arange(self.num_curves), counts), ranks_of(counts) / 64)
-        steps = np.diff(points.reshape(-1, 65, 3), axis=1)
+        steps = np.diff(self.sampled_evenly(64)[0].reshape(-1, 65, 3), axis=1)
         return np.asarray(np.linalg.norm(steps, axis=2).sum(axis=1))
+
+    def sampled_evenly(self, steps: int) -> tuple[FloatArray, IntArray]:
+        """(C * (steps + 1), 3) points at even parameters of each curve, and their curves."""
+        counts = np.full(self.num_curves, steps + 1)
+        owners = np.repeat(np.arange(self.num_curves), counts)
+        return self.at(owners, ranks_of(counts) / steps), owners
 
     def sampled(self, spacing: float) -> tuple[FloatArray, IntArray]:
         """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,7 @@ class Contents:
         edges: the 3D edges, where they were traced.
         mesh: the mesh, where one was made.
         faces: the planar faces, or empty.
+        up: (3,) unit upward direction of the scene.
     """
 
     model: Model
@@ -60,6 +61,7 @@ class Contents:
     edges: Edges3D | None = None
     mesh: Mesh | None = None
     faces: Sequence[Face] = ()
+    up: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
 
 def xyz(points: FloatArray) -> Trace:
