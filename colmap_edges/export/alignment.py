@@ -12,7 +12,6 @@ import numpy as np
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.similarity import Similarity, to_z_up
 from colmap_edges.errors import ColmapEdgesError, OptionError
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.export.units import METRES
 from colmap_edges.export.upright import direction, upward
 from colmap_edges.export.written import WrittenEdges
@@ -105,7 +104,7 @@ def scale_of(written: WrittenEdges, wanted: Wanted, unit: str) -> float:
         raise OptionError("scale and edge_length are both given; give one of them")
     if wanted.edge_length is not None:
         edge, length = wanted.edge_length
-        lengths = edge_lengths(written.edges)
+        lengths = written.edges.lengths()
         if not edge < len(lengths) or not lengths[edge] > 0:
             raise ColmapEdgesError(
                 f"edge_length names edge {edge}, but there are edges 0 to {len(lengths) - 1}; "

@@ -1,15 +1,14 @@
-"""Lengths and polylines of 3D edges, and their export as OBJ."""
+"""Export of 3D edges as OBJ, and what is common to all such files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import FloatArray, Int32Array
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.similarity import Y_UP, to_z_up
@@ -18,14 +17,6 @@ from colmap_edges.export.upright import direction
 from colmap_edges.runtime.output import write_whole
 
 TURN = "# rotation of this file from the model, row by row:"
-
-
-def edge_lengths(edges: Edges3D) -> FloatArray:
-    """Length (E,) of each edge, world units."""
-    segments = edges.segments
-    lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
-    owners = edges.edge_ids
-    return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
 
 
 @checked
@@ -77,10 +68,3 @@ def obj_header(turn: FloatArray, unit: str) -> str:
 def formatted(line: str, rows: FloatArray | Int32Array) -> str:
     """The rows formatted by a template line, all at once for speed."""
     return line * len(rows) % tuple(rows.ravel().tolist())
-
-
-def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
-    """The point indices of each edge; those of closed edges end with the first point."""
-    bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
-    for first, last, closed in bounds:
-        yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)

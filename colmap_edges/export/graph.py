@@ -6,7 +6,6 @@ import networkx as nx
 
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import edge_lengths
 
 
 @checked
@@ -30,7 +29,7 @@ def to_networkx(edges: Edges3D) -> nx.MultiGraph:
         through = int(nodes.through_points[node])
         passing = int(owners[through]) if through >= 0 else None
         graph.add_node(node, position=position, sigma=float(nodes.sigmas[node]), through=passing)
-    lengths = edge_lengths(edges)
+    lengths = edges.lengths()
     for edge, (first, end) in enumerate(
         zip(edges.edge_offsets[:-1].tolist(), edges.edge_offsets[1:].tolist(), strict=True)
     ):

@@ -10,7 +10,6 @@ from colmap_edges.core.arrays import IntArray, owners_of
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.edges import edge_lengths
 
 if TYPE_CHECKING:
     import pandas
@@ -58,7 +57,7 @@ def to_pandas(edges: Edges3D) -> EdgeTables:
     }
     of_edges = {
         "num_points": np.diff(edges.edge_offsets),
-        "length": edge_lengths(edges),
+        "length": edges.lengths(),
         "closed": edges.closed,
         "first_node": column(edges.end_nodes[:, 0]),
         "last_node": column(edges.end_nodes[:, 1]),

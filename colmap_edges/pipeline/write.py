@@ -17,7 +17,6 @@ from colmap_edges.colmap.writing import with_edge_points, write_model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.formats import FORMATS, notes_on
 from colmap_edges.export.meshes import MESH_FORMATS, write_mesh
@@ -58,7 +57,7 @@ def write_stage(
         stage.counts = {
             "edges": edges.num_edges,
             "edge_points": edges.num_distinct,
-            "length": float(f"{edge_lengths(edges).sum():.6g}"),
+            "length": float(f"{edges.lengths().sum():.6g}"),
             "observations": len(edges.distinct()[0].observations.views),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }

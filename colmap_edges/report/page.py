@@ -11,7 +11,6 @@ import numpy as np
 
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.charts import Chart, edge_charts, funnel_rows
 from colmap_edges.report.contents import Contents, ImagePicture, Trace
 from colmap_edges.report.outcome import VIEWERS, headline, outcome, scene_name
@@ -96,7 +95,7 @@ def charts(contents: Contents, residuals: FloatArray) -> list[Chart]:
     if edges is None:
         return []
     num_views = views_per_edge(edges, len(contents.model.views))
-    return edge_charts(num_views, residuals, edge_lengths(edges))
+    return edge_charts(num_views, residuals, edges.lengths())
 
 
 def file_rows(folder: Path) -> list[tuple[str, str]]:
@@ -133,7 +132,7 @@ def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
 
 def picture_row(contents: Contents, picture: ImagePicture) -> tuple[str, str, dict[str, str]]:
     """Name of an image, its photograph, and the layers that are drawn over it."""
-    edges = contents.edges if contents.edges and contents.edges.num_edges else None
+    edges = contents.edges
     layers = {
         "detected": picture.detected,
         "dropped": picture.dropped,

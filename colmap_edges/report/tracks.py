@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.report.contents import Trace
 
 MAX_REPROJECTIONS = 300_000
@@ -54,7 +53,7 @@ def edge_data(
     order = np.lexsort((chosen, pictures, owners))  # similar values are adjacent, for compression
     counts = np.bincount(owners, minlength=edges.num_edges)
     return {
-        "length": edge_lengths(edges).astype(np.float32),
+        "length": edges.lengths().astype(np.float32),
         "views": views_per_edge(edges, len(model.views)).astype(np.int32),
         "residual": residual_per_edge(edges, residuals).astype(np.float32),
         "points": np.diff(edges.edge_offsets).astype(np.int32),

@@ -51,7 +51,7 @@ def normalized(vector: FloatArray) -> FloatArray:
 def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
     """Corners of the shown box: cameras, edges, and SfM points without outliers."""
     parts = [model.camera_centers]
-    for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
+    for points in (model.points3D_xyz, edges.points if edges is not None else np.zeros((0, 3))):
         if len(points):
             low, high = np.percentile(points, [2, 98], axis=0)
             margin = SHOWN_MARGIN * (high - low)

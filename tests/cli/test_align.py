@@ -17,7 +17,7 @@ from colmap_edges.colmap.writing import write_model
 from colmap_edges.core.similarity import Similarity, to_z_up
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.export.dxf import write_dxf
-from colmap_edges.export.edges import edge_lengths, write_obj
+from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.faces import write_faces
 from colmap_edges.export.meshes import read_mesh, write_mesh
@@ -90,7 +90,7 @@ def test_everything_gets_upright_to_scale_and_onto_the_ground(
     run, scene_edges, tmp_path, hash_folder
 ):
     before = hash_folder(run)
-    length = edge_lengths(scene_edges)[2]
+    length = scene_edges.lengths()[2]
     flags = ("--edge_length", f"2={5 * length}", "--unit", "cm", "--ground")
     done = align(run, tmp_path / "out", *flags)
     assert done.exit_code == 0, done.output
@@ -99,7 +99,7 @@ def test_everything_gets_upright_to_scale_and_onto_the_ground(
     # Heights above the ground are those of the upright scene, five times as large.
     heights = 5 * (scene_edges.points[:, 2] + 0.3)
     np.testing.assert_allclose(written.edges.points[:, 2], heights, atol=1e-7)
-    np.testing.assert_allclose(edge_lengths(written.edges), 5 * edge_lengths(scene_edges))
+    np.testing.assert_allclose(written.edges.lengths(), 5 * scene_edges.lengths())
     np.testing.assert_allclose(written.edges.sigmas, 5 * scene_edges.sigmas, rtol=0.01)
     np.testing.assert_allclose(written.curves.lengths().sum(), fivefold_length(scene_edges))
     floor = max(written.faces, key=lambda face: face.normal[2])

@@ -18,7 +18,6 @@ from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError, OptionError
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.formats import FORMATS, check_formats, formats_of
 from colmap_edges.export.ply import read_ply
@@ -149,7 +148,7 @@ def test_exports_may_lie_in_the_folder_of_their_run(run_path, tmp_path, hash_fol
 
 
 def test_a_measured_edge_scales_all_formats(run_path, scene_edges, tmp_path):
-    length = edge_lengths(scene_edges)[3]
+    length = scene_edges.lengths()[3]
     flags = ("--edge_length", "3=2.4", "--unit", "m", "--up", "-z")
     for name in ("a.ply", "a.obj", "a.glb", "a.dxf", "b.dxf"):
         more = ("--polylines",) if name == "b.dxf" else ()

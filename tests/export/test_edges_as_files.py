@@ -10,7 +10,7 @@ from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import edge_lengths, write_obj
+from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.glb import write_glb
 from colmap_edges.export.ply import write_ply
@@ -44,7 +44,7 @@ def test_segments_close_closed_edges_only(square_and_line):
 
 
 def test_lengths(square_and_line):
-    np.testing.assert_allclose(edge_lengths(square_and_line), [4, 5])
+    np.testing.assert_allclose(square_and_line.lengths(), [4, 5])
 
 
 def test_no_edges_at_all(tmp_path):
@@ -171,7 +171,7 @@ def test_json_says_what_each_edge_is(scene_model, scene_edges, tmp_path):
     assert [r["id"] for r in records] == list(range(scene_edges.num_edges))
     assert [i for r in records for i in r["point3D_ids"]] == ids.tolist()
     assert [r["closed"] for r in records] == scene_edges.closed.tolist()
-    np.testing.assert_allclose([r["length"] for r in records], edge_lengths(scene_edges))
+    np.testing.assert_allclose([r["length"] for r in records], scene_edges.lengths())
     # Noise of 0.3 px in x and y: the mean distance is 0.3 sqrt(pi / 2) = 0.376 px.
     assert np.mean([r["residual_px"] for r in records]) == pytest.approx(0.376, abs=0.02)
     known = {view.image_id for view in scene_model.views}
