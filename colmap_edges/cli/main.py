@@ -28,6 +28,7 @@ from colmap_edges.cli.terminal import (
     show_usage_error,
 )
 from colmap_edges.cli.version import show_version
+from colmap_edges.errors import extra
 from colmap_edges.runtime.memory import reuse_freed_memory
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -75,7 +76,7 @@ def info(path: Path, verbose: bool) -> None:
 def evaluate(verbose: bool, **values: Any) -> None:
     """Evaluate an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
-        with importing():
+        with importing(), extra("evaluate", "evaluation"):
             from colmap_edges.evaluation import run as evaluation
 
         evaluation.run(**values)

@@ -120,7 +120,7 @@ class Edges3D:
         order = entries_of(self.edge_offsets, edges)
         offsets = offsets_of(np.diff(self.edge_offsets)[edges])
         taken = self.reordered(order, offsets, self.closed[edges], self.end_nodes[edges])
-        used = np.unique(taken.end_nodes[taken.end_nodes >= 0])
+        used = np.unique(taken.end_nodes[taken.end_nodes >= 0]).astype(np.int64)
         if not len(self.nodes.points):
             return taken
         numbers = np.full(len(self.nodes.points) + 1, -1, np.int32)  # the last is that of -1

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, extra
 from colmap_edges.runtime.input_files import read_bytes
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
@@ -87,12 +87,8 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
         ColmapEdgesError: The file is not a PLY, or damaged; or plyfile is not installed.
     """
     content = read_bytes(path)
-    try:
+    with extra("reading PLY files", "evaluation"):
         from plyfile import PlyData
-    except ImportError as error:
-        raise ColmapEdgesError(
-            "reading PLY files needs plyfile; pip install 'colmap-edges[evaluation]'"
-        ) from error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of NaN, which readers check

@@ -22,7 +22,7 @@ from colmap_edges.core.curves3d import (
     Curves3D,
 )
 from colmap_edges.core.similarity import Similarity
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, extra
 from colmap_edges.export.units import metres
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.runtime.ownership import PROGRAM
@@ -121,12 +121,8 @@ def check_kernel() -> None:
     Raises:
         ColmapEdgesError: if it is not.
     """
-    try:
+    with extra("STEP", "step"):
         import OCP.STEPControl  # noqa: F401
-    except ImportError as error:
-        raise ColmapEdgesError(
-            "STEP files need a CAD kernel: pip install 'colmap-edges[step]'"
-        ) from error
 
 
 def unit_of(lengths: FloatArray) -> float:

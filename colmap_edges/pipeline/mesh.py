@@ -21,13 +21,20 @@ from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
+from colmap_edges.surfaces.simplify import load_meshlab
 
 
-def check_mesher() -> None:
-    """Check that the mesher is available, before work starts."""
+def check_mesher(options: PipelineOptions) -> None:
+    """Check that the mesher and what it needs are available, before work starts.
+
+    Raises:
+        ColmapEdgesError: if a library is not installed.
+    """
     from colmap_edges.surfaces.mesher import load_extension
 
     load_extension()
+    if options.meshing.max_faces:
+        load_meshlab()
 
 
 def background_stage(

@@ -64,7 +64,7 @@ def run(
     check_paths(paths, overwrite)
     uses_images = command != "mesh" or options.use_edges
     images = image_folder(paths) if uses_images else None
-    check_needs(command, paths, scheduler)
+    check_needs(command, paths, options, scheduler)
     check_formats(exports, uses_images)
     with (
         new_folder(paths.output_path, OUTPUT, overwrite) as folder,
@@ -91,7 +91,7 @@ def run(
     return report
 
 
-def check_needs(command: str, paths: Paths, scheduler: str) -> None:
+def check_needs(command: str, paths: Paths, options: PipelineOptions, scheduler: str) -> None:
     """Check that the mesher and the cache are there if they are needed.
 
     Raises:
@@ -102,7 +102,7 @@ def check_needs(command: str, paths: Paths, scheduler: str) -> None:
             "a scheduler needs cache_path, through which workers read edge graphs; give it"
         )
     if command == "mesh":
-        check_mesher()
+        check_mesher(options)
 
 
 def write_record(folder: Path, report: dict[str, Any]) -> None:
