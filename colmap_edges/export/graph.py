@@ -17,9 +17,9 @@ def to_networkx(edges: Edges3D) -> Any:
         edges: 3D edges with nodes, as returned by `reconstruct` and `read_edges`.
 
     Returns:
-        A networkx.MultiGraph. Its nodes are the numbers of the edges' nodes, and (edge, 0) or (edge, 1) for
-        a first or last point that is no node; a closed edge without a node begins and ends at
-        (edge, 0). Each has its `position`, (3,) in world units; nodes of `edges.nodes` also
+        A networkx.MultiGraph. Its nodes are the numbers of the edges' nodes, and (edge, 0) or
+        (edge, 1) for a first or last point that is no node; a closed edge without a node begins
+        and ends at (edge, 0). Each has its `position`, (3,) in world units; nodes of `edges.nodes` also
         `sigma`, and `through`, the number of the edge that passes there (T junction) or None. The
         key of an edge is its number; it has a `length` in world units, `closed` and `points`, its
         range in `edges.points`.
