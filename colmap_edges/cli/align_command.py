@@ -12,7 +12,7 @@ from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.flags import Word
 from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.terminal import say
+from colmap_edges.cli.terminal import tell
 from colmap_edges.export.units import AXES, METRES
 
 FLAGS = ("up", "scale", "edge_length", "unit", "ground")
@@ -96,4 +96,4 @@ def align(run_path: Path, output_path: Path, overwrite: bool, verbose: bool, **v
             from colmap_edges.pipeline.align import align_run
 
         lines = align_run(run_path, output_path, Wanted(**values), overwrite=overwrite)
-        say(*lines)
+        tell(*lines)

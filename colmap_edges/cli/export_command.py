@@ -11,7 +11,7 @@ from colmap_edges.cli.align_command import frame_flags
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.terminal import say
+from colmap_edges.cli.terminal import tell
 
 
 @click.command(cls=Command, name="export")
@@ -36,7 +36,7 @@ from colmap_edges.cli.terminal import say
 def export(verbose: bool, **values: Any) -> None:
     """Write the edges of an output folder for another program."""
     with one_line_errors(verbose):
-        say(*export_edges(**values))
+        tell(*export_edges(**values))
 
 
 def export_edges(

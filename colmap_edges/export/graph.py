@@ -19,10 +19,10 @@ def to_networkx(edges: Edges3D) -> Any:
     Returns:
         A networkx.MultiGraph. Its nodes are the numbers of the edges' nodes, and (edge, 0) or
         (edge, 1) for a first or last point that is no node; a closed edge without a node begins
-        and ends at (edge, 0). Each has its `position`, (3,) in world units; nodes of `edges.nodes` also
-        `sigma`, and `through`, the number of the edge that passes there (T junction) or None. The
-        key of an edge is its number; it has a `length` in world units, `closed` and `points`, its
-        range in `edges.points`.
+        and ends at (edge, 0). Each has its `position`, (3,) in world units; nodes of `edges.nodes`
+        also `sigma`, and `through`, the number of the edge that passes there (T junction) or None.
+        The key of an edge is its number; it has a `length` in world units, `closed` and `points`,
+        its range in `edges.points`.
 
     Raises:
         ColmapEdgesError: if networkx is not installed.

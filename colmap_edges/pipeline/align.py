@@ -66,13 +66,15 @@ def align_run(
         )
     written, earlier = read_edges(run), read_alignment(run)
     alignment = alignment_of(written, wanted, earlier.get("unit", ""))
-    record = alignment_record(alignment, earlier)
+    record, scale = alignment_record(alignment, earlier), alignment.aligned_from_model.scale
     with new_folder(output, OUTPUT, overwrite) as folder:
         model = write_sparse(written.model, alignment.aligned_from_model, folder)
         write_edges(aligned(written, alignment.aligned_from_model), model, folder)
         write_exports(run, alignment, folder)
         write_whole(folder / RECORD, text_of(record), "alignment")
-        write_whole(folder / OUTPUT.record, text_of(report_of(run, record, folder)), "report")
+        write_whole(
+            folder / OUTPUT.record, text_of(report_of(run, record, scale, folder)), "report"
+        )
     return description(alignment, output_path)
 
 
@@ -106,11 +108,15 @@ def write_exports(run: Path, alignment: Alignment, folder: Path) -> None:
             write_mesh(mesh, folder / path.name, up=up, unit=unit)
 
 
-def report_of(run: Path, alignment: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The content of report.json: that of the run with the alignment and the files."""
+def report_of(run: Path, alignment: dict[str, Any], scale: float, folder: Path) -> dict[str, Any]:
+    """The content of report.json: that of the run with the alignment, lengths and the files."""
     path = run / OUTPUT.record
     record = read_json(path) if path.is_file() else {"command": "align", "stages": []}
     changed = {"alignment": alignment, "versions": versions(), "files": file_sizes(folder)}
+    for stage in record["stages"]:
+        for name, power in (("length", 1), ("area", 2)):
+            if name in stage["counts"]:
+                stage["counts"][name] *= scale**power
     return record | changed
 
 
