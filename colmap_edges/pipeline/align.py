@@ -111,7 +111,9 @@ def write_exports(run: Path, alignment: Alignment, folder: Path) -> None:
 def report_of(run: Path, alignment: dict[str, Any], scale: float, folder: Path) -> dict[str, Any]:
     """The content of report.json: that of the run with the alignment, lengths and the files."""
     path = run / OUTPUT.record
-    record = read_json(path) if path.is_file() else {"command": "align", "stages": []}
+    record: dict[str, Any] = {"command": "align", "stages": []}
+    if path.is_file():
+        record = read_json(path)
     changed = {"alignment": alignment, "versions": versions(), "files": file_sizes(folder)}
     for stage in record["stages"]:
         for name, power in (("length", 1), ("area", 2)):

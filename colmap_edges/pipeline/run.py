@@ -157,5 +157,11 @@ def run_edges(
         mesh = mesh_stage(model, *given)
         viewer.show_mesh(mesh)
     return Contents(
-        model=model, pictures=found.pictures, edges=edges, mesh=mesh, faces=faces.faces, up=up
+        model=model,
+        pictures=found.pictures,
+        edges=edges,
+        curves=found.curves,
+        mesh=mesh,
+        faces=faces.faces,
+        up=up,
     )

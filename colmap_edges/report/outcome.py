@@ -127,6 +127,31 @@ def headline(record: Mapping[str, Any]) -> str:
     return text[:1].upper() + text[1:]
 
 
+NEXT = ("mesh.glb", "mesh.obj", "mesh.ply", "edges.glb", "edges.ply")  # what to open, first best
+
+
+def verdict(record: Mapping[str, Any], folder: Path) -> str:
+    """Whether all went well, in one line, and what to do next.
+
+    Args:
+        record: the contents of report.json.
+        folder: the output folder.
+    """
+    counts, findings = counts_by_stage(record["stages"]), record["findings"]
+    read = counts["read"]
+    posed = read["images_with_poses"]
+    used = posed - counts.get("detect", {}).get("images_without_edges", 0)
+    every = posed + (read.get("images_without_poses") or 0)
+    parts = [f"{used:,} of {counted(every, 'image')} used"]
+    residual = counts.get("write", {}).get("median_residual_px")
+    if residual is not None:
+        parts.append(f"median residual {residual:.2g} px")
+    parts.append(f"{counted(len(findings), 'finding')} below" if findings else "no problems")
+    found = next((name for name in NEXT if (folder / name).exists()), None)
+    program = VIEWERS[found].rpartition(": ")[2].partition(", ")[0] if found else ""
+    return f"{', '.join(parts)}." + (f" Next: open {found} in {program}." if found else "")
+
+
 def scene_name(paths: Mapping[str, Any]) -> str:
     """A name for the scene: the innermost input folder whose name is not generic."""
     for path in filter(None, (paths.get("image_path"), paths.get("input_path"))):

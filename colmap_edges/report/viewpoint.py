@@ -14,7 +14,7 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.export.upright import up_direction
 from colmap_edges.report.contents import Contents
 
-FOV = np.pi / 4  # vertical field of view of plotly.js
+FOV = np.pi / 4  # vertical field of view
 # Points beyond it are outliers: a share of their extent from the 2nd to the 98th percentile.
 SHOWN_MARGIN = 0.15
 

@@ -46,7 +46,7 @@ def test_help_names_the_flags(command):
 
 
 # What takes long to import, by name: nothing of it may be there when a command starts.
-HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "networkx", "trimesh", "plotly", "pymeshlab", "email"}
+HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "networkx", "trimesh", "pymeshlab", "email"}
 
 
 def test_help_imports_nothing_heavy():
