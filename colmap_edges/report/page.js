@@ -466,9 +466,10 @@ function factsOf(edge) {
   if (Number.isFinite(edges.sigmas[edge])) {
     row(table, "deviation of a point", Number(edges.sigmas[edge].toPrecision(2)));
   }
+  const digits = Math.max(5 - Math.floor(Math.log10(data.scene.size)), 0);
   ["start", "end"].forEach((name, side) => {
     const at = Array.from(edges.ends.subarray(6 * edge + 3 * side, 6 * edge + 3 * side + 3));
-    row(table, name, at.map((x, i) => number(x + data.scene.origin[i])).join(", "));
+    row(table, name, at.map((x, i) => (x + data.scene.origin[i]).toFixed(digits)).join(", "));
   });
   const cell = row(table, "neighbours").cells[1];
   const others = neighboursOf(edge);
@@ -663,7 +664,7 @@ async function show3D() {
   document.body.classList.add("drawn");
   view.canvas.addEventListener("keydown", turnByKeys);
   byId("save").addEventListener("click", savePicture);
-  byId("reset").addEventListener("click", () => view.reset());
+  byId("reset").addEventListener("click", () => { byId("camera").value = ""; view.reset(); });
   byId("measure").addEventListener("change", stopMeasuring);
   bindCameras();
   listenForClicks();
