@@ -106,6 +106,7 @@ def model_from_file(path: Path) -> FloatArray:
     return np.asarray(turn.T / root.get("scale", [1.0])[0])
 
 
+@checked
 def read_mesh(path: Path | str) -> Mesh:
     """Read a mesh of `write_mesh` in the frame of the model; ids of its points are not in files.
 
