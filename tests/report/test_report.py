@@ -82,6 +82,8 @@ def test_no_name_becomes_markup(report):
     assert "&lt;img src=x onerror=window.hacked=1&gt;.png" in page
     assert "evil <b>" not in page
     assert page.count("</script>") == 3
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1]
+    assert "unsafe-eval" not in policy and policy.startswith("default-src 'none'")
 
 
 def test_report_json_names_findings_and_funnel(report):
