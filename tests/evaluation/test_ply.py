@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.evaluation.readers.curves import load_curves
 from colmap_edges.evaluation.metrics.raycasting import load_mesh
+from colmap_edges.evaluation.readers.curves import load_curves
 from colmap_edges.export.meshes import write_mesh
 from colmap_edges.export.ply import read_ply
 from colmap_edges.surfaces.mesh import Mesh
