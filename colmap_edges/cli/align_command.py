@@ -64,7 +64,7 @@ def frame_flags(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--ground",
             is_flag=True,
-            help="Put the largest horizontal face at z = 0; made level unless --up names an axis",
+            help="Put the largest horizontal plane at z = 0; made level unless --up names an axis",
         ),
     )
     for flag in reversed(flags):

@@ -117,7 +117,7 @@ def scale_of(written: WrittenEdges, wanted: Wanted, unit: str) -> float:
 
 
 def ground_of(faces: Sequence[Face], up: FloatArray) -> Face:
-    """The largest face that is horizontal and seen from above.
+    """The largest face of the plane with most area of faces that are level and seen from above.
 
     Raises:
         ColmapEdgesError: if there is none.
@@ -128,7 +128,10 @@ def ground_of(faces: Sequence[Face], up: FloatArray) -> Face:
             "ground needs a horizontal face, and the output folder has none; run mesh with "
             "--use_faces 1, or name the upward axis by --up"
         )
-    return max(level, key=lambda face: face.area)
+    areas: dict[int, float] = {}
+    for face in level:
+        areas[face.plane] = areas.get(face.plane, 0.0) + face.area
+    return max(level, key=lambda face: (areas[face.plane], face.area))
 
 
 def aligned(written: WrittenEdges, moved: Similarity) -> WrittenEdges:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import ezdxf
 import numpy as np
@@ -16,6 +17,8 @@ from colmap_edges.colmap.model import load_model, observation_residuals
 from colmap_edges.colmap.writing import write_model
 from colmap_edges.core.similarity import Similarity, to_z_up
 from colmap_edges.edges3d.curves.fitting import fit_curves
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.export.alignment import ground_of
 from colmap_edges.export.dxf import write_dxf
 from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
@@ -132,6 +135,17 @@ def check_files(out, edges):
     assert np.ptp(meshes[0][:, 2]) == pytest.approx(5, rel=1e-5)
     scene = trimesh.load(out / "mesh.glb")  # in metres
     np.testing.assert_allclose(np.ptp(scene.bounds, axis=0)[1], 0.05, rtol=1e-4)
+
+
+def test_the_ground_is_the_plane_with_most_area(ground):
+    up = np.array([0.0, 0.0, 1.0])
+    floor, ceiling = ground
+    table = replace(floor, plane=7, area=5.0, offset=1.0)
+    assert ground_of([ceiling, floor, table], up) is table
+    pieces = [replace(floor, area=area) for area in (1.0, 3.0, 2.0)]
+    assert ground_of([table, *pieces], up) is pieces[1]
+    with pytest.raises(ColmapEdgesError, match="run mesh with --use_faces 1"):
+        ground_of([ceiling], up)
 
 
 def test_an_aligned_run_is_aligned_again_and_converted(run, tmp_path):
