@@ -40,12 +40,6 @@ class Similarity:
             translation=self.points(first.translation[None])[0],
         )
 
-    def inverse(self) -> Similarity:
-        """The transform back."""
-        rotation, scale = self.rotation.T, 1 / self.scale
-        translation = -scale * rotation @ self.translation
-        return Similarity(scale=scale, rotation=rotation, translation=translation)
-
     def points(self, points: FloatArray) -> FloatArray:
         """(N, 3) points in the new frame; those of an identity are the same to the bit."""
         return np.asarray(self.vectors(points) + self.translation)
