@@ -56,6 +56,27 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 
 
 @contextmanager
+def extra(use: str, name: str) -> Iterator[None]:
+    """Import libraries of an extra of this package within the block.
+
+    Args:
+        use: what needs them.
+        name: name of the extra.
+
+    Raises:
+        ColmapEdgesError: if one is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        missing = (error.name or "a library").partition(".")[0]
+        raise ColmapEdgesError(
+            f"{use} needs {missing}, which is not installed; run: pip install "
+            f"'colmap-edges[{name}]'"
+        ) from error
+
+
+@contextmanager
 def exit_on_error(*others: type[Exception]) -> Iterator[None]:
     """Exit a script with one line and status 1 on a ColmapEdgesError or one of `others`."""
     known: tuple[type[Exception], ...] = (ColmapEdgesError, *others)

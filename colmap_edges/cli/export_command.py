@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
+from colmap_edges.cli.align_command import frame_flags
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.terminal import say
+from colmap_edges.cli.terminal import tell
 
 
 @click.command(cls=Command, name="export")
@@ -28,15 +29,24 @@ from colmap_edges.cli.terminal import say
     "structures, for LIMAP",
 )
 @click.option("--svg", metavar="IMAGE", help="Image into which an .svg projects the edges")
+@click.option("--polylines", is_flag=True, help="Write a .dxf of 3D polylines instead of curves")
+@frame_flags
 @click.option("--overwrite", is_flag=True, help="Replace an existing file")
 @click.option("--verbose", is_flag=True, help="Show the traceback of errors")
 def export(verbose: bool, **values: Any) -> None:
     """Write the edges of an output folder for another program."""
     with one_line_errors(verbose):
-        say(*export_edges(**values))
+        tell(*export_edges(**values))
 
 
-def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: bool) -> list[str]:
+def export_edges(
+    run_path: Path,
+    output_path: Path,
+    svg: str | None,
+    polylines: bool,
+    overwrite: bool,
+    **frame: Any,
+) -> list[str]:
     """Write edges in the format given by the output's suffix.
 
     Returns:
@@ -48,32 +58,61 @@ def export_edges(run_path: Path, output_path: Path, svg: str | None, overwrite: 
     """
     with importing():
         from colmap_edges.errors import ColmapEdgesError
+        from colmap_edges.export.alignment import Wanted, aligned, alignment_of, read_alignment
+        from colmap_edges.export.dxf import write_dxf_polylines
         from colmap_edges.export.formats import FORMATS, notes_on
         from colmap_edges.export.written import read_edges
         from colmap_edges.runtime.output import one_line
 
-    name = format_of(output_path)
-    if name not in FORMATS or (svg is not None) != (name == "svg"):
-        raise ColmapEdgesError(
-            f"cannot write edges as {output_path.name!r}; give a file named .step, .stp, .dxf, "
-            ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
-        )
+    name, wanted = format_of(output_path), Wanted(**frame)
+    check_format(name, output_path, svg is not None, polylines, wanted.moves)
     check_place(output_path, run_path, name != "limap", overwrite)
     written = read_edges(run_path)
     if not written.edges.num_edges:
         raise ColmapEdgesError(f"{run_path} holds no edges, so there is nothing to write")
+    earlier = read_alignment(run_path)
+    frame_of = alignment_of(written, wanted, earlier.get("unit", ""))
+    written = aligned(written, frame_of.aligned_from_model)
     with one_line("cannot make", output_path.parent):
         output_path.parent.mkdir(parents=True, exist_ok=True)
+    result, what = None, ""
     if svg is not None:
         write_view(written, output_path, svg, overwrite)
-        result = None
+        what = f"{written.curves.num_curves:,} curves of "
+    elif polylines:
+        write_dxf_polylines(written.edges, output_path, unit=frame_of.unit, overwrite=overwrite)
+        what = "polylines of "
     else:
-        result = FORMATS[name].write(written, output_path, overwrite)
+        write = FORMATS[name].write
+        result = write(written, output_path, overwrite, frame_of.up, frame_of.unit)
+        what = f"{getattr(result, 'num_curves', written.curves.num_curves):,} curves of "
     if name == "limap":
         return [f"{result:,} lines in {output_path}; LIMAP reads them with the model of {run_path}"]
-    notes = [f"Note: {note}" for note in notes_on(written, result)]
-    count = getattr(result, "num_curves", written.curves.num_curves)
-    return [*notes, f"{count:,} curves of {written.edges.num_edges:,} edges: {output_path}"]
+    notes = [f"Note: {note}" for note in notes_on(written, result, frame_of.unit)]
+    return [*notes, f"{what}{written.edges.num_edges:,} edges: {output_path}"]
+
+
+def check_format(name: str, path: Path, has_image: bool, polylines: bool, moves: bool) -> None:
+    """Check that edges can be written to a path with these flags.
+
+    Raises:
+        ColmapEdgesError: if they cannot.
+    """
+    from colmap_edges.errors import ColmapEdgesError, OptionError
+    from colmap_edges.export.formats import FORMATS, OF_MODEL
+
+    if name not in FORMATS or has_image != (name == "svg"):
+        raise ColmapEdgesError(
+            f"cannot write edges as {path.name!r}; give a file named .step, .stp, .dxf, "
+            ".glb, .obj, .ply, or .svg with --svg IMAGE, or a folder named structures"
+        )
+    if polylines and name != "dxf":
+        raise OptionError(f"polylines is for .dxf files, but the file is {path.name!r}")
+    if moves and name in OF_MODEL:
+        raise OptionError(
+            f"{path.name} must stay in the frame of its cameras; run `colmap-edges align` to move "
+            "both"
+        )
 
 
 def format_of(output_path: Path) -> str:
@@ -85,17 +124,29 @@ def format_of(output_path: Path) -> str:
 
 
 def check_place(output_path: Path, run_path: Path, is_file: bool, overwrite: bool) -> None:
-    """Check that the output is apart from the input, and may be written.
+    """Check that the output is apart from the input, or no file of the run, and may be written.
 
     Raises:
         ColmapEdgesError: otherwise.
     """
+    from colmap_edges.errors import ColmapEdgesError
     from colmap_edges.runtime.output import check_apart, check_file, check_free, one_line
+    from colmap_edges.runtime.ownership import OUTPUT, files_of
 
     with one_line("cannot write to", output_path):
-        if run_path.is_dir():
-            place = output_path.parent.resolve() / output_path.name
-            check_apart("output_path", place, [run_path.resolve()])
+        place = output_path.parent.resolve() / output_path.name
+        run, files = run_path.resolve(), None
+        if run_path.is_dir() and run in place.parents:
+            files = files_of(run, OUTPUT)
+        if files is None and run_path.is_dir():
+            check_apart("output_path", place, [run])
+        elif files is not None:
+            relative = place.relative_to(run).as_posix()
+            # Whoever reads the model takes all that is in its folder.
+            if relative in {*files, OUTPUT.record} or relative.startswith("sparse/"):
+                raise ColmapEdgesError(
+                    f"{output_path} is a file of the run itself; choose another name"
+                )
         if is_file:
             check_file(output_path, overwrite)
         elif output_path.parent.exists():

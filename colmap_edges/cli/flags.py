@@ -162,6 +162,21 @@ def flags_by_name(command: click.Command) -> dict[str, click.Parameter]:
     return {name: param for each in inner for name, param in flags_by_name(each).items()} | own
 
 
+def in_given_case(error: click.NoSuchOption, words: Iterable[str]) -> click.NoSuchOption:
+    """The error about an unknown flag, as it was typed, with flags as the help spells them.
+
+    Args:
+        error: click's error, whose names are normalized.
+        words: words of the command line.
+    """
+    typed = (word.partition("=")[0] for word in words)
+    found = next((word for word in typed if normalize(word) == normalize(error.option_name)), None)
+    known = flags_by_name(error.ctx.command) if error.ctx else {}
+    near = [known.get(normalize(name.removeprefix("--"))) for name in error.possibilities or ()]
+    spelled = [param.opts[0] for param in near if param]
+    return click.NoSuchOption(found or error.option_name, possibilities=spelled, ctx=error.ctx)
+
+
 def with_dashes(message: str, command: click.Command) -> str:
     """A message in which names of options that `command` has as flags get leading dashes."""
     names = {param.opts[0].removeprefix("--") for param in flags_by_name(command).values()}

@@ -11,9 +11,10 @@ from typing import Any, NoReturn
 
 import click
 
+from colmap_edges.cli.align_command import align
 from colmap_edges.cli.errors import one_line_errors
 from colmap_edges.cli.export_command import export
-from colmap_edges.cli.flags import normalize
+from colmap_edges.cli.flags import in_given_case, normalize
 from colmap_edges.cli.help import Command, full_help_flag
 from colmap_edges.cli.imports import importing
 from colmap_edges.cli.run_commands import make_run_command
@@ -25,8 +26,10 @@ from colmap_edges.cli.terminal import (
     open_streams,
     say,
     show_usage_error,
+    tell,
 )
 from colmap_edges.cli.version import show_version
+from colmap_edges.errors import extra
 from colmap_edges.runtime.memory import reuse_freed_memory
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -34,14 +37,14 @@ FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 
 @click.command(cls=Command, name="info")
 @click.argument("path", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--verbose", is_flag=True, help="Show the traceback of errors")
+@click.option("--verbose", is_flag=True, help="Show all counts; show the traceback of errors")
 def info(path: Path, verbose: bool) -> None:
     """Describe the COLMAP model or output folder at PATH."""
     with one_line_errors(verbose):
         with importing():
             from colmap_edges.cli.info import describe
 
-        say(*describe(path).split("\n"))
+        tell(*describe(path, verbose))
 
 
 @click.command(cls=Command, name="evaluate")
@@ -74,7 +77,7 @@ def info(path: Path, verbose: bool) -> None:
 def evaluate(verbose: bool, **values: Any) -> None:
     """Evaluate an output folder: errors of its mesh and edges, with pictures."""
     with one_line_errors(verbose):
-        with importing():
+        with importing(), extra("evaluate", "evaluation"):
             from colmap_edges.evaluation import run as evaluation
 
         evaluation.run(**values)
@@ -111,7 +114,7 @@ for command in (
         "Reconstruct 3D edges, write them, and mesh points and edges.",
         *("detect", "trace", "refine", "write", "mesh"),
     ),
-    *(info, evaluate, export),
+    *(info, evaluate, export, align),
 ):
     cli.add_command(command)
 
@@ -130,6 +133,9 @@ def main(argv: list[str] | None = None) -> NoReturn:
     run: Callable[..., Any] = cli.main
     try:
         code = run(argv, prog_name="colmap-edges", standalone_mode=False)
+    except click.NoSuchOption as error:
+        show_usage_error(in_given_case(error, sys.argv[1:] if argv is None else argv))
+        sys.exit(error.exit_code)
     except click.ClickException as error:
         show_usage_error(error)
         sys.exit(error.exit_code)

@@ -19,7 +19,7 @@ from colmap_edges.cli.flags import (
 )
 from colmap_edges.cli.help import Command
 from colmap_edges.cli.imports import importing
-from colmap_edges.cli.terminal import progress_bars, say
+from colmap_edges.cli.terminal import progress_bars, say, tell
 from colmap_edges.colmap.workspace import find_images, find_model
 from colmap_edges.options import METHODS, QUALITIES, PipelineOptions
 from colmap_edges.runtime.stages import Progress
@@ -152,7 +152,7 @@ def run_command(name: str, values: dict[str, Any]) -> None:
     if values["rerun"] not in ("0", "1"):
         say(f"The recording in {values['rerun']} opens in rerun's viewer: rerun {values['rerun']}")
     seconds = time.perf_counter() - started
-    say(*summary(report, paths["output_path"], seconds, values["verbose"]))
+    tell(*summary(report, paths["output_path"], seconds, values["verbose"]))
 
 
 def run_stages(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import logging
 import os
+import shutil
 import signal
 import sys
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
@@ -17,6 +19,7 @@ from colmap_edges.errors import printable
 from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
+INDENT = 10  # columns of the names in a summary
 HANDLED: list[int] = []  # signals handled during a run
 RECEIVED: list[int] = []  # signals received so far
 
@@ -84,12 +87,25 @@ class LogFormatter(logging.Formatter):
         return "\n".join(map(printable, super().formatException(ei).split("\n")))
 
 
+class StderrHandler(logging.StreamHandler):  # type: ignore[type-arg, unused-ignore]
+    """Writes to what standard error is at the time, so that lines do not run into a live bar."""
+
+    @property
+    def stream(self) -> Any:
+        """The stream, which progress bars replace while they are shown."""
+        return sys.stderr
+
+    @stream.setter
+    def stream(self, _value: Any) -> None:
+        """Ignore the stream that the base class would keep."""
+
+
 def start_logging(verbose: bool) -> None:
     """Log warnings to standard error; with `verbose` also this program's debug messages.
 
     Debug messages of libraries are not shown.
     """
-    handler = logging.StreamHandler()
+    handler = StderrHandler()
     handler.setFormatter(LogFormatter(verbose))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.getLogger("colmap_edges").setLevel(logging.DEBUG if verbose else logging.WARNING)
@@ -102,19 +118,61 @@ def progress_bars() -> Iterator[Progress]:
         yield no_progress
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description:>8}"), BarColumn(), MofNCompleteColumn(), Elapsed())
+    columns = (
+        TextColumn("{task.description:>10}"),
+        BarColumn(30),
+        TextColumn("{task.fields[steps]:>11}"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
+        whole = bars.add_task("in all", total=None, steps="", left="")
 
         def show(name: str, done: int, total: int) -> None:
             if name not in tasks:
-                tasks[name] = bars.add_task(name, total=total)
-            bars.update(tasks[name], completed=done, total=total)
+                tasks[name] = bars.add_task(name, total=total, steps="", left="")
+            steps = f"{done:,}/{total:,}" if total > 1 else ""
+            left = time_left(bars.tasks[tasks[name]])
+            bars.update(tasks[name], completed=done, total=total, steps=steps, left=left)
 
         yield show
+        bars.update(whole, total=1, completed=1)
+
+
+def time_left(task: Any) -> str:
+    """How long a stage of several steps will still take, at the speed of the steps so far."""
+    if task.finished or not task.completed or task.elapsed is None:
+        return ""
+    seconds = task.elapsed * (task.total / task.completed - 1)
+    return f"about {duration(seconds)} left"
+
+
+def duration(seconds: float) -> str:
+    """A time in words, such as "8.6 s" or "12 min 3 s"."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def wrapped(line: str, width: int) -> list[str]:
+    """A line broken between words; further lines are indented below its text."""
+    indent = " " * INDENT if line[:INDENT].rstrip().endswith(":") else "  "
+    return textwrap.wrap(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    ) or [line]
+
+
+def tell(*lines: str) -> None:
+    """Print lines of text to standard output, broken between words on a terminal."""
+    if sys.stdout.isatty():
+        width = shutil.get_terminal_size().columns
+        lines = tuple(part for line in lines for part in wrapped(printable(line), width))
+    say(*lines)
 
 
 def handled_signals() -> list[int]:

@@ -92,6 +92,25 @@ def write_model(
     return ids_of_edge_points(edges, points)
 
 
+def write_moved(
+    reconstruction: Any, scale: float, rotation: FloatArray, translation: FloatArray, path: Path
+) -> None:
+    """Write a copy of a pycolmap.Reconstruction in another frame, in binary files.
+
+    Args:
+        reconstruction: the reconstruction, which is not changed.
+        scale: factor of all lengths.
+        rotation: (3, 3) rotation of the new frame from the old one.
+        translation: (3,) position of the old origin in the new frame.
+        path: folder to write to; created if missing.
+    """
+    moved = pycolmap.Reconstruction(reconstruction)
+    moved.transform(pycolmap.Sim3d(np.column_stack([scale * rotation, translation])))
+    path.mkdir(exist_ok=True)
+    moved.write_binary(str(path))
+    check_complete(path, camera_parameter_counts())
+
+
 def check_text_names(model: Model) -> None:
     """Check that image names contain no whitespace, which ends a name in text models.
 

@@ -79,6 +79,12 @@ class Curves3D:
     radius_sigmas: Annotated[FloatArray, "C", 2]
     control_sigmas: Annotated[FloatArray, "M"]
 
+    def __repr__(self) -> str:
+        """The numbers of curves of each kind, in one line."""
+        counts = np.bincount(self.kinds, minlength=len(KINDS)).tolist()
+        kinds = [f"{count:,} {kind}" for kind, count in zip(KINDS, counts, strict=True) if count]
+        return f"<Curves3D: {', '.join(kinds) or 'none'}>"
+
     def check(self, name: str = "curves", edges: Edges3D | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
 
@@ -90,8 +96,8 @@ class Curves3D:
             ColmapEdgesError: naming the first array that does not fit.
         """
         check_arrays(name, self)
-        num_edges = edges.num_edges if edges else MAX_INTEGER
-        num_points = edges.num_points if edges else MAX_INTEGER
+        num_edges = edges.num_edges if edges is not None else MAX_INTEGER
+        num_points = edges.num_points if edges is not None else MAX_INTEGER
         check_values(f"{name}.kinds", self.kinds, 0, len(KINDS) - 1)
         check_values(f"{name}.edges", self.edges, 0, num_edges - 1)
         check_values(f"{name}.ranges", self.ranges[:, 0], 0, num_points - 1)
@@ -246,10 +252,14 @@ class Curves3D:
 
     def lengths(self) -> FloatArray:
         """(C,) lengths, world units."""
-        counts = np.full(self.num_curves, 65)
-        points = self.at(np.repeat(np.arange(self.num_curves), counts), ranks_of(counts) / 64)
-        steps = np.diff(points.reshape(-1, 65, 3), axis=1)
+        steps = np.diff(self.sampled_evenly(64)[0].reshape(-1, 65, 3), axis=1)
         return np.asarray(np.linalg.norm(steps, axis=2).sum(axis=1))
+
+    def sampled_evenly(self, steps: int) -> tuple[FloatArray, IntArray]:
+        """(C * (steps + 1), 3) points at even parameters of each curve, and their curves."""
+        counts = np.full(self.num_curves, steps + 1)
+        owners = np.repeat(np.arange(self.num_curves), counts)
+        return self.at(owners, ranks_of(counts) / steps), owners
 
     def sampled(self, spacing: float) -> tuple[FloatArray, IntArray]:
         """(N, 3) points of all curves about `spacing` apart, and (N,) the curve of each.

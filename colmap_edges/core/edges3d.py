@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    entries_of,
     offsets_of,
     owners_of,
 )
@@ -94,6 +95,72 @@ class Edges3D:
     end_nodes: Annotated[Int32Array, "E", 2]
     colors: Annotated[ByteArray, "N", 3]
     nodes: Nodes = field(default_factory=Nodes.none)
+
+    def __repr__(self) -> str:
+        """The numbers of edges, points and nodes and the total length, in one line."""
+        return (
+            f"<Edges3D: {self.num_edges:,} edges of {self.num_points:,} points, total length "
+            f"{self.lengths().sum():.4g}, {len(self.nodes.points):,} nodes>"
+        )
+
+    def __len__(self) -> int:
+        """Number of 3D edges."""
+        return self.num_edges
+
+    def __getitem__(self, chosen: Any) -> Edges3D:
+        """Some of the edges, with their tracks and nodes.
+
+        Args:
+            chosen: number of one edge, a slice, or an array of numbers or bools, as of numpy.
+
+        Raises:
+            IndexError: if there is no edge of a number.
+        """
+        edges = np.atleast_1d(np.arange(self.num_edges)[chosen])
+        order = entries_of(self.edge_offsets, edges)
+        offsets = offsets_of(np.diff(self.edge_offsets)[edges])
+        taken = self.reordered(order, offsets, self.closed[edges], self.end_nodes[edges])
+        used = np.unique(taken.end_nodes[taken.end_nodes >= 0]).astype(np.int64)
+        if not len(self.nodes.points):
+            return taken
+        numbers = np.full(len(self.nodes.points) + 1, -1, np.int32)  # the last is that of -1
+        numbers[used] = np.arange(len(used))
+        places = np.full(self.num_points + 1, -1, np.int64)
+        places[order] = np.arange(len(order))
+        nodes = Nodes(
+            points=self.nodes.points[used],
+            sigmas=self.nodes.sigmas[used],
+            observations=self.nodes.observations.select(used),
+            colors=self.nodes.colors[used],
+            through_points=places[self.nodes.through_points[used]],
+        )
+        return replace(taken, end_nodes=numbers[taken.end_nodes], nodes=nodes)
+
+    def lengths(self) -> FloatArray:
+        """Length (E,) of each edge, world units."""
+        first, second = self.segments.T
+        steps = np.linalg.norm(self.points[second] - self.points[first], axis=1)
+        lengths = np.bincount(self.edge_ids[first], steps, self.num_edges)
+        return np.asarray(lengths, np.float64)
+
+    def polylines(self) -> list[FloatArray]:
+        """The points (n, 3) of each edge; those of closed edges end with the first again."""
+        parts = np.split(self.points, self.edge_offsets[1:-1]) if self.num_edges else []
+        return [
+            np.concatenate([part, part[:1]]) if closed else part
+            for part, closed in zip(parts, self.closed, strict=True)
+        ]
+
+    @checked
+    def observations_of(self, edge: int) -> Observations:
+        """The observations of the points of an edge, in their order.
+
+        Raises:
+            ColmapEdgesError: if there is no such edge.
+        """
+        check_values("edge", np.array(edge), 0, self.num_edges - 1)
+        first, end = self.edge_offsets[edge : edge + 2].tolist()
+        return self.observations.select(np.arange(first, end, dtype=np.int64))
 
     def check(self, name: str = "edges", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.

@@ -1,8 +1,8 @@
-"""Export of curves as DXF: LINE, ARC, CIRCLE, ELLIPSE and SPLINE entities, a layer per kind."""
+"""Export as DXF: curves as LINE, ARC, CIRCLE, ELLIPSE and SPLINE, or edges as 3D polylines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import (
     ARC,
@@ -21,31 +22,105 @@ from colmap_edges.core.curves3d import (
     SPLINE,
     Curves3D,
 )
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.units import IMPERIAL, INSUNITS, metres
 from colmap_edges.runtime.output import write_whole
 
+PROGRAM = "COLMAP_EDGES"  # of the extended data
+POLYLINES = "EDGES"  # layer of polylines
+EXTENT_STEPS = 64  # pieces of a curve whose ends determine the extents
+VIEW, ASPECT = 1.1, 1.6  # height of the first view to that of the scene; its width to its height
 VERSION = "R2000"  # the oldest with ellipses and splines
 LAYERS = [kind.upper() for kind in KINDS]
 
 
 @checked
-def write_dxf(curves: Curves3D, path: Path, *, overwrite: bool = True) -> None:
+def write_dxf(
+    curves: Curves3D, path: Path | str, *, unit: str = "", overwrite: bool = True
+) -> None:
     """Write a DXF (R2000) with one entity per curve, and one layer per kind, named in capitals.
+
+    The extended data of an entity hold the number of its edge, under the name COLMAP_EDGES.
+
+    Args:
+        curves: the curves.
+        path: file to write.
+        unit: unit of the coordinates, such as "mm", or empty if unknown.
+        overwrite: replace an existing file.
 
     Raises:
         ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
-    import ezdxf
-
-    text = StringIO()
-    with fixed_dates(ezdxf.options):
-        drawing = ezdxf.new(VERSION, units=0)
-        for kind, name in enumerate(LAYERS):
-            drawing.layers.add(name, color=1 + kind)
+    points = curves.sampled_evenly(EXTENT_STEPS)[0]
+    with new_drawing(points, unit, LAYERS) as drawing:
         space = drawing.modelspace()
         for curve in range(curves.num_curves):
             add_entity(space, curves, curve)
-        drawing.write(text)
-    write_whole(path, text.getvalue().encode(), "curves", overwrite=overwrite)
+            tag(space[-1], int(curves.edges[curve]))
+        data = text_of(drawing)
+    write_whole(Path(path), data, "curves", overwrite=overwrite)
+
+
+@checked
+def write_dxf_polylines(
+    edges: Edges3D, path: Path | str, *, unit: str = "", overwrite: bool = True
+) -> None:
+    """Write a DXF (R2000) with one 3D polyline per edge, for programs without curves in space.
+
+    Args:
+        edges: the edges.
+        path: file to write.
+        unit: unit of the coordinates, such as "mm", or empty if unknown.
+        overwrite: replace an existing file.
+
+    Raises:
+        ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
+    """
+    with new_drawing(edges.points, unit, [POLYLINES]) as drawing:
+        space = drawing.modelspace()
+        for edge, points in enumerate(np.split(edges.points, edges.edge_offsets[1:-1])):
+            closed = bool(edges.closed[edge])
+            polyline = space.add_polyline3d(
+                points.tolist(), close=closed, dxfattribs={"layer": POLYLINES}
+            )
+            tag(polyline, edge)
+        data = text_of(drawing)
+    write_whole(Path(path), data, "edges", overwrite=overwrite)
+
+
+@contextmanager
+def new_drawing(points: FloatArray, unit: str, layers: Sequence[str]) -> Iterator[Any]:
+    """A drawing of ezdxf with a view of (N, 3) points from above."""
+    import ezdxf
+
+    metres(unit)
+    with fixed_dates(ezdxf.options):
+        drawing = ezdxf.new(VERSION, units=INSUNITS[unit])
+        drawing.header["$MEASUREMENT"] = 0 if unit in IMPERIAL else 1
+        drawing.appids.new(PROGRAM)
+        for number, name in enumerate(layers):
+            drawing.layers.add(name, color=1 + number)
+        if len(points):
+            low, high = points.min(axis=0), points.max(axis=0)
+            drawing.header["$EXTMIN"], drawing.header["$EXTMAX"] = low.tolist(), high.tolist()
+            space = drawing.modelspace()
+            space.reset_extents(low.tolist(), high.tolist())
+            middle, size = (low + high)[:2] / 2, high - low
+            height = VIEW * max(float(size[1]), float(size[0]) / ASPECT)
+            drawing.set_modelspace_vport(height or 1.0, middle.tolist())
+        yield drawing
+
+
+def text_of(drawing: Any) -> bytes:
+    """The bytes of the file of a drawing."""
+    text = StringIO()
+    drawing.write(text)
+    return text.getvalue().encode()
+
+
+def tag(entity: Any, edge: int) -> None:
+    """Give an entity the number of its edge as extended data."""
+    entity.set_xdata(PROGRAM, [(1000, f"edge {edge}"), (1071, edge)])
 
 
 @contextmanager

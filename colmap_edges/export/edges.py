@@ -1,46 +1,70 @@
-"""Lengths and polylines of 3D edges, and their export as OBJ."""
+"""Export of 3D edges as OBJ, and what is common to all such files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import FloatArray, Int32Array
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.similarity import Y_UP, to_z_up
+from colmap_edges.export.units import metres
+from colmap_edges.export.upright import direction
 from colmap_edges.runtime.output import write_whole
 
-
-def edge_lengths(edges: Edges3D) -> FloatArray:
-    """Length (E,) of each edge, world units."""
-    segments = edges.segments
-    lengths = np.linalg.norm(edges.points[segments[:, 1]] - edges.points[segments[:, 0]], axis=1)
-    owners = edges.edge_ids
-    return np.bincount(owners[segments[:, 0]], lengths, edges.num_edges).astype(np.float64)
+TURN = "# rotation of this file from the model, row by row:"
 
 
 @checked
-def write_obj(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
-    """Write an OBJ with one `l` element per edge; closed edges repeat their first point.
+def write_obj(
+    edges: Edges3D,
+    path: Path | str,
+    *,
+    up: Any = "z",
+    unit: str = "",
+    overwrite: bool = True,
+) -> None:
+    """Write an OBJ with one group `edge_N` per edge, and one `l` element per segment.
+
+    Many programs read only the first segment of longer elements.
+
+    Args:
+        edges: the edges.
+        path: file to write.
+        up: upward direction, an axis such as "-y" or (3,) numbers; it becomes y, as programs
+            expect of OBJ.
+        unit: unit of the coordinates, such as "mm", named in the file; empty if unknown.
+        overwrite: replace an existing file.
 
     Raises:
         ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
-    lines = ["# 3D edges by colmap-edges\n", formatted("v %.15g %.15g %.15g\n", edges.points)]
-    for indices in polyline_indices(edges):
-        lines.append(f"l {' '.join(map(str, (indices + 1).tolist()))}\n")
-    write_whole(path, "".join(lines).encode("ascii"), "edges", overwrite=overwrite)
+    turn = y_up_from(up)
+    points = formatted("v %.15g %.15g %.15g\n", edges.points @ turn.T)
+    lines = ["# 3D edges by colmap-edges\n", obj_header(turn, unit), points]
+    pairs = edges.segments + 1
+    of_edges = np.searchsorted(pairs[:, 0], edges.edge_offsets, "right")
+    for edge, (first, last) in enumerate(pairwise(of_edges.tolist())):
+        lines += [f"g edge_{edge}\n", formatted("l %d %d\n", pairs[first:last])]
+    write_whole(Path(path), "".join(lines).encode("ascii"), "edges", overwrite=overwrite)
+
+
+def y_up_from(up: Any) -> FloatArray:
+    """(3, 3) the rotation that makes an upward direction y; see `upright.direction`."""
+    return np.asarray(Y_UP @ to_z_up(direction(up)))
+
+
+def obj_header(turn: FloatArray, unit: str) -> str:
+    """Comments of an OBJ that tell how it stands; `turn` is the rotation from the model."""
+    rows = " ".join(f"{value:.17g}" for value in turn.ravel())
+    metres(unit)
+    return f"# y is up, unit {unit or 'unknown'}\n{TURN} {rows}\n"
 
 
 def formatted(line: str, rows: FloatArray | Int32Array) -> str:
     """The rows formatted by a template line, all at once for speed."""
     return line * len(rows) % tuple(rows.ravel().tolist())
-
-
-def polyline_indices(edges: Edges3D) -> Iterator[IntArray]:
-    """The point indices of each edge; those of closed edges end with the first point."""
-    bounds = zip(edges.edge_offsets[:-1], edges.edge_offsets[1:], edges.closed, strict=True)
-    for first, last, closed in bounds:
-        yield np.append(np.arange(first, last), [first] if closed else []).astype(np.int64)

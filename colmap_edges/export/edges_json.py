@@ -16,7 +16,6 @@ from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import Observations
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.curve_records import curve_records
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.runtime.input_files import DAMAGE, read_text
 from colmap_edges.runtime.output import write_whole
 
@@ -68,7 +67,7 @@ def edge_records(
 ) -> list[dict[str, Any]]:
     """One mapping per edge: id, point3D ids, closed, length, views, residual, end nodes, sigmas."""
     image_ids = np.array([view.image_id for view in model.views], np.int64)
-    lengths = edge_lengths(edges)
+    lengths = edges.lengths()
     records = []
     for edge in range(edges.num_edges):
         first, last = edges.edge_offsets[edge : edge + 2]

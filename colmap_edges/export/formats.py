@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.errors import OptionError
 from colmap_edges.export.dxf import write_dxf
 from colmap_edges.export.edges import write_obj
@@ -23,28 +24,61 @@ class Format(NamedTuple):
 
     Attributes:
         place: name of its file or folder in the output folder of a run.
-        write: writes edges to a path; the last argument says whether to replace an earlier output.
+        write: writes edges to a path; further arguments say whether to replace an earlier output,
+            which (3,) direction is up, and the unit of the coordinates, which may be empty.
     """
 
     place: str
-    write: Callable[[WrittenEdges, Path, bool], Any]
+    write: Callable[[WrittenEdges, Path, bool, FloatArray, str], Any]
+
+
+def ply(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, _unit: str) -> None:
+    """Write edges as PLY."""
+    write_ply(written.edges, path, overwrite=overwrite)
+
+
+def obj(written: WrittenEdges, path: Path, overwrite: bool, up: FloatArray, unit: str) -> None:
+    """Write edges as OBJ."""
+    write_obj(written.edges, path, up=up, unit=unit, overwrite=overwrite)
+
+
+def glb(written: WrittenEdges, path: Path, overwrite: bool, up: FloatArray, unit: str) -> None:
+    """Write edges as GLB."""
+    write_glb(written.edges, path, up=up, unit=unit, overwrite=overwrite)
+
+
+def dxf(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, unit: str) -> None:
+    """Write curves as DXF."""
+    write_dxf(written.curves, path, unit=unit, overwrite=overwrite)
+
+
+def step(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, unit: str) -> Any:
+    """Write curves as STEP."""
+    return write_step(written.curves, path, unit=unit, overwrite=overwrite)
+
+
+def svg(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, _unit: str) -> None:
+    """Write curves as one SVG for each image."""
+    edges, curves, views = written.edges, written.curves, written.model.views
+    write_svgs(edges, curves, views, path, overwrite=overwrite)
+
+
+def limap(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, _unit: str) -> int:
+    """Write lines for LIMAP."""
+    edges, curves, model = written.edges, written.curves, written.model
+    return write_structures(edges, curves, model, path, overwrite=overwrite)
 
 
 FORMATS = {
-    "ply": Format("edges.ply", lambda e, path, over: write_ply(e.edges, path, overwrite=over)),
-    "obj": Format("edges.obj", lambda e, path, over: write_obj(e.edges, path, overwrite=over)),
-    "glb": Format("edges.glb", lambda e, path, over: write_glb(e.edges, path, overwrite=over)),
-    "dxf": Format("edges.dxf", lambda e, path, over: write_dxf(e.curves, path, overwrite=over)),
-    "step": Format("edges.step", lambda e, path, over: write_step(e.curves, path, overwrite=over)),
-    "svg": Format(
-        "svg",
-        lambda e, path, over: write_svgs(e.edges, e.curves, e.model.views, path, overwrite=over),
-    ),
-    "limap": Format(
-        "structures",
-        lambda e, path, over: write_structures(e.edges, e.curves, e.model, path, overwrite=over),
-    ),
+    "ply": Format("edges.ply", ply),
+    "obj": Format("edges.obj", obj),
+    "glb": Format("edges.glb", glb),
+    "dxf": Format("edges.dxf", dxf),
+    "step": Format("edges.step", step),
+    "svg": Format("svg", svg),
+    "limap": Format("structures", limap),
 }
+OF_MODEL = ("svg", "limap")  # which are used with the model's cameras
 
 
 def formats_of(text: str) -> list[str]:
@@ -76,8 +110,14 @@ def check_formats(names: Sequence[str], has_edges: bool) -> None:
             )
 
 
-def notes_on(written: WrittenEdges, result: Any) -> list[str]:
-    """What differs between edges and their file; `result` is that of a `Format.write`."""
+def notes_on(written: WrittenEdges, result: Any, unit: str = "") -> list[str]:
+    """What differs between edges and their file.
+
+    Args:
+        written: the edges.
+        result: that of a `Format.write`.
+        unit: unit of the coordinates, or empty if unknown.
+    """
     if not isinstance(result, StepFile):
         return []
     notes, num_curves = [], written.curves.num_curves
@@ -86,9 +126,14 @@ def notes_on(written: WrittenEdges, result: Any) -> list[str]:
             f"{missing:,} of {num_curves:,} curves are left out, since they have no length that "
             "STEP files can hold."
         )
-    if result.unit_mm != 1:
+    if not unit and result.unit_mm != 1:
         notes.append(
             f"one unit of the model is {result.unit_mm:,.0f} mm in the STEP file, since programs "
             "would take the ends of its short curves as one point."
+        )
+    elif not unit:
+        notes.append(
+            "one unit of the model is 1 mm in the STEP file, since its scale is unknown; "
+            "`colmap-edges export` with --edge_length or --unit sets it."
         )
     return notes

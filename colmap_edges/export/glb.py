@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.edges import y_up_from
 from colmap_edges.export.precision import needs_double
+from colmap_edges.export.units import metres
 from colmap_edges.runtime.output import write_whole
 
 HEAD = struct.Struct("<4sII")  # magic, version, total length
@@ -22,15 +24,32 @@ TYPES = {"<f4": 5126, "|u1": 5121, "<u4": 5125}  # glTF's numbers of component t
 LINES, TRIANGLES = 1, 4  # primitive modes
 VERTICES, INDICES = 34962, 34963  # targets of buffer views
 ASSET = {"version": "2.0", "generator": "colmap-edges"}
+ROOT = "y up from model"  # name of the node that turns the scene
 PLAIN = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
 
 
 @checked
-def write_glb(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
+def write_glb(
+    edges: Edges3D,
+    path: Path | str,
+    *,
+    up: Any = "z",
+    unit: str = "",
+    overwrite: bool = True,
+) -> None:
     """Write a binary glTF of one set of lines, in the mean colour of each edge.
 
     The attribute `_EDGE_ID` holds the index of the edge of each vertex. Without edges no file is
     written, since the format has no empty scenes.
+
+    Args:
+        edges: the edges.
+        path: file to write.
+        up: upward direction, an axis such as "-y" or (3,) numbers; the root node turns it to y,
+            which is up in glTF.
+        unit: unit of the coordinates, such as "mm", from which the root node makes metres; if
+            empty, they keep their numbers.
+        overwrite: replace an existing file.
 
     Raises:
         ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
@@ -43,8 +62,18 @@ def write_glb(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     )
     means = np.rint(sums / np.bincount(ids, minlength=edges.num_edges)[:, None]).astype(np.uint8)
     far = needs_double(edges.points, edges.segments)
-    data = as_glb("edges", edges.points, means[ids], edges.segments, LINES, far=far, edge_ids=ids)
-    write_whole(path, data, "edges", overwrite=overwrite)
+    root = root_node(up, unit)
+    data = as_glb("edges", edges.points, means[ids], edges.segments, LINES, root, far, ids)
+    write_whole(Path(path), data, "edges", overwrite=overwrite)
+
+
+def root_node(up: Any, unit: str) -> dict[str, Any]:
+    """The node that turns the scene so that y is up, and makes its unit metres."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(y_up_from(up)).as_quat()
+    node: dict[str, Any] = {"name": ROOT, "children": [1], "rotation": turn.tolist()}
+    return node | ({"scale": 3 * [metres(unit)]} if unit else {})
 
 
 def as_glb(
@@ -53,11 +82,11 @@ def as_glb(
     colors: ByteArray,
     indices: IntArray | Int32Array,
     mode: int,
-    *,
+    root: dict[str, Any],
     far: bool,
     edge_ids: IntArray | None = None,
 ) -> bytes:
-    """A binary glTF of one node with one mesh of one primitive.
+    """A binary glTF of one node with one mesh of one primitive, in a root node.
 
     Args:
         name: name of the node and the mesh.
@@ -65,6 +94,7 @@ def as_glb(
         colors: (N, 3) RGB.
         indices: (P, 2) ends of lines, or (P, 3) corners of triangles.
         mode: LINES or TRIANGLES.
+        root: the root node, of `root_node`.
         far: write the points relative to their centre, which becomes the node's translation;
             the latter is text and keeps its precision.
         edge_ids: (N,) values of the attribute `_EDGE_ID`; float32, as glTF forbids integers here.
@@ -89,19 +119,21 @@ def as_glb(
     }
     if mode == LINES:  # lines without normals are not shaded
         primitive["material"] = 0
-    return packed(node, primitive, arrays)
+    return packed([root, node], primitive, arrays)
 
 
-def packed(node: dict[str, Any], primitive: dict[str, Any], arrays: list[NDArray[Any]]) -> bytes:
-    """A binary glTF of a node and its mesh's primitive; its arrays in the order of accessors."""
+def packed(
+    nodes: list[dict[str, Any]], primitive: dict[str, Any], arrays: list[NDArray[Any]]
+) -> bytes:
+    """A binary glTF of nodes and their mesh's primitive; its arrays in the order of accessors."""
     starts = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
     targets = [VERTICES] * (len(arrays) - 1) + [INDICES]
     document = {
         "asset": ASSET,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [node],
-        "meshes": [{"name": node["name"], "primitives": [primitive]}],
+        "nodes": nodes,
+        "meshes": [{"name": nodes[-1]["name"], "primitives": [primitive]}],
         "accessors": [accessor(array, index) for index, array in enumerate(arrays)],
         "bufferViews": [
             {"buffer": 0, "byteOffset": start, "byteLength": array.nbytes, "target": target}

@@ -1,18 +1,22 @@
-"""Export of meshes as PLY, OBJ and GLB."""
+"""Writing of meshes as PLY, OBJ and GLB, and reading of such files."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import Int32Array
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array
 from colmap_edges.core.checks import checked
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.edges import formatted
-from colmap_edges.export.glb import TRIANGLES, as_glb
-from colmap_edges.export.ply import mesh_as_ply
+from colmap_edges.export.edges import TURN, formatted, obj_header, y_up_from
+from colmap_edges.export.glb import CHUNK, HEAD, ROOT, TRIANGLES, as_glb, root_node
+from colmap_edges.export.ply import MESH_FACE, MESH_HEADER, MESH_VERTEX, mesh_as_ply
 from colmap_edges.export.precision import needs_double
+from colmap_edges.runtime.input_files import DAMAGE, open_file, read_bytes, read_text
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -20,8 +24,24 @@ MESH_FORMATS = (".ply", ".obj", ".glb")
 
 
 @checked
-def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
+def write_mesh(
+    mesh: Mesh,
+    path: Path | str,
+    *,
+    up: Any = "z",
+    unit: str = "",
+    overwrite: bool = True,
+) -> bool:
     """Write a mesh with colours as PLY, OBJ or GLB, complete or not at all.
+
+    Args:
+        mesh: the mesh.
+        path: file to write.
+        up: upward direction, an axis such as "-y" or (3,) numbers; OBJ and GLB files are turned
+            so that it is y, as programs expect.
+        unit: unit of the coordinates, such as "mm", or empty if unknown; a GLB's node makes metres
+            of it.
+        overwrite: replace an existing file.
 
     Returns:
         Whether 32-bit coordinates would distort the mesh, because it lies far from the origin. Then
@@ -41,9 +61,10 @@ def write_mesh(mesh: Mesh, path: Path | str, *, overwrite: bool = True) -> bool:
     if suffix == ".ply":
         data = mesh_as_ply(mesh, "f8" if far else "f4")
     elif suffix == ".obj":
-        data = as_obj(mesh)
+        data = as_obj(mesh, y_up_from(up), unit)
     else:
-        data = as_glb("mesh", mesh.vertices, mesh.colors, mesh.faces, TRIANGLES, far=far)
+        root = root_node(up, unit)
+        data = as_glb("mesh", mesh.vertices, mesh.colors, mesh.faces, TRIANGLES, root, far)
     write_whole(path, data, "mesh", overwrite=overwrite)
     return far
 
@@ -53,9 +74,115 @@ def sides_of(mesh: Mesh) -> Int32Array:
     return mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def as_obj(mesh: Mesh) -> bytes:
-    """An OBJ of the mesh, with colours from 0 to 1 after the coordinates."""
-    rows = np.column_stack([mesh.vertices, mesh.colors / 255])
+def as_obj(mesh: Mesh, turn: FloatArray, unit: str) -> bytes:
+    """An OBJ of the mesh turned by a (3, 3) rotation, with colours from 0 to 1."""
+    rows = np.column_stack([mesh.vertices @ turn.T, mesh.colors / 255])
     text = formatted("v %.15g %.15g %.15g %.4g %.4g %.4g\n", rows)
     faces = formatted("f %d %d %d\n", mesh.faces + 1)
-    return f"# mesh by colmap-edges\n{text}{faces}".encode("ascii")
+    return f"# mesh by colmap-edges\n{obj_header(turn, unit)}{text}{faces}".encode("ascii")
+
+
+def model_from_file(path: Path) -> FloatArray:
+    """(3, 3) the matrix that turns an OBJ or GLB file of `write_mesh` back to the model.
+
+    That of other files is the identity.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        with open_file(path) as file:
+            lines = [file.readline().decode("ascii", "replace") for _ in range(3)]
+        rows = [line.removeprefix(TURN).split() for line in lines if line.startswith(TURN)]
+        return np.array(rows[0], float).reshape(3, 3).T if rows else np.eye(3)
+    document = glb_document(path) if suffix == ".glb" else {}
+    root = (document.get("nodes") or [{}])[0]
+    if root.get("name") != ROOT:
+        return np.eye(3)
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(root["rotation"]).as_matrix()
+    return np.asarray(turn.T / root.get("scale", [1.0])[0])
+
+
+@checked
+def read_mesh(path: Path | str) -> Mesh:
+    """Read a mesh of `write_mesh` in the frame of the model; ids of its points are not in files.
+
+    Raises:
+        ColmapEdgesError: if the file is missing or damaged, or not one of `write_mesh`.
+    """
+    path = Path(path)
+    readers = {".ply": mesh_of_ply, ".obj": mesh_of_obj, ".glb": mesh_of_glb}
+    if path.suffix.lower() not in readers:
+        raise ColmapEdgesError(
+            f"cannot read a mesh from {path.name!r}; give one of: {', '.join(readers)}"
+        )
+    try:
+        vertices, colors, faces = readers[path.suffix.lower()](path)
+    except (OSError, *DAMAGE) as error:
+        raise ColmapEdgesError(f"{path} is not a mesh of colmap-edges: {error}") from error
+    unknown = np.full(len(vertices), -1, np.int64)
+    mesh = Mesh(vertices=vertices, faces=faces, point3D_ids=unknown, colors=colors)
+    mesh.check(str(path))
+    return mesh
+
+
+def mesh_of_ply(path: Path) -> tuple[FloatArray, ByteArray, Int32Array]:
+    """Vertices, colours and faces of a PLY of `write_mesh`."""
+    head, _, body = read_bytes(path).partition(b"end_header\n")
+    counts = {
+        name.decode(): int(count) for name, count in re.findall(rb"element (\w+) (\d+)", head)
+    }
+    vertex = MESH_VERTEX["f8" if b"property double x" in head else "f4"]
+    expected = MESH_HEADER.format(
+        vertices=counts["vertex"],
+        faces=counts["face"],
+        number="double" if vertex is MESH_VERTEX["f8"] else "float",
+    )
+    if head + b"end_header\n" != expected.encode():
+        raise ValueError("it has other properties")
+    vertices = np.frombuffer(body, vertex, counts["vertex"])
+    faces = np.frombuffer(body, MESH_FACE, counts["face"], vertices.nbytes)["indices"]
+    return vertices["xyz"].astype(float), vertices["rgba"][:, :3].copy(), faces.astype(np.int32)
+
+
+def mesh_of_obj(path: Path) -> tuple[FloatArray, ByteArray, Int32Array]:
+    """Vertices, colours and faces of an OBJ of `write_mesh`."""
+    rows: dict[str, list[list[str]]] = {"v": [], "f": []}
+    for line in read_text(path).splitlines():
+        kind, _, rest = line.partition(" ")
+        if kind in rows:
+            rows[kind].append(rest.split())
+    values = np.array(rows["v"], float).reshape(-1, 6)
+    colors = np.rint(255 * values[:, 3:]).astype(np.uint8)
+    vertices = values[:, :3] @ model_from_file(path).T
+    return vertices, colors, np.array(rows["f"], np.int32).reshape(-1, 3) - 1
+
+
+def mesh_of_glb(path: Path) -> tuple[FloatArray, ByteArray, Int32Array]:
+    """Vertices, colours and faces of a GLB of `write_mesh`, without its root node's transform."""
+    document, data = glb_document(path), read_bytes(path)
+    if not document.get("meshes"):
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.int32)
+    start = data.index(b"BIN\0") + 4
+    found = []
+    for accessor, kind, columns in zip(
+        document["accessors"], ("<f4", "|u1", "<u4"), (3, 4, 1), strict=True
+    ):
+        place = start + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        array = np.frombuffer(data, kind, columns * accessor["count"], place)
+        found.append(array.reshape(-1, columns))
+    offset = document["nodes"][-1].get("translation", [0.0, 0.0, 0.0])
+    points, colors, indices = found
+    return points + np.array(offset), colors[:, :3].copy(), indices.astype(np.int32).reshape(-1, 3)
+
+
+def glb_document(path: Path) -> dict[str, Any]:
+    """The JSON part of a binary glTF."""
+    data = read_bytes(path)
+    length, kind = CHUNK.unpack_from(data, HEAD.size)
+    if data[:4] != b"glTF" or kind != b"JSON":
+        raise ValueError("it is no binary glTF")
+    return dict(json.loads(data[HEAD.size + CHUNK.size :][:length]))

@@ -54,7 +54,8 @@ def read_lines(path: Path) -> list[Line]:
         if (path / "alltracks.txt").is_file():
             return read_limap1(path / "alltracks.txt")
         raise ColmapEdgesError(
-            f"{path} holds no lines: neither lines3D.bin, track_*.txt nor alltracks.txt"
+            f"{path} holds no edges.json and no lines of LIMAP; give the output folder of a run, "
+            "such as WORKSPACE/edges"
         )
     if path.suffix == ".obj":
         return read_obj(path)

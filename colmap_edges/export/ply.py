@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, extra
 from colmap_edges.runtime.input_files import read_bytes
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
@@ -33,6 +33,9 @@ property int vertex1
 property int vertex2
 end_header
 """
+MESH_VERTEX = {
+    number: np.dtype([("xyz", f"<{number}", 3), ("rgba", "u1", 4)]) for number in ("f4", "f8")
+}
 MESH_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
 MESH_HEADER = """ply
 format binary_little_endian 1.0
@@ -52,7 +55,7 @@ end_header
 
 
 @checked
-def write_ply(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
+def write_ply(edges: Edges3D, path: Path | str, *, overwrite: bool = True) -> None:
     """Write a binary PLY with `vertex` and `edge` elements.
 
     Raises:
@@ -63,13 +66,12 @@ def write_ply(edges: Edges3D, path: Path, *, overwrite: bool = True) -> None:
     segments = edges.segments
     header = EDGES_HEADER.format(vertices=len(vertices), edges=len(segments))
     data = header.encode() + vertices.tobytes() + segments.astype("<i4").tobytes()
-    write_whole(path, data, "edges", overwrite=overwrite)
+    write_whole(Path(path), data, "edges", overwrite=overwrite)
 
 
 def mesh_as_ply(mesh: Mesh, number: str) -> bytes:
     """A binary PLY of the mesh, with coordinates of type f4, as most readers expect, or f8."""
-    vertex = np.dtype([("xyz", f"<{number}", 3), ("rgba", "u1", 4)])
-    vertices = np.full(len(mesh.vertices), 255, vertex)
+    vertices = np.full(len(mesh.vertices), 255, MESH_VERTEX[number])
     vertices["xyz"], vertices["rgba"][:, :3] = mesh.vertices, mesh.colors
     faces = np.full(len(mesh.faces), 3, MESH_FACE)
     faces["indices"] = mesh.faces
@@ -85,12 +87,8 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
         ColmapEdgesError: The file is not a PLY, or damaged; or plyfile is not installed.
     """
     content = read_bytes(path)
-    try:
+    with extra("reading PLY files", "evaluation"):
         from plyfile import PlyData
-    except ImportError as error:
-        raise ColmapEdgesError(
-            "reading PLY files needs plyfile; pip install 'colmap-edges[evaluation]'"
-        ) from error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of NaN, which readers check

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,23 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, LINE, SPLINE, Curves3D
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.core.checks import checked
+from colmap_edges.core.curves3d import (
+    ARC,
+    CIRCLE,
+    DEGREE,
+    ELLIPSE,
+    KINDS,
+    LINE,
+    SPLINE,
+    Curves3D,
+)
+from colmap_edges.core.similarity import Similarity
+from colmap_edges.errors import ColmapEdgesError, extra
+from colmap_edges.export.units import metres
 from colmap_edges.runtime.output import write_whole
+from colmap_edges.runtime.ownership import PROGRAM
 
-PRODUCT = re.compile(rb"PRODUCT\('[^']*',\s*'[^']*'")
 SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precision::Confusion)
 SHORTEST = 100 * SMALLEST  # of a curve in the file
 
@@ -33,43 +44,75 @@ class StepFile:
     unit_mm: float
 
 
-def write_step(curves: Curves3D, path: Path, *, overwrite: bool = True) -> StepFile:
+@checked
+def write_step(
+    curves: Curves3D, path: Path | str, *, unit: str = "", overwrite: bool = True
+) -> StepFile:
     """Write a STEP file with one edge per curve, using OpenCASCADE.
 
-    STEP files are in millimetres, and programs take points closer than 1e-7 mm as one. One world
-    unit becomes one millimetre; if that makes curves too short, a power of ten of millimetres.
-    Curves without length, or of less than a ten-millionth of the longest, are left out.
+    Each curve has the name of its edge, such as "edge 12", and is on the layer of its kind. STEP
+    files are in millimetres, and programs take points closer than 1e-7 mm as one. Without a unit,
+    one world unit becomes one millimetre; if that makes curves too short, a power of ten of
+    millimetres. Curves without length, or of less than a ten-millionth of the longest, are left
+    out.
+
+    Args:
+        curves: the curves.
+        path: file to write.
+        unit: unit of the coordinates, such as "m", or empty if unknown.
+        overwrite: replace an existing file.
 
     Raises:
         ColmapEdgesError: if OpenCASCADE is not installed, the file cannot be written, or exists
             and `overwrite` is false.
     """
     check_kernel()
-    from OCP import BRep, BRepBuilderAPI, IFSelect, Interface, STEPControl, TopoDS
+    from OCP import IFSelect, STEPControl
+    from OCP.Interface import Interface_Static
+    from OCP.STEPCAFControl import STEPCAFControl_Writer
 
     be_silent()
-    builder, compound = BRep.BRep_Builder(), TopoDS.TopoDS_Compound()
-    builder.MakeCompound(compound)
-    unit_mm, count = unit_of(curves.lengths()), 0
-    scaled = replace(
-        curves, frames=curves.frames * unit_mm, control_points=curves.control_points * unit_mm
-    )
-    for curve in np.flatnonzero(scaled.lengths() > 10 * SMALLEST).tolist():
-        made = BRepBuilderAPI.BRepBuilderAPI_MakeEdge(*geometry(scaled, curve))
-        if made.IsDone():
-            builder.Add(compound, made.Edge())
-            count += 1
-    writer = STEPControl.STEPControl_Writer()
-    Interface.Interface_Static.SetIVal_s("write.step.assembly", 0)  # a single part
-    writer.Transfer(compound, STEPControl.STEPControl_StepModelType.STEPControl_AsIs)
-    without_date(writer)
+    unit_mm = 1000 * metres(unit) if unit else unit_of(curves.lengths())
+    in_mm = Similarity(scale=unit_mm, rotation=np.eye(3), translation=np.zeros(3))
+    document, count = document_of(in_mm.curves(curves))
+    writer = STEPCAFControl_Writer()
+    Interface_Static.SetIVal_s("write.step.assembly", 0)  # a single part
+    Interface_Static.SetIVal_s("write.stepcaf.subshapes.name", 1)
+    writer.Transfer(document, STEPControl.STEPControl_StepModelType.STEPControl_AsIs)
+    without_date(writer.ChangeWriter())
     written = BytesIO()
     if writer.WriteStream(written) != IFSelect.IFSelect_ReturnStatus.IFSelect_RetDone:
         raise ColmapEdgesError(f"OpenCASCADE cannot write the curves as STEP; {path} is not made")
-    # OpenCASCADE appends a counter to the name.
-    data = PRODUCT.sub(b"PRODUCT('edges','edges'", written.getvalue(), count=1)
-    write_whole(path, data, "curves", overwrite=overwrite)
+    write_whole(Path(path), written.getvalue(), "curves", overwrite=overwrite)
     return StepFile(num_curves=count, unit_mm=unit_mm)
+
+
+def document_of(curves: Curves3D) -> tuple[Any, int]:
+    """OpenCASCADE's document of curves in millimetres, with names and layers, and their number."""
+    from OCP import BRep, BRepBuilderAPI, TopoDS
+    from OCP.TCollection import TCollection_ExtendedString as Text
+    from OCP.TDataStd import TDataStd_Name
+    from OCP.TDocStd import TDocStd_Document
+    from OCP.XCAFDoc import XCAFDoc_DocumentTool
+
+    builder, compound = BRep.BRep_Builder(), TopoDS.TopoDS_Compound()
+    builder.MakeCompound(compound)
+    made: list[tuple[int, Any]] = []
+    for curve in np.flatnonzero(curves.lengths() > 10 * SMALLEST).tolist():
+        edge = BRepBuilderAPI.BRepBuilderAPI_MakeEdge(*geometry(curves, curve))
+        if edge.IsDone():
+            made.append((curve, edge.Edge()))
+            builder.Add(compound, made[-1][1])
+    document = TDocStd_Document(Text(PROGRAM))
+    shapes = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
+    layers = XCAFDoc_DocumentTool.LayerTool_s(document.Main())
+    part = shapes.AddShape(compound, False)
+    TDataStd_Name.Set_s(part, Text("edges"))
+    for curve, edge in made:
+        label = shapes.AddSubShape(part, edge)
+        TDataStd_Name.Set_s(label, Text(f"edge {curves.edges[curve]}"))
+        layers.SetLayer(label, Text(KINDS[curves.kinds[curve]].upper()))
+    return document, len(made)
 
 
 def check_kernel() -> None:
@@ -78,12 +121,8 @@ def check_kernel() -> None:
     Raises:
         ColmapEdgesError: if it is not.
     """
-    try:
+    with extra("STEP", "step"):
         import OCP.STEPControl  # noqa: F401
-    except ImportError as error:
-        raise ColmapEdgesError(
-            "STEP files need a CAD kernel: pip install 'colmap-edges[step]'"
-        ) from error
 
 
 def unit_of(lengths: FloatArray) -> float:

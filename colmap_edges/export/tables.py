@@ -9,13 +9,10 @@ import numpy as np
 from colmap_edges.core.arrays import IntArray, owners_of
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.edges import edge_lengths
+from colmap_edges.errors import extra
 
 if TYPE_CHECKING:
     import pandas
-
-REMEDY = "run: pip install 'colmap-edges[pandas]'"
 
 
 class EdgeTables(NamedTuple):
@@ -58,7 +55,7 @@ def to_pandas(edges: Edges3D) -> EdgeTables:
     }
     of_edges = {
         "num_points": np.diff(edges.edge_offsets),
-        "length": edge_lengths(edges),
+        "length": edges.lengths(),
         "closed": edges.closed,
         "first_node": column(edges.end_nodes[:, 0]),
         "last_node": column(edges.end_nodes[:, 1]),
@@ -75,12 +72,8 @@ def load_pandas() -> tuple[Any, Any]:
     Raises:
         ColmapEdgesError: when pandas is not installed.
     """
-    try:
+    with extra("to_pandas", "pandas"):
         import pandas
-    except ImportError as error:
-        raise ColmapEdgesError(
-            f"to_pandas needs pandas, which is not installed; {REMEDY}"
-        ) from error
 
     def column(ids: IntArray) -> Any:
         return pandas.arrays.IntegerArray(ids.astype(np.int64), ids < 0)

@@ -91,5 +91,6 @@ def model_beside(path: Path) -> Path:
     if (path / "sparse").is_dir():
         return find_model(path)
     raise ColmapEdgesError(
-        f"{path} holds no edges.json, and no COLMAP model for lines of LIMAP; give model_path"
+        f"{path} holds no edges.json; give the output folder of a run, such as WORKSPACE/edges (or "
+        "model_path, the COLMAP model of LIMAP's lines)"
     )

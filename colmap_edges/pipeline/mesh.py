@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import write_mesh
@@ -20,13 +21,20 @@ from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
+from colmap_edges.surfaces.simplify import load_meshlab
 
 
-def check_mesher() -> None:
-    """Check that the mesher is available, before work starts."""
+def check_mesher(options: PipelineOptions) -> None:
+    """Check that the mesher and what it needs are available, before work starts.
+
+    Raises:
+        ColmapEdgesError: if a library is not installed.
+    """
     from colmap_edges.surfaces.mesher import load_extension
 
     load_extension()
+    if options.meshing.max_faces:
+        load_meshlab()
 
 
 def background_stage(
@@ -83,10 +91,22 @@ def mesh_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
+    up: FloatArray,
     background: Background | None = None,
     faces: Faces = NO_FACES,
 ) -> Mesh:
-    """Mesh a model's points, edges and faces; `extended` is the model with the edges' points.
+    """Mesh a model's points, edges and faces, and write the mesh.
+
+    Args:
+        model: the model.
+        traced: the edges, if there are any.
+        extended: the model with the edges' points.
+        folder: output folder.
+        options: options of all stages.
+        stages: the stages of the run.
+        up: (3,) upward direction, for files with a convention of it.
+        background: background rays.
+        faces: planar faces.
 
     Raises:
         ColmapEdgesError: if no image observes a point.
@@ -101,7 +121,7 @@ def mesh_stage(
         threads = thread_count(options)
         mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
         mesh = finished(mesh, extended, options.meshing)
-        is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}")
+        is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}", up=up)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts |= {"far_from_origin": 1} if is_far else {}
         stage.counts["details"] = plain_counts(mesh.stats)

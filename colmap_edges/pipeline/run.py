@@ -13,6 +13,7 @@ from colmap_edges.edges2d.working_scale import at_working_scale
 from colmap_edges.errors import OptionError
 from colmap_edges.export.faces import write_faces
 from colmap_edges.export.formats import check_formats
+from colmap_edges.export.upright import upward
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
 from colmap_edges.pipeline.found import find_edges
@@ -63,7 +64,7 @@ def run(
     check_paths(paths, overwrite)
     uses_images = command != "mesh" or options.use_edges
     images = image_folder(paths) if uses_images else None
-    check_needs(command, paths, scheduler)
+    check_needs(command, paths, options, scheduler)
     check_formats(exports, uses_images)
     with (
         new_folder(paths.output_path, OUTPUT, overwrite) as folder,
@@ -73,14 +74,15 @@ def run(
         model, settings = read_stage(paths.input_path, stages, images), options
         viewer.show_model(model)
         if not uses_images:
-            mesh = mesh_stage(model, None, model, folder, options, stages)
+            up = upward(model.views)
+            mesh = mesh_stage(model, None, model, folder, options, stages, up)
             viewer.show_mesh(mesh)
-            contents = Contents(model=model, mesh=mesh)
+            contents = Contents(model=model, mesh=mesh, up=up)
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
             contents = run_edges(command, model, paths, folder, settings, stages, workers, viewer)
-        export_stage(folder, contents.mesh, exports, stages)
+        export_stage(folder, contents.mesh, exports, stages, contents.up)
         report = make_report(command, paths, options, settings, stages)
         if options.report and command != "detect":
             report_stage(contents, folder, report, stages)
@@ -89,7 +91,7 @@ def run(
     return report
 
 
-def check_needs(command: str, paths: Paths, scheduler: str) -> None:
+def check_needs(command: str, paths: Paths, options: PipelineOptions, scheduler: str) -> None:
     """Check that the mesher and the cache are there if they are needed.
 
     Raises:
@@ -100,7 +102,7 @@ def check_needs(command: str, paths: Paths, scheduler: str) -> None:
             "a scheduler needs cache_path, through which workers read edge graphs; give it"
         )
     if command == "mesh":
-        check_mesher()
+        check_mesher(options)
 
 
 def write_record(folder: Path, report: dict[str, Any]) -> None:
@@ -134,7 +136,7 @@ def run_edges(
         writer = GraphWriter(folder, options.edge_graph)
         images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
         detect_stage(model, images, options, stages, writer, workers, masks, maps)
-        return Contents(model=model)
+        return Contents(model=model, up=upward(model.views))
     found = find_edges(
         model,
         paths,
@@ -146,12 +148,21 @@ def run_edges(
         viewer=viewer,
     )
     model, edges, faces, mesh = found.model, found.traced.edges, found.faces, None
+    up = upward(model.views, found.curves)
     extended = write_stage(model, edges, found.curves, folder, options, stages)
     if command == "mesh":
         if options.use_faces:
             in_mesh = bool(len(faces.points.points)) and not found.background
             write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
-        given = (found.traced, extended, folder, options, stages, found.background, faces)
+        given = (found.traced, extended, folder, options, stages, up, found.background, faces)
         mesh = mesh_stage(model, *given)
         viewer.show_mesh(mesh)
-    return Contents(model=model, pictures=found.pictures, edges=edges, mesh=mesh, faces=faces.faces)
+    return Contents(
+        model=model,
+        pictures=found.pictures,
+        edges=edges,
+        curves=found.curves,
+        mesh=mesh,
+        faces=faces.faces,
+        up=up,
+    )

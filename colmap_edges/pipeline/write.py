@@ -14,9 +14,9 @@ import numpy as np
 import colmap_edges
 from colmap_edges.colmap.model import Model, observation_residuals
 from colmap_edges.colmap.writing import with_edge_points, write_model
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import edge_lengths
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.formats import FORMATS, notes_on
 from colmap_edges.export.meshes import MESH_FORMATS, write_mesh
@@ -57,14 +57,16 @@ def write_stage(
         stage.counts = {
             "edges": edges.num_edges,
             "edge_points": edges.num_distinct,
-            "length": float(f"{edge_lengths(edges).sum():.6g}"),
+            "length": float(f"{edges.lengths().sum():.6g}"),
             "observations": len(edges.distinct()[0].observations.views),
             "median_residual_px": round(float(np.median(residuals)), 4) if len(residuals) else None,
         }
     return with_edge_points(model, edges, ids)
 
 
-def export_stage(folder: Path, mesh: Mesh | None, names: Sequence[str], stages: Stages) -> None:
+def export_stage(
+    folder: Path, mesh: Mesh | None, names: Sequence[str], stages: Stages, up: FloatArray
+) -> None:
     """Write the edges of an output folder, and the mesh, in further formats.
 
     Args:
@@ -72,6 +74,7 @@ def export_stage(folder: Path, mesh: Mesh | None, names: Sequence[str], stages: 
         mesh: the mesh, written in those formats that hold meshes.
         names: the formats.
         stages: the stages of the run.
+        up: (3,) upward direction.
     """
     if not names:
         return
@@ -80,10 +83,11 @@ def export_stage(folder: Path, mesh: Mesh | None, names: Sequence[str], stages: 
         for name in names:
             if written and written.edges.num_edges:
                 place, write = FORMATS[name]
-                for note in notes_on(written, write(written, folder / place, True)):
+                result = write(written, folder / place, True, up, "")
+                for note in notes_on(written, result):
                     logger.warning(note)
             if mesh and f".{name}" in MESH_FORMATS:
-                write_mesh(mesh, folder / f"mesh.{name}")
+                write_mesh(mesh, folder / f"mesh.{name}", up=up)
         stage.counts = {"formats": len(names)}
 
 

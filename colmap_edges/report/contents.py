@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.packing import coordinates
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
-# A plotly.js figure: traces and layout as JSON, with arrays packed for the page.
-Trace = dict[str, Any]
+# Data of the page as JSON, with arrays that are packed.
+Packed = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,19 +52,23 @@ class Contents:
         model: the input model.
         pictures: of the images, where edges were detected.
         edges: the 3D edges, where they were traced.
+        curves: the curves that they consist of.
         mesh: the mesh, where one was made.
         faces: the planar faces, or empty.
+        up: (3,) unit upward direction of the scene.
     """
 
     model: Model
     pictures: Sequence[ImagePicture] = ()
     edges: Edges3D | None = None
+    curves: Curves3D | None = None
     mesh: Mesh | None = None
     faces: Sequence[Face] = ()
+    up: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
 
-def xyz(points: FloatArray) -> Trace:
-    """The coordinates (N, 3) of a trace."""
+def xyz(points: FloatArray) -> Packed:
+    """The coordinates (N, 3) of a layer."""
     return {axis: coordinates(points[:, i]) for i, axis in enumerate("xyz")}
 
 

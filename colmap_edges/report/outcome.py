@@ -23,6 +23,7 @@ VIEWERS = {
     "mesh.ply": "triangle mesh: MeshLab, Blender, CloudCompare",
     "mesh.obj": "triangle mesh: MeshLab, Blender, CloudCompare",
     "mesh.glb": "triangle mesh: Blender, any glTF viewer",
+    "alignment.json": "unit, and the transform from the frame of the run: any text editor",
     "faces.json": "planar faces between the edges: plane, outline, holes, area, views",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs: any viewer of pictures",
@@ -49,9 +50,10 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     counts = counts_by_stage(record["stages"])
     read, detect = counts.get("read", {}), counts.get("detect", {})
     write, mesh = counts.get("write"), counts.get("mesh")
+    unit = record.get("alignment", {}).get("unit") or "scene units"
     texts = {"Images": images_text(read, detect)}
     if write is not None:
-        texts["Edges"] = edges_text(write)
+        texts["Edges"] = edges_text(write, unit)
     elif detect:
         texts["Edges"] = (
             f"{counted(detect['polylines'], '2D polyline')} of "
@@ -62,7 +64,8 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
         points = counted(write["edge_points"], "edge point")
         texts["Points"] += f" and {points} in the written model"
     if (faces := counts.get("faces")) is not None:
-        texts["Faces"] = faces_text(faces, "background_rays" in counts.get("background", {}))
+        has_background = "background_rays" in counts.get("background", {})
+        texts["Faces"] = faces_text(faces, unit, has_background)
     if mesh is not None:
         vertices = counted(mesh["vertices"], "vertex", "vertices")
         texts["Mesh"] = f"{counted(mesh['faces'], 'triangle')}, {vertices}"
@@ -81,18 +84,18 @@ def images_text(read: Mapping[str, Any], detect: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def edges_text(write: Mapping[str, Any]) -> str:
-    """Number, total length and median residual of the 3D edges."""
+def edges_text(write: Mapping[str, Any], unit: str) -> str:
+    """Number, total length in a unit and median residual of the 3D edges."""
     if not write["edges"]:
         return "no 3D edge was found"
-    text = f"{write['edges']:,} in 3D, total length {write['length']:,.4g} scene units"
+    text = f"{write['edges']:,} in 3D, total length {write['length']:,.4g} {unit}"
     if (residual := write.get("median_residual_px")) is not None:
         text += f", median reprojection error {residual:.2g} px"
     return text
 
 
-def faces_text(faces: Mapping[str, Any], has_background: bool) -> str:
-    """Number and total area of the planar faces, and whether the mesh uses them."""
+def faces_text(faces: Mapping[str, Any], unit: str, has_background: bool) -> str:
+    """Number and total area of the planar faces in a unit, and whether the mesh uses them."""
     if not faces["planar_faces"]:
         return "no planar face was found"
     if has_background:
@@ -102,7 +105,7 @@ def faces_text(faces: Mapping[str, Any], has_background: bool) -> str:
     else:
         used = f"{counted(faces['face_points'], 'point')} on them added to the mesh"
     area = f"{faces['area']:,.4g}"
-    return f"{faces['planar_faces']:,} planar, total area {area} square scene units; {used}"
+    return f"{faces['planar_faces']:,} planar, total area {area} square {unit}; {used}"
 
 
 def headline(record: Mapping[str, Any]) -> str:
@@ -122,6 +125,31 @@ def headline(record: Mapping[str, Any]) -> str:
     text = " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]])) or "A COLMAP model"
     text += f", from {counted(counts['read']['images_with_poses'], 'image')}."
     return text[:1].upper() + text[1:]
+
+
+NEXT = ("mesh.glb", "mesh.obj", "mesh.ply", "edges.glb", "edges.ply")  # what to open, first best
+
+
+def verdict(record: Mapping[str, Any], folder: Path) -> str:
+    """Whether all went well, in one line, and what to do next.
+
+    Args:
+        record: the contents of report.json.
+        folder: the output folder.
+    """
+    counts, findings = counts_by_stage(record["stages"]), record["findings"]
+    read = counts["read"]
+    posed = read["images_with_poses"]
+    used = posed - counts.get("detect", {}).get("images_without_edges", 0)
+    every = posed + (read.get("images_without_poses") or 0)
+    parts = [f"{used:,} of {counted(every, 'image')} used"]
+    residual = counts.get("write", {}).get("median_residual_px")
+    if residual is not None:
+        parts.append(f"median residual {residual:.2g} px")
+    parts.append(f"{counted(len(findings), 'finding')} below" if findings else "no problems")
+    found = next((name for name in NEXT if (folder / name).exists()), None)
+    program = VIEWERS[found].rpartition(": ")[2].partition(", ")[0] if found else ""
+    return f"{', '.join(parts)}." + (f" Next: open {found} in {program}." if found else "")
 
 
 def scene_name(paths: Mapping[str, Any]) -> str:

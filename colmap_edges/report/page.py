@@ -1,4 +1,4 @@
-"""Assembly of report.html from template, data, plotly.js and script."""
+"""Assembly of report.html from template, data, three.js and script."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 
 from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.arrays import FloatArray
-from colmap_edges.export.edges import edge_lengths
+from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.report.charts import Chart, edge_charts, funnel_rows
-from colmap_edges.report.contents import Contents, ImagePicture, Trace
-from colmap_edges.report.outcome import VIEWERS, headline, outcome, scene_name
+from colmap_edges.report.contents import Contents, ImagePicture, Packed
+from colmap_edges.report.outcome import VIEWERS, headline, outcome, scene_name, verdict
 from colmap_edges.report.packing import compressed, data_uri, embedded, pack
 from colmap_edges.report.pictures import reprojected_layer
-from colmap_edges.report.scene3d import scene_figure
+from colmap_edges.report.scene3d import scene_data
 from colmap_edges.report.still import still_picture
-from colmap_edges.report.tracks import edge_data, views_per_edge
+from colmap_edges.report.tracks import edge_data, edge_details, views_per_edge
 from colmap_edges.runtime.output import write_whole
 
 
@@ -35,7 +35,6 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         Counts: pictures, bytes of the file.
     """
     from jinja2 import Environment, StrictUndefined
-    from plotly.offline import get_plotlyjs
 
     model, residuals = contents.model, residuals_of(contents)
     what = {"3D edges": contents.edges, "mesh": contents.mesh}
@@ -47,6 +46,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         name=scene_name(record["paths"]),
         kinds=" and ".join(kind for kind, there in what.items() if there is not None) or "model",
         headline=headline(record),
+        verdict=verdict(record, path.parent),
         facts=outcome(record),
         still=data_uri("webp", still_picture(contents)),
         funnel=funnel_rows(record["funnel"]),
@@ -58,7 +58,7 @@ def write_report(path: Path, contents: Contents, record: Mapping[str, Any]) -> d
         pictures=[picture_row(contents, picture) for picture in contents.pictures],
         num_images=len(model.views),
         data=embedded(pack(page_data(contents, residuals))),
-        plotly=embedded(compressed(get_plotlyjs().encode())),
+        three=embedded(compressed(resource("three.min.js").encode())),
         script=resource("page.js"),
     )
     # Folder names may not be valid text.
@@ -79,15 +79,17 @@ def residuals_of(contents: Contents) -> FloatArray:
     return observation_residuals(contents.model, contents.edges)
 
 
-def page_data(contents: Contents, residuals: FloatArray) -> Trace:
+def page_data(contents: Contents, residuals: FloatArray) -> Packed:
     """The data read by the page's script."""
-    figure, starts = scene_figure(contents)
+    scene, starts = scene_data(contents)
     model, edges = contents.model, contents.edges
-    if edges is None or edges.num_edges == 0:
-        return {"scene": figure, "edges": None}
+    if not edges:
+        return {"scene": scene, "edges": None}
     pictured = [picture.view for picture in contents.pictures]
     data = edge_data(model, edges, residuals, pictured)
-    return {"scene": figure, "edges": {**data, "starts": starts.astype(np.int32)}}
+    curves = Curves3D.none() if contents.curves is None else contents.curves
+    data |= edge_details(edges, curves, np.array(scene["origin"]))
+    return {"scene": scene, "edges": {**data, "starts": starts.astype(np.int32)}}
 
 
 def charts(contents: Contents, residuals: FloatArray) -> list[Chart]:
@@ -96,7 +98,7 @@ def charts(contents: Contents, residuals: FloatArray) -> list[Chart]:
     if edges is None:
         return []
     num_views = views_per_edge(edges, len(contents.model.views))
-    return edge_charts(num_views, residuals, edge_lengths(edges))
+    return edge_charts(num_views, residuals, edges.lengths())
 
 
 def file_rows(folder: Path) -> list[tuple[str, str]]:
@@ -133,7 +135,7 @@ def option_rows(options: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
 
 def picture_row(contents: Contents, picture: ImagePicture) -> tuple[str, str, dict[str, str]]:
     """Name of an image, its photograph, and the layers that are drawn over it."""
-    edges = contents.edges if contents.edges and contents.edges.num_edges else None
+    edges = contents.edges
     layers = {
         "detected": picture.detected,
         "dropped": picture.dropped,

@@ -20,7 +20,7 @@ from colmap_edges.images.files import encoded
 from colmap_edges.report.contents import ImagePicture, evenly_spread
 from colmap_edges.report.overlay import SHIFT, fixed_point, observed_segments
 
-MAX_BYTES = 3_500_000  # maximum size of all pictures, before base 64
+MAX_BYTES = 2_700_000  # maximum size of all pictures, before base 64
 OPACITY_BITS = 2  # fewer shades of a line compress better
 
 

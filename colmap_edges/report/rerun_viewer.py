@@ -16,16 +16,16 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray
+from colmap_edges.core.arrays import ByteArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.edges import polyline_indices
+from colmap_edges.export.upright import nearest_axis, up_direction
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.scene3d import pyramid_depth
 from colmap_edges.report.tracks import views_per_edge
-from colmap_edges.report.viewpoint import bounds, up_direction
+from colmap_edges.report.viewpoint import bounds
 from colmap_edges.runtime.output import check_apart, check_file, one_line, write_whole
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
@@ -119,7 +119,7 @@ class RerunViewer(Viewer):
         self.log(
             "edges",
             LineStrips3D={
-                "strips": strips(edges),
+                "strips": edges.polylines(),
                 "colors": colors_of(views),
                 "labels": [f"edge {i}, {n} views" for i, n in enumerate(views)],
                 "show_labels": False,
@@ -259,14 +259,8 @@ def is_recording(path: Path) -> bool:
 
 def up_axis(model: Model) -> str:
     """Rerun's name of the world axis closest to the upward direction."""
-    up = up_direction(model)
-    axis = int(np.abs(up).argmax())
-    return f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if up[axis] > 0 else 'DOWN'}"
-
-
-def strips(edges: Edges3D) -> list[FloatArray]:
-    """The points of each edge, the first again at the end of closed ones."""
-    return [edges.points[indices] for indices in polyline_indices(edges)]
+    axis = nearest_axis(up_direction(model.views))
+    return f"RIGHT_HAND_{axis[-1].upper()}_{'DOWN' if axis.startswith('-') else 'UP'}"
 
 
 def colors_of(counts: IntArray) -> ByteArray:

@@ -1,10 +1,8 @@
-"""The 3D viewer: cameras, SfM points, edges and mesh as traces of plotly.js."""
+"""The 3D viewer's data: cameras, SfM points, edges, faces and mesh as layers for page.js."""
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +12,7 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.errors import counted
-from colmap_edges.report.contents import Contents, Trace, evenly_spread, xyz
+from colmap_edges.report.contents import Contents, Packed, evenly_spread, xyz
 from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.viewpoint import bounds, viewpoint
 from colmap_edges.surfaces.faces.outlines import Face
@@ -22,35 +20,40 @@ from colmap_edges.surfaces.mesh import Mesh
 
 # Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
+MAX_EDGE_POINTS = 120_000
+MAX_TRIANGLES = 150_000
 ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
 
 
-def scene_figure(contents: Contents) -> tuple[Trace, IntArray]:
-    """Make the 3D figure.
+def scene_data(contents: Contents) -> tuple[Packed, IntArray]:
+    """Make the layers of the 3D view and its first viewpoint.
 
     Args:
         contents: what to show.
 
     Returns:
-        The figure with its traces and layout, and the (E + 1,) offsets of the edges in their
-        trace.
+        The data, whose coordinates the page takes relative to `origin`, and the (E + 1,) offsets
+        of the edges in their layer.
     """
     model, edges = contents.model, contents.edges
     low, high = bounds(model, edges)
-    rows, starts = plotted_rows(edges, 120_000)
+    rows, starts = plotted_rows(edges, MAX_EDGE_POINTS)
     size = float(np.linalg.norm(high - low))
-    traces = [sfm_trace(model, low, high), cameras_trace(model, size)]
-    has_edges = edges is not None and edges.num_edges > 0
+    layers = {"points": sfm_layer(model, low, high), "cameras": cameras_layer(model, size)}
     # Points would clutter the mesh, and one camera is at the first viewpoint.
-    traces[0]["visible"] = contents.mesh is None
-    traces[1]["visible"] = contents.mesh is None and not has_edges
+    layers["points"]["shown"] = contents.mesh is None
+    layers["cameras"]["shown"] = contents.mesh is None and not edges
     if contents.mesh is not None:
-        traces.append(mesh_trace(contents.mesh, low, high))
+        layers["mesh"] = mesh_layer(contents.mesh, low, high)
     if contents.faces:
-        traces += face_traces(contents.faces, low, high)
-    if edges is not None and has_edges:
-        traces += [edges_trace(edges, rows, low, high), selection_trace()]
-    return {"data": traces, "layout": layout(contents, low, high)}, starts
+        layers["faces"] = faces_layer(contents.faces, low, high)
+    if edges:
+        layers["edges"] = edges_layer(edges, rows, low, high)
+    view = viewpoint(contents, ASPECT)
+    first = {"eye": view.eye.tolist(), "focus": view.focus.tolist(), "up": contents.up.tolist()}
+    first |= {"aspect": 0.0 if view.is_inside else ASPECT}
+    origin = ((low + high) / 2).tolist()
+    return {"origin": origin, "size": size, "view": first, "layers": layers}, starts
 
 
 def near(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -62,35 +65,30 @@ def near(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     return np.clip(points, low - size, high + size)
 
 
-def sfm_trace(model: Model, low: FloatArray, high: FloatArray) -> Trace:
+def sfm_layer(model: Model, low: FloatArray, high: FloatArray) -> Packed:
     """The SfM points within the box, in their colours."""
     points = model.points3D_xyz
     inside = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     inside = inside[evenly_spread(len(inside), MAX_SFM_POINTS)] if len(inside) else inside
-    return {
-        "type": "scatter3d",
-        "mode": "markers",
-        "name": f"{len(model.point3D_ids):,} SfM points",
-        "meta": "points",
-        "marker": {"size": 1.5, "color": {"rgb": rgb(model.points3D_rgb[inside])}},
-        "hoverinfo": "skip",
-        **xyz(points[inside]),
-    }
+    label = f"{len(model.point3D_ids):,} SfM points"
+    return {"label": label, "rgb": rgb(model.points3D_rgb[inside]), **xyz(points[inside])}
 
 
-def cameras_trace(model: Model, size: float) -> Trace:
-    """Every camera as a pyramid in its viewing direction."""
+def cameras_layer(model: Model, size: float) -> Packed:
+    """Every camera as a pyramid in its viewing direction, and what the page needs to look along.
+
+    Poses are the camera's axes (right, down, forward) row by row; slopes are half of the image's
+    height over the focal length.
+    """
     depth = pyramid_depth(model, size)
     lines = np.concatenate([pyramid(view, depth) for view in model.views])
-    names = [html.escape(view.name) for view in model.views]
+    poses = np.stack([view.rotation for view in model.views])
+    slopes = np.array([view.height / 2 / view.focal_px for view in model.views])
     return {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": counted(len(model.views), "camera"),
-        "meta": "cameras",
-        "line": {"color": "#d9534f", "width": 1.5},
-        "text": [name for name in names for _ in range(len(lines) // len(names))],
-        "hovertemplate": "%{text}<extra></extra>",
+        "label": counted(len(model.views), "camera"),
+        "names": [view.name for view in model.views],
+        "poses": poses.astype(np.float32).ravel(),
+        "slopes": slopes.astype(np.float32),
         **xyz(lines),
     }
 
@@ -119,52 +117,32 @@ def pyramid(view: View, depth: float) -> FloatArray:
     return np.vstack([world, np.full((1, 3), np.nan)])
 
 
-def mesh_trace(mesh: Mesh, low: FloatArray, high: FloatArray) -> Trace:
+def mesh_layer(mesh: Mesh, low: FloatArray, high: FloatArray) -> Packed:
     """The mesh, simplified if it has too many faces for a browser."""
-    vertices, faces, colors = coarser(mesh, 150_000)
+    vertices, faces, colors = coarser(mesh, MAX_TRIANGLES)
     return {
-        "type": "mesh3d",
-        "name": f"mesh of {counted(len(mesh.faces), 'triangle')}",
-        "meta": "mesh",
-        "vertexcolor": {"rgb": rgb(colors)},
-        "flatshading": True,
-        "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
-        "hoverinfo": "skip",
+        "label": f"mesh of {counted(len(mesh.faces), 'triangle')}",
+        "shown": True,
+        "rgb": rgb(colors),
+        "corners": faces.astype(np.int32).T.ravel(),
         **xyz(near(vertices, low, high)),
-        **{key: faces[:, i].astype(np.int32) for i, key in enumerate("ijk")},
     }
 
 
-def face_traces(faces: Sequence[Face], low: FloatArray, high: FloatArray) -> list[Trace]:
-    """Planar faces as translucent polygons in one colour a plane, and their outlines."""
+def faces_layer(faces: Sequence[Face], low: FloatArray, high: FloatArray) -> Packed:
+    """Planar faces as polygons in one colour a plane, and their outlines."""
     shown = largest(faces)
     corners, triangles, colors = triangulated(shown)
     lifted = [part for ring in closed_rings(shown) for part in (ring, np.full((1, 3), np.nan))]
     number = f"{len(shown):,} largest of " if len(shown) < len(faces) else ""
-    polygons: Trace = {
-        "type": "mesh3d",
-        "name": f"{number}{counted(len(faces), 'planar face')}",
-        "meta": "faces",
-        "visible": False,  # the mesh shows them, too
-        "opacity": 0.5,
-        "vertexcolor": {"rgb": rgb(colors)},
-        "flatshading": True,
-        "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0},
-        "hoverinfo": "skip",
+    return {
+        "label": f"{number}{counted(len(faces), 'planar face')}",
+        "shown": False,  # the mesh shows them, too
+        "rgb": rgb(colors),
+        "corners": triangles.T.ravel(),
+        "outlines": xyz(near(np.concatenate(lifted), low, high)),
         **xyz(near(corners, low, high)),
-        **{key: triangles[:, i] for i, key in enumerate("ijk")},
     }
-    outlines: Trace = {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": "outlines of faces",
-        "meta": "outlines",
-        "visible": False,
-        "line": {"color": "#ffffff", "width": 2},
-        "hoverinfo": "skip",
-        **xyz(near(np.concatenate(lifted), low, high)),
-    }
-    return [polygons, outlines]
 
 
 def rgb(colors: ByteArray) -> ByteArray:
@@ -210,60 +188,8 @@ def plotted_rows(edges: Edges3D | None, most: int) -> tuple[IntArray, IntArray]:
     return np.concatenate(parts).astype(np.int64), np.array(starts, np.int64)
 
 
-def edges_trace(edges: Edges3D, rows: IntArray, low: FloatArray, high: FloatArray) -> Trace:
-    """The 3D edges as one trace of lines; the page colours them."""
+def edges_layer(edges: Edges3D, rows: IntArray, low: FloatArray, high: FloatArray) -> Packed:
+    """The 3D edges as lines; the page colours them."""
     points = near(edges.points[rows], low, high)
     points[rows < 0] = np.nan
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": f"{edges.num_edges:,} 3D edges",
-        "meta": "edges",
-        "line": {"width": 4, "colorscale": "Viridis"},
-        "hovertemplate": "edge %{customdata}<extra></extra>",
-        **xyz(points),
-    }
-
-
-def selection_trace() -> Trace:
-    """The edge that was clicked; the page fills it."""
-    return {
-        "type": "scatter3d",
-        "mode": "lines+markers",
-        "name": "chosen edge",
-        "line": {"width": 8, "color": "#ff00a8"},
-        "marker": {"size": 2.5, "color": "#ff00a8"},
-        "hoverinfo": "skip",
-        "meta": "chosen",
-        **xyz(np.full((1, 3), np.nan)),
-    }
-
-
-def layout(contents: Contents, low: FloatArray, high: FloatArray) -> Trace:
-    """Box and first viewpoint of the 3D figure; the page has controls for layers and colours."""
-    scale, middle = float((high - low).max()), (low + high) / 2
-    view = viewpoint(contents, ASPECT)
-    camera = {
-        "center": vector((view.focus - middle) / scale),
-        "eye": vector((view.eye - middle) / scale),
-        "up": vector(view.up),
-    }
-    axes = {
-        f"{axis}axis": {"visible": False, "showspikes": False, "range": [low[i], high[i]]}
-        for i, axis in enumerate("xyz")
-    }
-    aspect = {"aspectmode": "manual", "aspectratio": vector((high - low) / scale)}
-    return {
-        "scene": {**axes, **aspect, "camera": camera, "dragmode": "orbit"},
-        "showlegend": False,
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "paper_bgcolor": "#101418",
-        "font": {"color": "#e8e8e8"},
-        "uirevision": "kept",
-        "meta": {"aspect": 0.0 if view.is_inside else ASPECT},
-    }
-
-
-def vector(values: Any) -> dict[str, float]:
-    """Three numbers as a mapping with the axes' names."""
-    return {axis: float(value) for axis, value in zip("xyz", values, strict=True)}
+    return {"label": f"{edges.num_edges:,} 3D edges", "shown": True, **xyz(points)}

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
+from colmap_edges.core.curves3d import KINDS, Curves3D
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.edges import edge_lengths
-from colmap_edges.report.contents import Trace
+from colmap_edges.report.contents import Packed
 
-MAX_REPROJECTIONS = 300_000
+MAX_REPROJECTIONS = 100_000
 FULL = 4096  # units of an image's width or height: a quarter of a pixel of its picture
 
 
@@ -38,7 +38,7 @@ def residual_per_edge(edges: Edges3D, residuals: FloatArray) -> FloatArray:
 
 def edge_data(
     model: Model, edges: Edges3D, residuals: FloatArray, pictured: Sequence[int]
-) -> Trace:
+) -> Packed:
     """The figures of every edge and its reprojections into the views that have pictures.
 
     Args:
@@ -54,13 +54,49 @@ def edge_data(
     order = np.lexsort((chosen, pictures, owners))  # similar values are adjacent, for compression
     counts = np.bincount(owners, minlength=edges.num_edges)
     return {
-        "length": edge_lengths(edges).astype(np.float32),
+        "length": edges.lengths().astype(np.float32),
         "views": views_per_edge(edges, len(model.views)).astype(np.int32),
         "residual": residual_per_edge(edges, residuals).astype(np.float32),
         "points": np.diff(edges.edge_offsets).astype(np.int32),
         "track_offsets": offsets_of(counts).astype(np.int32),
         "track_pictures": pictures[order].astype(np.uint16),
         **{f"track_{axis}": pixels[order, i] for i, axis in enumerate("xy")},
+    }
+
+
+def edge_details(edges: Edges3D, curves: Curves3D, origin: FloatArray) -> Packed:
+    """What the page tells of a selected edge: its ends, nodes, deviations and curves.
+
+    Args:
+        edges: the 3D edges.
+        curves: the curves that they consist of.
+        origin: (3,) position to which coordinates of ends are relative.
+
+    Returns:
+        Arrays by edge: `ends` (6 E,) coordinates, `nodes` (2 E,) at the ends, `sigmas`; by node:
+        `through`, the edge that passes there or -1; and by curve: its edge, kind, length, larger
+        radius and the deviations of its position and radius, not finite where there is none.
+    """
+    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
+    ends = np.concatenate([edges.points[first], edges.points[last]], axis=1) - np.tile(origin, 2)
+    through = edges.nodes.through_points
+    owners = np.append(edges.edge_ids, -1)[through]
+    medians = [
+        np.nanmedian(part) if np.isfinite(part).any() else np.nan
+        for part in np.split(edges.sigmas, edges.edge_offsets[1:-1])
+    ]
+    return {
+        "ends": ends.astype(np.float32).ravel(),
+        "nodes": edges.end_nodes.ravel(),
+        "through": owners.astype(np.int32),
+        "sigmas": np.array(medians, np.float32),
+        "kind_names": list(KINDS),
+        "curve_edges": curves.edges.astype(np.int32),
+        "curve_kinds": curves.kinds,
+        "curve_lengths": curves.lengths().astype(np.float32),
+        "curve_radii": curves.radii[:, 0].astype(np.float32),
+        "curve_sigmas": curves.position_sigmas[:, 0].astype(np.float32),
+        "radius_sigmas": curves.radius_sigmas[:, 0].astype(np.float32),
     }
 
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.export.upright import up_direction
 from colmap_edges.report.contents import Contents
 
-FOV = np.pi / 4  # vertical field of view of plotly.js
+FOV = np.pi / 4  # vertical field of view
 # Points beyond it are outliers: a share of their extent from the 2nd to the 98th percentile.
 SHOWN_MARGIN = 0.15
 
@@ -50,7 +51,7 @@ def normalized(vector: FloatArray) -> FloatArray:
 def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
     """Corners of the shown box: cameras, edges, and SfM points without outliers."""
     parts = [model.camera_centers]
-    for points in (model.points3D_xyz, edges.points if edges else np.zeros((0, 3))):
+    for points in (model.points3D_xyz, edges.points if edges is not None else np.zeros((0, 3))):
         if len(points):
             low, high = np.percentile(points, [2, 98], axis=0)
             margin = SHOWN_MARGIN * (high - low)
@@ -123,9 +124,5 @@ def overview(model: Model, points: FloatArray) -> Viewpoint:
     reach = float(np.linalg.norm(points - focus, axis=1).max()) + 1e-9
     outward = normalized(model.camera_centers.mean(axis=0) - focus)
     outward = outward if outward.any() else -model.views[0].rotation[2]
-    return Viewpoint(eye=focus + 2.6 * reach * outward, focus=focus, up=up_direction(model))
-
-
-def up_direction(model: Model) -> FloatArray:
-    """(3,) mean upward direction of the images, in world coordinates."""
-    return np.asarray(-np.array([view.rotation[1] for view in model.views]).mean(axis=0))
+    up = up_direction(model.views)
+    return Viewpoint(eye=focus + 2.6 * reach * outward, focus=focus, up=up)

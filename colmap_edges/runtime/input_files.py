@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from colmap_edges.errors import NotAFileError
+from colmap_edges.errors import ColmapEdgesError, NotAFileError
 from colmap_edges.runtime.platform import open_plain
 
 KINDS = {
@@ -76,3 +77,15 @@ def read_text(path: Path) -> str:
         ValueError: if it is not UTF-8.
     """
     return read_bytes(path).decode("utf-8")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object written by this package.
+
+    Raises:
+        ColmapEdgesError: if it cannot be read or is none.
+    """
+    try:
+        return dict(json.loads(read_text(path)))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise ColmapEdgesError(f"cannot read {path}: {error}") from error

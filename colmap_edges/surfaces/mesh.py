@@ -33,6 +33,10 @@ class Mesh:
     colors: Annotated[ByteArray, "V", 3]
     stats: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """The numbers of triangles and vertices, in one line."""
+        return f"<Mesh: {len(self.faces):,} triangles, {len(self.vertices):,} vertices>"
+
     def check(self, name: str = "mesh") -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
 

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.errors import ColmapEdgesError, extra
 from colmap_edges.surfaces.mesh import Mesh
+
+
+def load_meshlab() -> Any:
+    """Import pymeshlab.
+
+    Raises:
+        ColmapEdgesError: if it is not installed.
+    """
+    with extra("Meshing.max_faces", "meshlab"):
+        import pymeshlab
+    return pymeshlab
 
 
 def simplify(mesh: Mesh, max_faces: int) -> Mesh:
@@ -17,11 +29,11 @@ def simplify(mesh: Mesh, max_faces: int) -> Mesh:
     point3D ids; each gets the colour of the nearest vertex of `mesh`.
 
     Raises:
-        ColmapEdgesError: if MeshLab fails.
+        ColmapEdgesError: if pymeshlab is not installed, or MeshLab fails.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
-    import pymeshlab
+    pymeshlab = load_meshlab()
     from scipy.spatial import cKDTree
 
     # Centred and scaled to size 1, so that MeshLab's single precision suffices.

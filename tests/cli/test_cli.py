@@ -46,7 +46,7 @@ def test_help_names_the_flags(command):
 
 
 # What takes long to import, by name: nothing of it may be there when a command starts.
-HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "networkx", "trimesh", "plotly", "pymeshlab", "email"}
+HEAVY = {"numpy", "scipy", "cv2", "pycolmap", "networkx", "trimesh", "pymeshlab", "email"}
 
 
 def test_help_imports_nothing_heavy():
@@ -278,7 +278,7 @@ def test_existing_output_needs_overwrite(flags, tmp_path):
 def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
     assert "images: 10 with poses" in call("info", scene_paths[1])
     call("detect", *flags)
-    assert "output of colmap-edges detect" in call("info", tmp_path / "out")
+    assert "Made by:  colmap-edges detect" in call("info", tmp_path / "out")
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
 
 

@@ -1,5 +1,6 @@
 """The command `export`: written files and outputs of runs are read back."""
 
+import json
 import os
 import re
 import shutil
@@ -19,8 +20,12 @@ from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError, OptionError
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.formats import FORMATS, check_formats, formats_of
+from colmap_edges.export.ply import read_ply
 from colmap_edges.pipeline.write import export_stage
+from colmap_edges.runtime.ownership import file_sizes
 from colmap_edges.runtime.stages import Stages
+
+Z = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +68,8 @@ def test_every_format_is_written(run_path, scene_model, tmp_path, name):
     done = export(*arguments)
     assert done.exit_code == 0, done.output
     assert (tmp_path / name).stat().st_size > 1000
-    assert " curves of " in done.output and "\n" not in done.output.strip()
+    *notes, line = done.output.strip().split("\n")
+    assert " curves of " in line and len(notes) == name.endswith("step")
     again = export(*arguments)
     assert again.exit_code == 1 and "add --overwrite" in again.output
     assert export(*arguments, "--overwrite").exit_code == 0
@@ -84,7 +90,7 @@ def test_a_run_writes_the_same_files(run_path, scene_model, tmp_path, hash_folde
         point3D_ids=np.full(8, -1),
         colors=np.zeros((8, 3), np.uint8),
     )
-    export_stage(run, mesh, names, Stages())
+    export_stage(run, mesh, names, Stages(), Z)
     places = {"edges.obj", "edges.glb", "edges.dxf", "svg", "structures"}
     made = {path.name for path in run.iterdir()} - {path.name for path in run_path.iterdir()}
     assert made == places | {"mesh.obj", "mesh.glb"}
@@ -108,7 +114,7 @@ def test_help_names_every_format():
 
 
 def test_a_run_without_edges_exports_its_mesh_alone(tmp_path):
-    export_stage(tmp_path, None, ["dxf"], Stages())
+    export_stage(tmp_path, None, ["dxf"], Stages(), Z)
     assert not any(tmp_path.iterdir())
     check_formats(["obj", "glb"], has_edges=False)
     with pytest.raises(OptionError, match="export is 'svg' and use_edges 0"):
@@ -120,6 +126,46 @@ def test_a_missing_cad_kernel_is_said_before_a_run(monkeypatch):
     check_formats(["dxf"], has_edges=True)
     with pytest.raises(ColmapEdgesError, match=r"pip install 'colmap-edges\[step\]'"):
         check_formats(["dxf", "step"], has_edges=True)
+
+
+@pytest.mark.parametrize("name", ["edges.dxf", "cad/part.dxf", "structures"])
+def test_exports_may_lie_in_the_folder_of_their_run(run_path, tmp_path, hash_folder, name):
+    run = tmp_path / "run"
+    shutil.copytree(run_path, run)
+    record = {"versions": {"colmap-edges": "1"}, "files": file_sizes(run)}
+    (run / "report.json").write_text(json.dumps(record))
+    before = hash_folder(run)
+    done = export("--run_path", run, "--output_path", run / name)
+    assert done.exit_code == 0, done.output
+    assert before.items() <= hash_folder(run).items() and (run / name).exists()
+    (run / "edges.ply").write_bytes(b"of the run")
+    record["files"]["edges.ply"] = 10
+    (run / "report.json").write_text(json.dumps(record))
+    for own in ("edges.ply", "sparse/part.dxf"):
+        done = export("--run_path", run, "--output_path", run / own, "--overwrite")
+        assert done.exit_code == 1 and "is a file of the run itself" in done.output
+    assert (run / "edges.ply").read_bytes() == b"of the run"
+
+
+def test_a_measured_edge_scales_all_formats(run_path, scene_edges, tmp_path):
+    length = scene_edges.lengths()[3]
+    flags = ("--edge_length", "3=2.4", "--unit", "m", "--up", "-z")
+    for name in ("a.ply", "a.obj", "a.glb", "a.dxf", "b.dxf"):
+        more = ("--polylines",) if name == "b.dxf" else ()
+        done = export("--run_path", run_path, "--output_path", tmp_path / name, *flags, *more)
+        assert done.exit_code == 0, done.output
+    points = scene_edges.points * (1, -1, -1) * 2.4 / length
+    np.testing.assert_allclose(read_ply(tmp_path / "a.ply")["vertex"]["z"], points[:, 2])
+    (path,) = trimesh.load(tmp_path / "a.glb").dump()
+    bounds = np.array([points.min(axis=0), points.max(axis=0)])
+    np.testing.assert_allclose(np.sort(path.bounds[:, 1]), bounds[:, 2], atol=1e-6)
+    drawing = ezdxf.readfile(tmp_path / "b.dxf")
+    assert drawing.header["$INSUNITS"] == 6  # metres
+    np.testing.assert_allclose([drawing.header["$EXTMIN"], drawing.header["$EXTMAX"]], bounds)
+    polyline = drawing.modelspace()[3]
+    assert list(polyline.get_xdata("COLMAP_EDGES"))[1] == (1071, 3)
+    at = np.array([tuple(vertex) for vertex in polyline.points()])
+    assert np.linalg.norm(np.diff(at, axis=0), axis=1).sum() == pytest.approx(2.4)
 
 
 def test_lines_go_to_limap_and_come_back(run_path, tmp_path):
@@ -150,7 +196,22 @@ def test_bad_requests_are_one_line(run_path, tmp_path):
     assert done.exit_code == 1 and "is inside" in done.output
     (tmp_path / "empty").mkdir()
     done = export("--run_path", tmp_path / "empty", "--output_path", tmp_path / "a.dxf")
-    assert done.exit_code == 1 and "no edges.json" in done.output
+    assert done.exit_code == 1 and "give the output folder of a run" in done.output
+    for flags, message in {
+        ("--edge_length", "99=1"): "edge_length names edge 99, but there are edges 0 to",
+        ("--ground",): "ground needs a horizontal face",
+    }.items():
+        done = export("--run_path", run_path, "--output_path", tmp_path / "a.obj", *flags)
+        assert done.exit_code == 1 and message in done.output, done.output
+        assert done.output.strip().count("\n") == 0
+    given = ("--edge_length", "0=1", "--scale", "2")
+    done = export("--run_path", run_path, "--output_path", tmp_path / "a.obj", *given)
+    assert done.exit_code == 2 and "--scale and --edge_length are both given" in done.output
+    for text in ("1", "1=0", "-1=2", "1=x"):
+        done = export("--run_path", run_path, "--edge_length", text, "--output_path", "a.obj")
+        assert done.exit_code == 2 and "such as 12=2.40" in done.output
+    done = export("--run_path", run_path, "--scale", 2, "--output_path", tmp_path / "structures")
+    assert done.exit_code == 2 and "must stay in the frame of its cameras" in done.output
 
 
 SUFFIXES = ("ply", "obj", "glb", "dxf", "step", "svg")

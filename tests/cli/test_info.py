@@ -50,14 +50,14 @@ def test_a_model_in_four_lines(tmp_path):
         "points3D: 3, 8 observations",
         "track length: median 3, longest 3",
     ]
-    assert describe_model(model_from_reconstruction(reconstruction())).split("\n") == expected
+    assert describe_model(model_from_reconstruction(reconstruction())) == expected
     reconstruction().write_binary(tmp_path)  # which leaves out images without poses
     expected[1] = "images: 3 with poses, 0 without"
-    assert describe(tmp_path).split("\n") == expected
+    assert describe(tmp_path) == expected
 
 
 def test_a_model_without_points_has_no_track_length():
-    lines = describe_model(model_from_reconstruction(reconstruction((), unposed=0))).split("\n")
+    lines = describe_model(model_from_reconstruction(reconstruction((), unposed=0)))
     assert lines[1:] == ["images: 3 with poses, 0 without", "points3D: 0, 0 observations"]
 
 
@@ -73,6 +73,31 @@ def test_a_report_stage_by_stage():
     ]
 
 
+def test_results_of_an_output_are_told_in_a_users_words(tmp_path):
+    stages = [
+        {"name": name, "wall_s": 40.0, "peak_mb": 100.0, "counts": counts}
+        for name, counts in {
+            "read": {"images_with_poses": 24, "points3D": 11878},
+            "write": {"edges": 7, "edge_points": 80, "length": 2.5, "median_residual_px": 0.06},
+        }.items()
+    ]
+    alignment = {"unit": "mm", "scale": 2.0}
+    finding = {"text": "3 images have no pose", "remedy": "register them"}
+    record = {"command": "reconstruct", "stages": stages, "findings": [finding]}
+    (tmp_path / "report.json").write_text(json.dumps(record | {"alignment": alignment}))
+    (tmp_path / "edges.ply").touch()
+    assert describe(tmp_path) == [
+        "Made by:  colmap-edges reconstruct",
+        "Images:   24 with poses",
+        "Edges:    7 in 3D, total length 2.5 mm, median reprojection error 0.06 px",
+        "Points:   11,878 SfM points and 80 edge points in the written model",
+        "Time:     1 min 20 s",
+        "Aligned:  scaled by 2, unit mm",
+        "Note:     3 images have no pose. To change that: register them.",
+        "Files:    edges.ply, report.json",
+    ]
+
+
 def test_info_without_counts():
     assert count_lines({}, "  ") == []
     assert count_lines({"a_b": {}}, "") == ["a b:"]
@@ -80,10 +105,10 @@ def test_info_without_counts():
 
 def test_an_output_with_and_without_a_model(tmp_path):
     (tmp_path / "report.json").write_text(json.dumps(REPORT))
-    assert describe(tmp_path).split("\n") == report_lines(REPORT)
+    assert describe(tmp_path, verbose=True) == report_lines(REPORT)
     (tmp_path / "sparse").mkdir()
     reconstruction().write_binary(tmp_path / "sparse")
-    lines = describe(tmp_path).split("\n")
+    lines = describe(tmp_path, verbose=True)
     assert lines[:7] == report_lines(REPORT)
     assert lines[7:9] == ["sparse:", "  cameras: 2 (PINHOLE 320x240, PINHOLE 640x240)"]
 
@@ -96,9 +121,10 @@ def test_an_output_with_and_without_a_model(tmp_path):
 )
 def test_a_damaged_report_is_one_line(tmp_path, text):
     (tmp_path / "report.json").write_text(text)
-    with pytest.raises(ColmapEdgesError, match=r"report\.json") as caught:
-        describe(tmp_path)
-    assert "\n" not in str(caught.value)
+    for verbose in (False, True):
+        with pytest.raises(ColmapEdgesError, match=r"report\.json") as caught:
+            describe(tmp_path, verbose)
+        assert "\n" not in str(caught.value)
 
 
 def test_folder_without_model_or_report_is_an_error(tmp_path):

@@ -28,10 +28,11 @@ def output(tmp_path):
     return tmp_path
 
 
-def test_five_lines_in_a_users_words(output):
+def test_six_lines_in_a_users_words(output):
     lines = summary(report_of(), output, 8.6, verbose=False)
     heads = [line.split(":")[0] for line in lines]
-    assert heads == ["Images", "Edges", "Points", "Mesh", "Look at"]
+    assert heads == ["Images", "Edges", "Points", "Mesh", "Time", "Look at"]
+    assert lines[4] == "Time:     8.6 s"
     assert lines[-1] == f"Look at:  {output / 'report.html'} (in any web browser)"
     assert "_" not in "".join(lines[:-1])
     assert "270 in 3D" in lines[1]
@@ -41,19 +42,19 @@ def test_notes_precede_results(output):
     finding = {"text": "3 images have no pose", "remedy": "register them"}
     lines = summary(report_of(findings=[finding]), output, 1.0, verbose=False)
     assert lines[0] == "Note: 3 images have no pose. To change that: register them."
-    assert len(lines) == 6
+    assert len(lines) == 7
 
 
 def test_verbose_lists_stages_and_files_first(output):
     lines = summary(report_of(), output, 8.6, verbose=True)
     assert lines[0].split()[:3] == ["read", "1.2", "s"]
     assert "1.2 s  270 edges, 10,756 edge points" in lines[2]
-    assert f"Done in 8.6 s. In {output}:" in lines
+    assert f"In {output}:" in lines
     told = [
         line.split()[0] for line in lines if line.startswith("  ") and line.split()[0] in VIEWERS
     ]
     assert told == ["edges.ply", "mesh.ply", "report.html", "report.json"]
-    assert lines[-5:] == summary(report_of(), output, 8.6, verbose=False)
+    assert lines[-6:] == summary(report_of(), output, 8.6, verbose=False)
 
 
 @pytest.mark.parametrize("gone", [["report.html"], ["report.html", "mesh.ply"]])

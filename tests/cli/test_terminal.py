@@ -4,6 +4,7 @@ import io
 import logging
 import os
 import pty
+import re
 import shlex
 import shutil
 import signal
@@ -16,7 +17,7 @@ import pytest
 from forked import COMMAND, Forked, call_forked
 
 from colmap_edges.cli.main import main
-from colmap_edges.cli.terminal import LogFormatter
+from colmap_edges.cli.terminal import LogFormatter, duration, wrapped
 from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import printable
 
@@ -145,7 +146,7 @@ def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
     assert r"a\x1b[31m.jpg" in done.stderr
     assert r"out\x1b[31m\n/overlays (" in done.stdout
     info = call_forked(["info", output])
-    assert "output of colmap-edges detect" in info.stdout
+    assert "Made by:  colmap-edges detect" in info.stdout
     (scene[0] / "b\nc.jpg").unlink()
     missing = call(scene, tmp_path / "second", "--verbose", name="detect")
     assert r"b\nc.jpg of the model is not in" in missing.stderr
@@ -153,6 +154,75 @@ def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
     assert usage.returncode == 2
     for text in (done, info, missing, usage):
         assert "\x1b" not in text.stdout + text.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "told"),
+    [
+        ("--Meshing.max_fces", "'--Meshing.max_fces'. (Did you mean one of: '--Meshing.max_faces'"),
+        ("--edgegraph.max-gap=2", "'--edgegraph.max-gap'. Did you mean '--EdgeGraph.max_gap_poi"),
+    ],
+)
+def test_unknown_flags_are_named_as_typed_and_suggestions_as_in_the_help(capsys, typed, told):
+    with pytest.raises(SystemExit) as end:
+        main(["mesh", typed])
+    assert end.value.code == 2
+    assert told.replace("(", "") in capsys.readouterr().err.replace("(", "")
+
+
+@pytest.mark.parametrize("width", [30, 80])
+def test_lines_are_broken_between_words(width):
+    text = "Faces:    46 planar, total area 1,234,567.8 square scene units; only in /a/b-c/f.json"
+    lines = wrapped(text, width)
+    assert " ".join(line.strip() for line in lines) == text.replace(":    ", ":    ")
+    assert all(line.startswith(" " * 10) for line in lines[1:]) and len(lines) > 1
+    assert all(len(line) <= width or " " not in line.strip() for line in lines)
+    assert wrapped("short", width) == ["short"] and wrapped("", width) == [""]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(8.64, "8.6 s"), (42.2, "42 s"), (119.8, "2 min 0 s"), (7290, "2 h 1 min")],
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_a_terminal_shows_what_is_left_and_whole_lines_of_logs():
+    script = (
+        "import logging, time; from colmap_edges.cli.terminal import progress_bars, start_logging\n"
+        "start_logging(True)\n"
+        "with progress_bars() as show:\n"
+        "    show('detect', 0, 40)\n"
+        "    for step in range(1, 20):\n"
+        "        time.sleep(0.02); show('detect', step, 40)\n"
+        "    logging.getLogger('colmap_edges.any').debug('a line of the log')\n"
+        "    time.sleep(0.3)\n"
+    )
+    terminal, process_end = pty.openpty()
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stderr=process_end, env=environment
+    ) as process:
+        os.close(process_end)
+        shown = b""
+        while True:
+            try:
+                part = os.read(terminal, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            shown += part
+    os.close(terminal)
+    assert process.returncode == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
+    lines = re.split(r"[\r\n]+", text)
+    assert "DEBUG colmap_edges.any: a line of the log" in lines
+    last = [line for line in lines if line.strip().startswith("detect")][-1]
+    assert re.search(r"19/40 +0:00:0\d about \d\.\d s left", last), last
+    assert any(line.strip().startswith("in all") for line in lines)
+    assert max(map(len, lines)) <= 80
 
 
 def test_usage_errors_go_to_standard_error(capsys):

@@ -1,11 +1,14 @@
-"""PLY files of other programs, and damaged ones."""
+"""PLY files of other programs, damaged ones, and meshes that files turn upright."""
 
 import numpy as np
 import pytest
 
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.evaluation.metrics.raycasting import load_mesh
 from colmap_edges.evaluation.readers.curves import load_curves
+from colmap_edges.export.meshes import write_mesh
 from colmap_edges.export.ply import read_ply
+from colmap_edges.surfaces.mesh import Mesh
 
 VERTICES = np.array([(0, 0, 0), (1, 2, 3), (4, 5, 6)], ">f4")
 HEADER = """ply
@@ -85,3 +88,20 @@ def test_damage_is_one_line_that_names_the_file(tmp_path, content):
     with pytest.raises(ColmapEdgesError, match=r"edges\.ply") as caught:
         load_curves(tmp_path / "edges.ply")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "glb"])
+@pytest.mark.parametrize("up", ["z", "-y", (0.1, -0.7, 0.4)])
+def test_meshes_are_evaluated_in_the_frame_of_the_model(tmp_path, suffix, up):
+    """Whatever way is up in their files."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], float)
+    mesh = Mesh(
+        vertices=corners,
+        faces=np.array([[0, 1, 2], [0, 1, 3]], np.int32),
+        point3D_ids=np.full(4, -1),
+        colors=np.zeros((4, 3), np.uint8),
+    )
+    write_mesh(mesh, tmp_path / f"mesh.{suffix}", up=up, unit="mm")
+    read = load_mesh(tmp_path / f"mesh.{suffix}")
+    np.testing.assert_allclose(read.vertices, corners, atol=1e-6)
+    np.testing.assert_array_equal(read.faces, mesh.faces)

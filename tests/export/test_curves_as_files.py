@@ -1,6 +1,7 @@
 """Curves as files of CAD programs, opened again by such programs' own libraries."""
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import fields, replace
 
@@ -15,7 +16,7 @@ from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.curve_records import curve_records, curves_of_records
-from colmap_edges.export.dxf import write_dxf
+from colmap_edges.export.dxf import write_dxf, write_dxf_polylines
 from colmap_edges.export.limap import read_limap2, write_structures
 from colmap_edges.export.svg import write_svg
 
@@ -83,6 +84,30 @@ def test_ezdxf_reads_kinds_places_and_radii(curves, tmp_path):
     np.testing.assert_allclose(found, curves.at(np.full(4, 5), middle), atol=1e-9)
 
 
+def test_dxf_has_extents_units_and_numbers_of_edges(curves, edges, tmp_path):
+    moved = replace(curves, edges=curves.edges + 40)
+    write_dxf(moved, tmp_path / "edges.dxf", unit="mm")
+    drawing = ezdxf.readfile(tmp_path / "edges.dxf")
+    assert drawing.header["$INSUNITS"] == 4 and drawing.header["$MEASUREMENT"] == 1
+    points = curves.sampled_evenly(500)[0]
+    extents = [drawing.header["$EXTMIN"], drawing.header["$EXTMAX"]]
+    np.testing.assert_allclose(extents, [points.min(axis=0), points.max(axis=0)], atol=1e-3)
+    view = drawing.viewports.get("*Active")[0].dxf
+    assert view.height >= np.ptp(points[:, 1])
+    tags = [entity.get_xdata("COLMAP_EDGES") for entity in drawing.modelspace()]
+    assert [(text.value, number.value) for text, number in tags] == [
+        (f"edge {40 + edge}", 40 + edge) for edge in curves.edges.tolist()
+    ]
+    write_dxf_polylines(edges, tmp_path / "lines.dxf", unit="ft")
+    drawing = ezdxf.readfile(tmp_path / "lines.dxf")
+    assert not drawing.audit().errors and drawing.header["$MEASUREMENT"] == 0
+    lines = list(drawing.modelspace())
+    assert [line.is_3d_polyline for line in lines] == 6 * [True]
+    assert [line.is_closed for line in lines] == edges.closed.tolist()
+    vertices = np.concatenate([[tuple(point) for point in line.points()] for line in lines])
+    np.testing.assert_allclose(vertices, edges.points)
+
+
 def test_the_same_curves_give_the_same_file(curves, tmp_path):
     write_dxf(curves, tmp_path / "one.dxf")
     write_dxf(curves, tmp_path / "other.dxf")
@@ -139,6 +164,14 @@ def test_the_cad_kernel_reads_kinds_and_radii(curves, tmp_path):
     written = write_step(curves, tmp_path / "edges.step")
     assert (written.num_curves, written.unit_mm) == (6, 1)
     first = (tmp_path / "edges.step").read_bytes()
+    text = first.decode().replace("\n", "")
+    names = re.findall(r"GEOMETRIC_CURVE_SET\('([^']*)'", text)
+    assert names == [f"edge {edge}" for edge in curves.edges.tolist()]
+    layers = re.findall(r"PRESENTATION_LAYER_ASSIGNMENT\('([^']*)'", text)
+    assert sorted(layers) == sorted(kind.upper() for kind in KINDS)
+    assert write_step(curves, tmp_path / "cm.step", unit="cm").unit_mm == 10
+    radius = step_curves(tmp_path / "cm.step")[1].Circle().Radius()
+    assert radius == pytest.approx(10 * curves.radii[1, 0], rel=1e-9)
     write_step(curves, tmp_path / "edges.step")
     assert (tmp_path / "edges.step").read_bytes() == first
     found = step_curves(tmp_path / "edges.step")

@@ -10,10 +10,11 @@ from colmap_edges.colmap.model import observation_residuals
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.curves.fitting import fit_curves
-from colmap_edges.export.edges import edge_lengths, write_obj
+from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
 from colmap_edges.export.glb import write_glb
 from colmap_edges.export.ply import write_ply
+from colmap_edges.export.upright import direction
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_segments_close_closed_edges_only(square_and_line):
 
 
 def test_lengths(square_and_line):
-    np.testing.assert_allclose(edge_lengths(square_and_line), [4, 5])
+    np.testing.assert_allclose(square_and_line.lengths(), [4, 5])
 
 
 def test_no_edges_at_all(tmp_path):
@@ -70,9 +71,36 @@ def test_meshlab_reads_ply(square_and_line, tmp_path):
 def test_obj_names_every_polyline(square_and_line, tmp_path):
     write_obj(square_and_line, tmp_path / "edges.obj")
     lines = (tmp_path / "edges.obj").read_text().splitlines()
-    assert [line for line in lines if line.startswith("l ")] == ["l 1 2 3 4 1", "l 5 6 7"]
+    wanted = ["g edge_0", "l 1 2", "l 2 3", "l 3 4", "l 4 1", "g edge_1", "l 5 6", "l 6 7"]
+    assert [line for line in lines if line[0] in "lg"] == wanted
+    assert "# y is up, unit unknown" in lines
     vertices = [list(map(float, line.split()[1:])) for line in lines if line.startswith("v ")]
-    np.testing.assert_array_equal(vertices, square_and_line.points)
+    np.testing.assert_array_equal(vertices, square_and_line.points[:, [0, 2, 1]] * (1, 1, -1))
+
+
+def test_meshlab_reads_all_segments_of_an_obj(square_and_line, tmp_path):
+    write_obj(square_and_line, tmp_path / "edges.obj", up="y")
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "edges.obj"))
+    mesh = meshes.current_mesh()
+    np.testing.assert_allclose(mesh.vertex_matrix(), square_and_line.points)
+    assert sorted(mesh.edge_matrix().tolist()) == sorted(square_and_line.segments.tolist())
+
+
+@pytest.mark.parametrize("up", ["x", "-x", "y", "-y", "z", "-z", (0.3, -0.8, 0.2)])
+def test_glb_and_obj_stand_upright_in_one_place(square_and_line, tmp_path, up):
+    for suffix, write in {"glb": write_glb, "obj": write_obj}.items():
+        write(square_and_line, tmp_path / f"edges.{suffix}", up=up, unit="mm")
+    scene = trimesh.load(tmp_path / "edges.glb")
+    (path,) = scene.dump()
+    lines = (tmp_path / "edges.obj").read_text().splitlines()
+    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    bounds = 0.001 * np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    np.testing.assert_allclose(path.bounds, bounds, atol=1e-9)
+    heights = square_and_line.points @ direction(up)
+    np.testing.assert_allclose(vertices[:, 1], heights, atol=1e-12)
+    volumes = [np.linalg.det(p[1:4] - p[4]) for p in (square_and_line.points, vertices)]
+    assert volumes[0] == pytest.approx(volumes[1])  # turned, not mirrored
 
 
 def read_glb(path):
@@ -97,7 +125,8 @@ def read_glb(path):
         return found
 
     arrays = {name: array(index) for name, index in primitive["attributes"].items()}
-    (node,) = document["nodes"]
+    root, node = document["nodes"]
+    assert document["scenes"] == [{"nodes": [0]}] and root["children"] == [1]
     return node, primitive["mode"], arrays | {"indices": array(primitive["indices"])[:, 0]}
 
 
@@ -120,15 +149,14 @@ def test_trimesh_reads_glb_far_from_the_origin(square_and_line, tmp_path):
     np.testing.assert_allclose(arrays["POSITION"] + node["translation"], points, atol=1e-8, rtol=0)
     scene = trimesh.load(tmp_path / "edges.glb")
     (path,) = scene.dump()
-    found = path.vertices[np.argsort(path.vertices[:, 2])]
-    np.testing.assert_allclose(np.sort(found[:, 2]), np.sort(points[:, 2]), atol=1e-8, rtol=0)
+    np.testing.assert_allclose(np.sort(path.vertices[:, 1]), np.sort(points[:, 2]), atol=1e-8)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-9, 0.0), (1e7, 0.0), (1.0, 4.5e6)])
 def test_text_keeps_points_at_any_scale(square_and_line, tmp_path, scale, offset):
     points = square_and_line.points / 3 * scale + offset
     edges = replace(square_and_line, points=points)
-    write_obj(edges, tmp_path / "edges.obj")
+    write_obj(edges, tmp_path / "edges.obj", up="y")
     lines = (tmp_path / "edges.obj").read_text().splitlines()
     vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
     np.testing.assert_allclose(vertices, points, rtol=1e-11, atol=0)
@@ -143,7 +171,7 @@ def test_json_says_what_each_edge_is(scene_model, scene_edges, tmp_path):
     assert [r["id"] for r in records] == list(range(scene_edges.num_edges))
     assert [i for r in records for i in r["point3D_ids"]] == ids.tolist()
     assert [r["closed"] for r in records] == scene_edges.closed.tolist()
-    np.testing.assert_allclose([r["length"] for r in records], edge_lengths(scene_edges))
+    np.testing.assert_allclose([r["length"] for r in records], scene_edges.lengths())
     # Noise of 0.3 px in x and y: the mean distance is 0.3 sqrt(pi / 2) = 0.376 px.
     assert np.mean([r["residual_px"] for r in records]) == pytest.approx(0.376, abs=0.02)
     known = {view.image_id for view in scene_model.views}

@@ -350,7 +350,7 @@ def test_faces_are_meshed_and_written_unless_turned_off(scene_paths, meshed, tmp
     assert sum(face["area"] for face in listed) == pytest.approx(faces["area"])
     page = (output / "report.html").read_text(encoding="utf-8")
     assert f"{len(listed)} planar faces and a mesh of" in page
-    assert f"planar faces: {len(listed)}" in describe(output)
+    assert f"planar faces: {len(listed)}" in "\n".join(describe(output, verbose=True))
     without = run("mesh", paths_of(scene_paths, tmp_path / "out"), WITHOUT_FACES)
     assert "faces" not in [stage["name"] for stage in without["stages"]]
     assert not (tmp_path / "out" / "faces.json").exists()

@@ -22,7 +22,6 @@ LIBRARIES = {
     "jinja2": {"report"},
     "networkx": {"export"},
     "pandas": {"export"},
-    "plotly": {"report"},
     "plyfile": {"export"},
     "pymeshlab": {"evaluation", "surfaces"},
     "click": {"cli"},

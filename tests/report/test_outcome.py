@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from colmap_edges.report.charts import decades, histogram, nice_ticks, shortened
-from colmap_edges.report.outcome import headline, outcome, scene_name
+from colmap_edges.report.outcome import headline, outcome, scene_name, verdict
 
 READ = {"images_with_poses": 24, "images_without_poses": 0, "points3D": 11878}
 DETECT = {"images_without_edges": 0, "polylines": 8018, "edge_pixels": 673074}
@@ -27,6 +27,21 @@ def test_outcome_of_each_command():
     assert detected["Edges"] == "8,018 2D polylines of 673,074 pixels"
     assert "Mesh" not in detected
     assert list(outcome(record(read=READ, mesh=MESH))) == ["Images", "Points", "Mesh"]
+
+
+def test_the_verdict_names_problems_and_the_next_file(tmp_path):
+    stages = record(read=READ, detect=DETECT, write=WRITE)
+    all_well = "24 of 24 images used, median residual 0.064 px, no problems."
+    assert verdict(stages | {"findings": []}, tmp_path) == all_well
+    for name in ("edges.ply", "edges.glb", "mesh.ply"):
+        (tmp_path / name).touch()
+    told = verdict(stages | {"findings": []}, tmp_path)
+    assert told == f"{all_well} Next: open mesh.ply in MeshLab."
+    read = READ | {"images_without_poses": 2}
+    detect = DETECT | {"images_without_edges": 1}
+    stages = record(read=read, detect=detect) | {"findings": [{}]}
+    told = verdict(stages, tmp_path)
+    assert told.startswith("23 of 26 images used, 1 finding below.")
 
 
 def test_outcome_has_faces_if_they_were_detected():

@@ -22,7 +22,6 @@ from colmap_edges.report.rerun_viewer import (
     check_recording_path,
     colors_of,
     open_viewer,
-    strips,
     up_axis,
 )
 from colmap_edges.surfaces.faces.outlines import Face
@@ -242,7 +241,7 @@ def test_anything_else_is_a_usage_error(capsys):
 def test_closed_edges_end_where_they_begin(scene_edges):
     edges = replace(scene_edges, closed=np.arange(scene_edges.num_edges) % 2 == 0)
     for line, closed, count in zip(
-        strips(edges), edges.closed, np.diff(edges.edge_offsets), strict=True
+        edges.polylines(), edges.closed, np.diff(edges.edge_offsets), strict=True
     ):
         assert len(line) == count + closed
         assert (line[0] == line[-1]).all() == closed

@@ -3,6 +3,7 @@
 What installs packages or runs for minutes is not run here; continuous integration does that.
 """
 
+import json
 import os
 import re
 import shutil
@@ -20,7 +21,16 @@ else:
 
 
 NAMES = (
-    *("build", "build_wheels", "demo", "fetch_cgal", "memcheck", "reproduce_results", "sanitize"),
+    *(
+        "build",
+        "build_viewer",
+        "build_wheels",
+        "demo",
+        "fetch_cgal",
+        "memcheck",
+        "reproduce_results",
+        "sanitize",
+    ),
     *("setup", "soak", "test", "test_lower_bounds"),
 )
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -45,9 +55,21 @@ def test_lowest_versions_are_those_of_the_project():
     )
     assert done.returncode == 0, done.stderr
     lowest = done.stdout.split()
-    wanted = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["evaluation"]]
+    extras = PROJECT["optional-dependencies"]
+    wanted = [*PROJECT["dependencies"], *extras["evaluation"], *extras["graph"]]
     assert len(lowest) == len(wanted) + 1  # nanobind builds
     assert {"numpy==1.26.*", "rich==13.0.*", "nanobind==2.2.*"} <= set(lowest)
+
+
+def test_the_viewer_is_of_the_version_that_its_packages_name():
+    wanted = json.loads((SCRIPTS / "viewer" / "package.json").read_text())["devDependencies"]
+    locked = json.loads((SCRIPTS / "viewer" / "package-lock.json").read_text())["packages"]
+    for name, version in wanted.items():
+        assert locked[f"node_modules/{name}"]["version"] == version
+    bundle = (ROOT / "colmap_edges" / "report" / "three.min.js").read_text()
+    assert f"three.js {wanted['three']}" in bundle[:200]
+    assert "The MIT License" in bundle[:400]
+    assert not re.search(r"\beval\(|new Function", bundle)
 
 
 def test_unknown_sanitizer_is_an_error():

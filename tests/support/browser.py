@@ -111,6 +111,21 @@ class Browser:
         count = 0 if kind == "mouseMoved" else 1
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=count)
 
+    def drag(self, *points):
+        """Press the left button at the first point, move through the others, and let it go."""
+        for at, (x, y) in enumerate(points):
+            kind = "mouseMoved" if at else "mousePressed"
+            self.call(
+                "Input.dispatchMouseEvent",
+                **{"type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1},
+            )
+        self.mouse("mouseReleased", *points[-1])
+
+    def click(self, x, y):
+        """Press and release the left button."""
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
+
     def screenshot(self):
         """(H, W, 3) uint8 BGR of what is seen."""
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])

@@ -18,7 +18,7 @@ COMMAND = "colmap-edges"
 SERVER = f"""
 import contextlib, gc, importlib, json, os, pkgutil, resource, runpy, signal, sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command sets it, before numpy is loaded
-import colmap_edges, plotly.offline
+import colmap_edges
 from colmap_edges.cli.main import main
 for module in pkgutil.walk_packages(colmap_edges.__path__, "colmap_edges."):
     with contextlib.suppress(ImportError):  # of extras

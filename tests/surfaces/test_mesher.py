@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from solid_points import as_trimesh, fibonacci_sphere
 
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.meshes import write_mesh
+from colmap_edges.export.meshes import read_mesh, write_mesh
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces import mesher as meshing
@@ -641,9 +641,16 @@ def test_written_mesh_is_read_back(tmp_path, suffix):
     path = tmp_path / f"mesh{suffix}"
     write_mesh(mesh, path)
     read = trimesh.load(path, force="mesh", process=False)
-    np.testing.assert_allclose(read.vertices, mesh.vertices, atol=1e-6)
+    y_up = mesh.vertices if suffix == ".ply" else mesh.vertices[:, [0, 2, 1]] * (1, 1, -1)
+    np.testing.assert_allclose(read.vertices, y_up, atol=1e-6)
     np.testing.assert_array_equal(read.faces, mesh.faces)
     np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], mesh.colors)
+    for up in ("z", "-y", (0.1, -0.7, 0.4)):
+        write_mesh(mesh, path, up=up, unit="cm")
+        again = read_mesh(path)
+        np.testing.assert_allclose(again.vertices, mesh.vertices, atol=1e-6)
+        np.testing.assert_array_equal(again.faces, mesh.faces)
+        np.testing.assert_array_equal(again.colors, mesh.colors)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
@@ -653,7 +660,7 @@ def test_a_mesh_far_from_the_origin_keeps_its_shape(tmp_path, suffix, shift):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
     moved = replace(mesh, vertices=mesh.vertices + shift)
     assert write_mesh(moved, tmp_path / f"mesh{suffix}") == (shift > 0)
-    read = trimesh.load(tmp_path / f"mesh{suffix}", force="mesh", process=False)
+    read = read_mesh(tmp_path / f"mesh{suffix}")
     np.testing.assert_allclose(read.vertices, moved.vertices, atol=1e-6, rtol=1e-14)
     np.testing.assert_array_equal(read.faces, mesh.faces)
 
@@ -666,12 +673,17 @@ def test_a_mesh_without_triangles_is_written(tmp_path, suffix):
     empty = replace(mesh, vertices=nothing, point3D_ids=mesh.point3D_ids[:0], **arrays)
     assert not write_mesh(empty, tmp_path / f"mesh{suffix}")
     assert (tmp_path / f"mesh{suffix}").stat().st_size > 20
+    assert read_mesh(tmp_path / f"mesh{suffix}").vertices.shape == (0, 3)
 
 
 def test_unwritable_mesh_is_one_clear_line(tmp_path):
     mesh = meshing.mesh_points(*sphere_scene(), OPTIONS)
     with pytest.raises(ColmapEdgesError, match="choose one of"):
         write_mesh(mesh, tmp_path / "mesh.xyz")
+    with pytest.raises(ColmapEdgesError, match="up is 'w'; give three numbers or one of: x, y"):
+        write_mesh(mesh, tmp_path / "mesh.obj", up="w")
+    with pytest.raises(ColmapEdgesError, match="unit is 'inch'; give one of: mm, cm"):
+        write_mesh(mesh, tmp_path / "mesh.glb", unit="inch")
     with pytest.raises(ColmapEdgesError, match="cannot write the mesh"):
         write_mesh(mesh, tmp_path / "missing" / "mesh.ply")
 

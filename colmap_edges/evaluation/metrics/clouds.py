@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray
+from colmap_edges.errors import extra
 from colmap_edges.evaluation.metrics.statistics import Record
 
 
@@ -26,8 +27,8 @@ def cloud_to_cloud(points: FloatArray, reference: FloatArray) -> FloatArray:
 
 def cloud_to_mesh(points: FloatArray, vertices: NDArray[Any], faces: NDArray[Any]) -> FloatArray:
     """Distance (N,) from each of `points` (N, 3) to the surface (CloudCompare's C2M, unsigned)."""
-    import pymeshlab
-
+    with extra("the distance to a mesh", "evaluation"):
+        import pymeshlab
     if not len(points):
         return np.empty(0)
     meshes = pymeshlab.MeshSet()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.export.meshes import model_from_file
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -52,6 +53,9 @@ def load_geometry(path: Path) -> Any:
         loaded = trimesh.load(path, process=False, maintain_order=True)
         if isinstance(loaded, trimesh.Scene):  # for example from GLB
             loaded = trimesh.util.concatenate(loaded.dump())
+        back = model_from_file(path)
+        if not np.array_equal(back, np.eye(3)):
+            loaded.vertices = loaded.vertices @ back.T
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         if isinstance(error, ImportError):  # of trimesh's optional library for encodings
