@@ -55,6 +55,11 @@ class PipelineOptions(Options):
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
         stage="mesh",
     )
+    use_sky: bool = option(
+        True,
+        "Find the sky in images without a background; its rays keep the mesh open",
+        stage="mesh",
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, Picture
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import write_mesh
+from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.executors import thread_count
@@ -22,6 +23,7 @@ from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
+from colmap_edges.surfaces.sky.finding import find_sky
 
 
 def check_mesher(options: PipelineOptions) -> None:
@@ -54,22 +56,47 @@ def background_stage(
     return background
 
 
+def sky_stage(
+    model: Model, edges: Edges3D, pictures: Mapping[int, Picture], stages: Stages
+) -> tuple[Background | None, Sequence[BackgroundMask]]:
+    """Find the rays of the sky, and its masks; none if too few images show a sky.
+
+    Args:
+        model: gives the V views and the SfM points.
+        edges: its 3D edges.
+        pictures: small pictures of the views.
+        stages: the stages of the run.
+    """
+    with stages.stage("sky") as stage:
+        background, masks = find_sky(model, edges, pictures) or (None, ())
+        stage.counts = {
+            "images": len(pictures),
+            "images_with_sky": sum(mask.is_seen for mask in masks),
+            "sky_rays": len(background.rays.cameras) if background else 0,
+        }
+    return background, masks
+
+
 def face_stage(
     model: Model,
     edges: Edges3D,
     grids: Mapping[int, Grid],
     options: PipelineOptions,
     stages: Stages,
-    detection: Detection,
-    background: Background | None,
+    masks: Sequence[BackgroundMask],
 ) -> Faces:
-    """Find the planar faces between 3D edges; `grids` are the reduced images of the views."""
+    """Find the planar faces between 3D edges, none of them before a background.
+
+    Args:
+        model: gives the V views and the SfM points.
+        edges: its 3D edges.
+        grids: reduced images of the views.
+        options: options of all stages.
+        stages: the stages of the run.
+        masks: (V,) background of the images; empty without one.
+    """
     with stages.stage("faces") as stage:
-        bodies = (
-            spread_bodies(model.views, detection.background_masks, edges.points).values()
-            if background
-            else ()
-        )
+        bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
         seed, threads = options.random_seed, thread_count(options)
         faces = find_faces(model, edges, grids, seed, threads, list(bodies))
         stage.counts = {

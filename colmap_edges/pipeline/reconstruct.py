@@ -38,8 +38,8 @@ class EdgeReconstruction:
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; poses and
             SfM points are unchanged unless `refine_poses` is set.
         residuals_px: (T,) reprojection error of each observation, pixels.
-        background: background rays for `mesh`, of a plain backdrop or, with
-            `masks_are_background`, of masked pixels; empty without a background.
+        background: background rays for `mesh`, of a plain backdrop, of the sky or, with
+            `masks_are_background`, of masked pixels; None without a background.
         faces: planar faces between the edges, for `mesh`; empty if `use_faces` is 0.
         stages: records of the stages, as in report.json.
         findings: steps at which edges were lost, with remedies; empty if there is no problem.

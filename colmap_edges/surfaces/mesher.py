@@ -93,7 +93,8 @@ def mesh_with_curves(
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
-    Silhouettes already bound bodies before a background, so that no points of faces are added.
+    Silhouettes already bound bodies before a background other than the sky, so that no points of
+    faces are added.
 
     `point3D_ids` of the result are indices of the points in this order.
     """
@@ -114,7 +115,8 @@ def mesh_with_curves(
         joined_offsets([each.edge_offsets for each in curves]),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
-    seen.append(background.silhouettes if background and options.background_weight else faces)
+    has_silhouettes = background and not background.is_sky and options.background_weight
+    seen.append(background.silhouettes if background and has_silhouettes else faces)
     return mesh_points(
         np.concatenate([part.points for part in seen]),
         joined_offsets([part.track_offsets for part in seen]),
