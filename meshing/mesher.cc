@@ -346,8 +346,9 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
   if (triangulation.cells.empty()) return result;
   const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);
   watch.Lap("labelling");
-  const Surface surface = ExtractSurface(triangulation, is_free,
-                                         SeenFrom(triangulation.points, scene), options.surface);
+  const auto ranges = SeenFrom(triangulation.points, scene);
+  const Surface surface =
+      ExtractSurface(triangulation, is_free, {scene.rays, scene.cameras, ranges}, options.surface);
   AddSurface(input, scene, triangulation, surface, result);
   watch.Lap("surface");
   return result;
