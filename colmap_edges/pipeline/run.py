@@ -152,7 +152,8 @@ def run_edges(
     extended = write_stage(model, edges, found.curves, folder, options, stages)
     if command == "mesh":
         if options.use_faces:
-            in_mesh = bool(len(faces.points.points)) and not found.background
+            is_bounded = found.background is not None and found.background.bounds_bodies
+            in_mesh = bool(len(faces.points.points)) and not is_bounded
             write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
         given = (found.traced, extended, folder, options, stages, up, found.background, faces)
         mesh = mesh_stage(model, *given)

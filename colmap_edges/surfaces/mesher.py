@@ -115,8 +115,8 @@ def mesh_with_curves(
         joined_offsets([each.edge_offsets for each in curves]),
         np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
     )
-    has_silhouettes = background and not background.is_sky and options.background_weight
-    seen.append(background.silhouettes if background and has_silhouettes else faces)
+    is_bounded = background and background.bounds_bodies and options.background_weight
+    seen.append(background.silhouettes if background and is_bounded else faces)
     return mesh_points(
         np.concatenate([part.points for part in seen]),
         joined_offsets([part.track_offsets for part in seen]),

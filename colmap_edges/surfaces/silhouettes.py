@@ -99,6 +99,11 @@ class Background:
     silhouettes: SeenPoints
     is_sky: bool = False
 
+    @property
+    def bounds_bodies(self) -> bool:
+        """Whether silhouettes before it bound the bodies, so that the mesh needs no faces."""
+        return not self.is_sky
+
     def check(self, name: str = "background", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
 
