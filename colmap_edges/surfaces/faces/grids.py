@@ -8,11 +8,19 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, Picture, offsets_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Picture,
+    offsets_of,
+)
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
 CELL_PX = 4  # side of a cell in pixels of the reduced image
+NODE_PX = 8  # pixels of the picture
 NUM_COLUMNS = 80  # cells along the longer side of an image
 
 
@@ -48,38 +56,51 @@ def cell_offsets(grids: Sequence[Grid]) -> IntArray:
     return offsets_of(np.array([grid.shape[0] * grid.shape[1] for grid in grids], np.int64))
 
 
-def size_of(view: View) -> tuple[int, int, float]:
+def size_of(view: View, num_columns: int) -> tuple[int, int, float]:
     """Width and height of a view's small picture, and its size over the image's."""
-    factor = NUM_COLUMNS * CELL_PX / max(view.width, view.height)
+    factor = num_columns * CELL_PX / max(view.width, view.height)
     width, height = (
         CELL_PX * max(2, round(side * factor / CELL_PX)) for side in (view.width, view.height)
     )
     return width, height, factor
 
 
-def make_grid(view: View, image: Picture) -> Grid:
+def make_grid(view: View, image: Picture, num_columns: int = NUM_COLUMNS) -> Grid:
     """The small undistorted picture of a view's image (H, W, 3)."""
-    blank = blank_grid(view)
+    blank = blank_grid(view, num_columns)
     height, width = blank.gray.shape
     small = gray_of(image)
     while min(small.shape) > 4 * min(width, height):  # halving is quick
         half = small.shape[1] // 2, small.shape[0] // 2
         small = np.asarray(cv2.resize(small, half, interpolation=cv2.INTER_AREA), np.uint8)
     small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    undistorted = (
-        np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal
-    ) / blank.focal_px
-    pixels = view.image_from_undistorted(undistorted * view.focal_px)
-    scale = np.array([width / view.width, height / view.height])
-    at = (pixels * scale - 0.5).astype(np.float32).reshape(height, width, 2)
+    at = places_of(view, blank)
     gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return replace(blank, gray=np.ascontiguousarray(gray, np.uint8))
 
 
-def blank_grid(view: View) -> Grid:
+def places_of(view: View, grid: Grid) -> Float32Array:
+    """(h, w, 2) where the pixels of a picture are in the image, reduced to its size.
+
+    Every `NODE_PX`-th is computed, between which lenses distort nearly linearly.
+    """
+    height, width = grid.gray.shape
+    nodes = [np.arange(side // NODE_PX + 2) * NODE_PX + 0.5 for side in (width, height)]
+    columns, rows = np.meshgrid(*nodes)
+    undistorted = (
+        np.column_stack([columns.ravel(), rows.ravel()]) - grid.principal
+    ) / grid.focal_px
+    pixels = view.image_from_undistorted(undistorted * view.focal_px)
+    scale = np.array([width / view.width, height / view.height])
+    at = (pixels * scale - 0.5).astype(np.float32).reshape(*rows.shape, 2)
+    step = np.array([[1 / NODE_PX, 0, 0], [0, 1 / NODE_PX, 0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(at, step, (width, height), flags=flags), np.float32)
+
+
+def blank_grid(view: View, num_columns: int = NUM_COLUMNS) -> Grid:
     """The picture of a view whose image shows nothing."""
-    width, height, factor = size_of(view)
+    width, height, factor = size_of(view, num_columns)
     camera = view.camera
     principal = np.array([camera.principal_point_x, camera.principal_point_y]) * factor
     gray = np.zeros((height, width), np.uint8)
