@@ -55,6 +55,16 @@ class PipelineOptions(Options):
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
         stage="mesh",
     )
+    use_patches: bool = option(
+        True,
+        "Find points where images have texture, and mesh those that points and edges lack",
+        stage="mesh",
+    )
+    write_patches: bool = option(
+        False,
+        "Write the points found where images have texture into sparse/, with their tracks",
+        stage="write",
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

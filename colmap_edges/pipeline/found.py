@@ -13,6 +13,7 @@ from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage
+from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.contents import ImagePicture
@@ -22,6 +23,7 @@ from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
 from colmap_edges.surfaces.silhouettes import Background
 
 
@@ -35,6 +37,7 @@ class Found:
         curves: the curves that fit the edges.
         background: rays to the background; None without one.
         faces: planar faces between the edges.
+        patches: points where images have texture.
         pictures: reduced pictures of the images, if they were wanted.
     """
 
@@ -43,6 +46,7 @@ class Found:
     curves: Curves3D
     background: Background | None
     faces: Faces
+    patches: Patches
     pictures: Sequence[ImagePicture]
 
 
@@ -65,14 +69,17 @@ def find_edges(
         settings: the options, as `resolved` for the model's scale.
         stages: the stages of the run.
         workers: executor of the work on images and views.
-        for_mesh: whether to find the background and, unless `use_faces` is 0, faces.
+        for_mesh: whether to find the background and, unless `use_faces` and `use_patches` are 0,
+            faces and patches.
         with_pictures: whether to take reduced pictures of the images.
         viewer: viewer that shows intermediate results.
     """
     taker = PictureVisitor(len(model.views)) if with_pictures else None
     grids = GridVisitor() if for_mesh and settings.use_faces else None
+    finds_patches = (for_mesh and settings.use_patches) or settings.write_patches
+    textures = GridVisitor(picture_columns(model)) if finds_patches else None
     images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
-    visitor = Visitors.of(taker, grids)
+    visitor = Visitors.of(taker, grids, textures)
     detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
@@ -84,19 +91,22 @@ def find_edges(
         viewer.show_model(model)
     viewer.show_edges(traced.edges, len(model.views))
     curves = curve_stage(traced.edges, settings, stages)
-    background, faces = None, NO_FACES
+    background, faces, patches = None, NO_FACES, NO_PATCHES
     if for_mesh and settings.meshing.background_weight:
         background = background_stage(model, detection, traced.edges, settings, stages)
     if grids:
         small = grids.grids
         faces = face_stage(model, traced.edges, small, settings, stages, detection, background)
         viewer.show_faces(faces.faces)
+    if textures:
+        patches = patch_stage(model, traced.edges, textures.grids, settings, stages)
     return Found(
         model=model,
         traced=traced,
         curves=curves,
         background=background,
         faces=faces,
+        patches=patches,
         pictures=pictures,
     )
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import (
+    BoolArray,
     ByteArray,
     Float32Array,
     FloatArray,
@@ -32,11 +33,13 @@ class Grid:
         gray: (h, w) uint8, whole cells.
         focal_px: its focal length.
         principal: (2,) its principal point, the corner of the picture is (0, 0).
+        usable: (h, w) false where it is masked; None without a mask.
     """
 
     gray: ByteArray
     focal_px: float
     principal: FloatArray
+    usable: BoolArray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -65,8 +68,10 @@ def size_of(view: View, num_columns: int) -> tuple[int, int, float]:
     return width, height, factor
 
 
-def make_grid(view: View, image: Picture, num_columns: int = NUM_COLUMNS) -> Grid:
-    """The small undistorted picture of a view's image (H, W, 3)."""
+def make_grid(
+    view: View, image: Picture, num_columns: int = NUM_COLUMNS, usable: BoolArray | None = None
+) -> Grid:
+    """The small undistorted picture of a view's image (H, W, 3), and what is usable of it."""
     blank = blank_grid(view, num_columns)
     height, width = blank.gray.shape
     small = gray_of(image)
@@ -76,7 +81,24 @@ def make_grid(view: View, image: Picture, num_columns: int = NUM_COLUMNS) -> Gri
     small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     at = places_of(view, blank)
     gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return replace(blank, gray=np.ascontiguousarray(gray, np.uint8))
+    gray = np.ascontiguousarray(gray, np.uint8)
+    return replace(blank, gray=gray, usable=usable_at(at, usable))
+
+
+def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:
+    """(h, w) whether a picture shows usable parts of the image; None if it does everywhere.
+
+    Args:
+        at: (h, w, 2) where its pixels are in the image, reduced to its size.
+        usable: (H, W) of the image; None without a mask.
+    """
+    size = np.array(at.shape[1::-1])
+    inside = np.asarray(((at >= -0.6) & (at <= size - 0.4)).all(axis=2))
+    if usable is not None:
+        near = np.clip(np.nan_to_num(np.rint(at)), 0, size - 1).astype(np.int64)
+        columns, rows = np.moveaxis(near * usable.shape[::-1] // size, 2, 0)
+        inside &= usable[rows, columns]
+    return None if inside.all() else inside
 
 
 def places_of(view: View, grid: Grid) -> Float32Array:
@@ -120,13 +142,21 @@ def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntA
 class GridVisitor:
     """Takes the small pictures of all views while their images are in memory."""
 
-    def __init__(self) -> None:
-        """Hold none yet."""
+    def __init__(self, num_columns: int = NUM_COLUMNS) -> None:
+        """Hold none yet; `num_columns`: cells along the longer side of a picture."""
+        self.num_columns = num_columns
         self.grids: dict[int, Grid] = {}
 
-    def visit(self, index: int, view: View, read: Callable[[], Picture], found: object) -> Grid:
+    def visit(
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: object,
+        usable: BoolArray | None = None,
+    ) -> Grid:
         """Take the picture of a view."""
-        return make_grid(view, read())
+        return make_grid(view, read(), self.num_columns, usable)
 
     def collect(self, index: int, kept: Grid) -> None:
         """Keep a picture."""
