@@ -13,10 +13,10 @@ namespace colmap_edges {
 
 struct AgreementOptions {
   int step;
-  double believed;     // minimum score of a patch
-  double max_off_px;   // maximum distance of agreeing patches, in pixels of parallax
-  double num_sigmas;   // the same, in standard deviations
-  double min_cosine;   // of the angle between normals of agreeing patches
+  double believed;    // minimum score of a patch
+  double max_off_px;  // maximum distance of agreeing patches, in pixels of parallax
+  double num_sigmas;  // the same, in standard deviations
+  double min_cosine;  // of the angle between normals of agreeing patches
 };
 
 // A patch as several views see it.
@@ -41,8 +41,7 @@ class Agreement {
     const auto place = [&](double inverse) {
       return view.pose.RotateBack((1 / inverse) * ray - view.pose.t);
     };
-    const Vec3 normal =
-        view.pose.RotateBack(LocalNormal(view, pixel.x, pixel.y, patch.plane));
+    const Vec3 normal = view.pose.RotateBack(LocalNormal(view, pixel.x, pixel.y, patch.plane));
     const double floor = kFloorPx * patch.unit;
     const double variance = patch.sigma * patch.sigma + floor * floor;
     double weights = 1 / variance, sum = patch.plane.inverse / variance;
@@ -54,9 +53,8 @@ class Agreement {
       const int found = SiteAt(other, here);
       if (found < 0) continue;
       const double off = Off(other, found, here);
-      const double slope =
-          (Off(other, found, place(1.0001 * patch.plane.inverse)) - off) /
-          (0.0001 * patch.plane.inverse);
+      const double slope = (Off(other, found, place(1.0001 * patch.plane.inverse)) - off) /
+                           (0.0001 * patch.plane.inverse);
       if (!(std::abs(slope) > 0)) continue;
       const FoundPatch& theirs = patches_[other][found];
       const double noise = theirs.sigma / slope;
@@ -70,8 +68,7 @@ class Agreement {
       const Vec2 at = PixelOf(other, found);
       const Vec3 their_normal =
           views_[other].pose.RotateBack(LocalNormal(views_[other], at.x, at.y, theirs.plane));
-      if (Dot(normal, their_normal) <
-          options_.min_cosine * Norm(normal) * Norm(their_normal))
+      if (Dot(normal, their_normal) < options_.min_cosine * Norm(normal) * Norm(their_normal))
         continue;
       agreed.views.push_back(other);
       sum += (patch.plane.inverse - away) / its, weights += 1 / its;

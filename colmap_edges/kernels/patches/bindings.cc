@@ -1,8 +1,9 @@
 // Bindings of the search of patches and of their agreement.
+#include "common/bindings.h"
+
 #include <nanobind/stl/vector.h>
 
 #include "common/arrays.h"
-#include "common/bindings.h"
 #include "common/parallel.h"
 #include "patches/agreement.h"
 #include "patches/mesh_depths.h"
@@ -132,19 +133,18 @@ class PatchScene {
       }
     }
     const size_t count = offsets.size() - 1, total = views.size();
-    return nb::make_tuple(ToArray(std::move(rows), {count, 5}),
-                          ToArray(std::move(values), {count, 7}),
-                          ToArray(std::move(offsets), {count + 1}),
-                          ToArray(std::move(views), {total}));
+    return nb::make_tuple(
+        ToArray(std::move(rows), {count, 5}), ToArray(std::move(values), {count, 7}),
+        ToArray(std::move(offsets), {count + 1}), ToArray(std::move(views), {total}));
   }
 
   // Correlation of windows of a view with a neighbour: sites (x, y), planes (inverse, slopes).
   OutArray<double> Correlations(int view, int other, InArray<int32_t, nb::shape<-1, 2>> pixels,
                                 Points3D planes, double flat) const {
     Require(pixels.shape(0) == planes.shape(0), "pixels and planes differ in number");
-    Require(view >= 0 && other >= 0 && size_t(view) < views_.size() &&
-                size_t(other) < views_.size(),
-            "view index out of range");
+    Require(
+        view >= 0 && other >= 0 && size_t(view) < views_.size() && size_t(other) < views_.size(),
+        "view index out of range");
     const PatchView& from = views_[view];
     const RelativeView relative(from, views_[other]);
     std::vector<double> found;
@@ -156,8 +156,7 @@ class PatchScene {
       WindowPlaces<kWindowCount> places;
       const PatchPlane plane{planes(i, 0), planes(i, 1), planes(i, 2)};
       found.push_back(places.Set(relative, x, y, plane, views_[other])
-                          ? Window(from, x, y).Correlation(places, views_[other],
-                                                           float(flat))
+                          ? Window(from, x, y).Correlation(places, views_[other], float(flat))
                           : -1);
     }
     const size_t count = found.size();
@@ -173,7 +172,8 @@ class PatchScene {
   std::vector<std::vector<FoundPatch>> patches_;
 };
 
-// Inverse depths of a mesh along rays (x, y, 1) of all views, in rows by view; 0 where there is none.
+// Inverse depths of a mesh along rays (x, y, 1) of all views, in rows by view; 0 where there is
+// none.
 OutArray<double> MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
                               Points3D vertices, InArray<int32_t, nb::shape<-1, 3>> faces,
                               Longs offsets, Points2D rays, int num_threads) {

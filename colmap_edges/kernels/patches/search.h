@@ -12,29 +12,29 @@
 namespace colmap_edges {
 
 struct PatchOptions {
-  int step;            // pixels between sites
-  double flat;         // variance of gray, in levels squared, that is no texture
-  double min_cosine;   // of the angle between normal and ray
-  int num_sweeps;      // over all sites
-  double believed;     // correlation of a view that shows the patch
+  int step;           // pixels between sites
+  double flat;        // variance of gray, in levels squared, that is no texture
+  double min_cosine;  // of the angle between normal and ray
+  int num_sweeps;     // over all sites
+  double believed;    // correlation of a view that shows the patch
 };
 
 // A patch at a site of a view: what is searched, and how sure it is.
 struct FoundPatch {
   PatchPlane plane;
-  double score = -1;      // mean correlation of the better half of the neighbours
-  double sigma = 0;       // standard deviation of the inverse depth
-  double unit = 0;        // change of the inverse depth that moves it a pixel in a neighbour
-  uint32_t showing = 0;   // neighbours that show it, a bit each
+  double score = -1;     // mean correlation of the better half of the neighbours
+  double sigma = 0;      // standard deviation of the inverse depth
+  double unit = 0;       // change of the inverse depth that moves it a pixel in a neighbour
+  uint32_t showing = 0;  // neighbours that show it, a bit each
 };
 
 // Sites of a view on a grid. Hypotheses: inverse depths and slopes, NAN for none.
 struct PatchSites {
   int rows = 0, columns = 0;
-  const uint8_t* active = nullptr;       // (rows, columns)
-  const float* hypotheses = nullptr;     // (rows, columns, num_hypotheses, 3)
+  const uint8_t* active = nullptr;    // (rows, columns)
+  const float* hypotheses = nullptr;  // (rows, columns, num_hypotheses, 3)
   int num_hypotheses = 0;
-  double low = 0, high = 0;              // range of inverse depths
+  double low = 0, high = 0;  // range of random inverse depths
 
   int count() const { return rows * columns; }
 };
@@ -43,7 +43,10 @@ class PatchSearch {
  public:
   PatchSearch(const std::vector<PatchView>& views, int view, const std::vector<int>& neighbors,
               const PatchSites& sites, const PatchOptions& options, uint64_t seed)
-      : view_(views[view]), sites_(sites), options_(options), state_(seed * 2654435761u + view + 1),
+      : view_(views[view]),
+        sites_(sites),
+        options_(options),
+        state_(seed * 2654435761u + view + 1),
         patches_(sites.count()) {
     for (const int other : neighbors) {
       others_.push_back(&views[other]);
@@ -101,8 +104,7 @@ class PatchSearch {
   }
 
   bool IsPossible(int site, const PatchPlane& plane) const {
-    return plane.inverse >= sites_.low && plane.inverse <= sites_.high &&
-           CosineOf(view_, XOf(site), YOf(site), plane) > options_.min_cosine;
+    return plane.inverse > 0 && CosineOf(view_, XOf(site), YOf(site), plane) > options_.min_cosine;
   }
 
   bool Try(int site, const Window& window, const PatchPlane& plane) {
@@ -181,8 +183,7 @@ class PatchSearch {
     }
     if (sums.count == 0) return false;
     const double unit = UnitOf(site, plane.inverse);
-    const double variance =
-        std::max(sums.squares / std::max(sums.count - 5, 1), options_.flat);
+    const double variance = std::max(sums.squares / std::max(sums.count - 5, 1), options_.flat);
     // Slopes of more than about a pixel of parallax per pixel are rare.
     auto& m = sums.matrix;
     m[3] += variance / (unit * unit), m[5] += variance / (unit * unit);
@@ -201,8 +202,8 @@ class PatchSearch {
   }
 
   // Adds the differences of a window from what a neighbour shows, if that is alike.
-  void AddDifferences(const Window& window, const WindowPlaces<kWindowCount>& at, const RelativeView& relative,
-                      const PatchView& other, Normals& sums) const {
+  void AddDifferences(const Window& window, const WindowPlaces<kWindowCount>& at,
+                      const RelativeView& relative, const PatchView& other, Normals& sums) const {
     std::array<float, kWindowCount> gray, change;
     float sum = 0, sum_change = 0, sum_squares = 0, products = 0;
     const float sx = float(relative.shift.x), sy = float(relative.shift.y),
@@ -216,13 +217,15 @@ class PatchSearch {
       const float lower = below[0] + s * (below[1] - below[0]);
       const float right = (1 - t) * (above[1] - above[0]) + t * (below[1] - below[0]);
       gray[i] = upper + t * (lower - upper);
-      change[i] = (right * (sx - at.x[i] * sz) + (lower - upper) * (sy - at.y[i] * sz)) *
-                  at.scale[i];
+      change[i] =
+          (right * (sx - at.x[i] * sz) + (lower - upper) * (sy - at.y[i] * sz)) * at.scale[i];
       sum += gray[i], sum_change += change[i], sum_squares += gray[i] * gray[i];
       products += window.gray[i] * gray[i];
     }
     const float squares = sum_squares - sum * sum / kWindowCount;
-    if (!(squares > flat() * kWindowCount) || !(products > kUseful * std::sqrt(squares * window.squares))) return;
+    if (!(squares > flat() * kWindowCount) ||
+        !(products > kUseful * std::sqrt(squares * window.squares)))
+      return;
     const float gain = std::sqrt(window.squares / squares), mean = sum / kWindowCount;
     float mean_x = 0, mean_y = 0;
     for (int i = 0; i < kWindowCount; ++i)

@@ -35,7 +35,7 @@ struct PatchView {
 
 // A plane through the place that a pixel sees: inverse depth is linear in pixels.
 struct PatchPlane {
-  double inverse = 0;            // inverse depth at the pixel
+  double inverse = 0;               // inverse depth at the pixel
   double slope_x = 0, slope_y = 0;  // its change per pixel
 
   double At(double dx, double dy) const { return inverse + slope_x * dx + slope_y * dy; }
@@ -128,7 +128,8 @@ struct WindowPlaces {
     const float last_x = float(other.width - 1), last_y = float(other.height - 1);
     int outside = 0;
     for (int i = 0; i < kCount; ++i)
-      outside |= !(scale[i] > 0) | !(x[i] >= 0) | !(y[i] >= 0) | !(x[i] < last_x) | !(y[i] < last_y);
+      outside |=
+          !(scale[i] > 0) | !(x[i] >= 0) | !(y[i] >= 0) | !(x[i] < last_x) | !(y[i] < last_y);
     return outside == 0;
   }
 };

@@ -21,7 +21,6 @@ EDGE_PX = 5.0  # distance of sites from edges, so that no blurred edge is in a w
 # variances of the noise around it.
 LEAST_VARIANCE, NOISE_FACTOR = 1.0, 4.0
 NOISE_SIDE_PX = 15  # of the square in which noise is measured
-KNOWN_PX = 12  # side of squares of which one known point each is used
 MIN_KNOWN = 4  # points that a view must observe for hypotheses from them
 
 
@@ -95,7 +94,7 @@ def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArr
     """
     found = np.full((*sites.shape, 4, 3), np.nan, np.float32)
     rows, columns = np.nonzero(sites)
-    cells = np.floor(pixels / KNOWN_PX).astype(np.int64)
+    cells = np.floor(pixels / STEP_PX).astype(np.int64)
     _, first = np.unique(row_numbers(cells), return_index=True)
     pixels, inverse = pixels[first], inverse_depths[first]
     if len(pixels) < MIN_KNOWN or not len(rows):
