@@ -121,7 +121,7 @@ class PatchSearch {
       const float* of = sites_.hypotheses + (size_t(site) * sites_.num_hypotheses + i) * 3;
       if (std::isfinite(of[0])) Try(site, window, {of[0], of[1], of[2]});
     }
-    TryRandom(site, window, 2);
+    if (patches_[site].score < options_.believed) TryRandom(site, window, 2);
   }
 
   bool TryRandom(int site, const Window& window, int count) {
