@@ -56,14 +56,10 @@ class PipelineOptions(Options):
         stage="mesh",
     )
     use_patches: bool = option(
-        True,
-        "Find points where images have texture, and mesh those that points and edges lack",
-        stage="mesh",
+        True, "Mesh points found where images have texture, too", stage="mesh"
     )
     write_patches: bool = option(
-        False,
-        "Write the points found where images have texture into sparse/, with their tracks",
-        stage="write",
+        False, "Write points found where images have texture, too", stage="write"
     )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
