@@ -54,8 +54,8 @@ MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
 # Sites to each side around a patch, number of patches that must be there, itself included, and
 # their share of the sites with texture.
 SUPPORT_SITES, MIN_SUPPORT, MIN_SUPPORT_SHARE = 2, 3, 0.3
-# The same share over all views, below which a scene has no patches: 0.01 to 0.18 in plain rooms and
-# on glossy parts, where few of them add anything, 0.55 to 0.75 where surfaces have texture.
+# The same share over all views, below which a scene has no patches: 0 to 0.20 in plain rooms and on
+# glossy parts, where few of them add anything, 0.56 to 0.84 where surfaces have texture.
 MIN_AGREED_SHARE = 0.25
 # Maximum standard deviation of depth, relative to the distance of sites on the surface: beyond it
 # points make the surface rough.
