@@ -60,6 +60,12 @@ class PipelineOptions(Options):
         "Find the sky in images without a background; its rays keep the mesh open",
         stage="mesh",
     )
+    use_patches: bool = option(
+        True, "Mesh points found where images have texture, too", stage="mesh"
+    )
+    write_patches: bool = option(
+        False, "Write points found where images have texture, too", stage="write"
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

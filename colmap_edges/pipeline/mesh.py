@@ -21,6 +21,7 @@ from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
 from colmap_edges.surfaces.sky.finding import find_sky
@@ -121,8 +122,9 @@ def mesh_stage(
     up: FloatArray,
     background: Background | None = None,
     faces: Faces = NO_FACES,
+    patches: Patches = NO_PATCHES,
 ) -> Mesh:
-    """Mesh a model's points, edges and faces, and write the mesh.
+    """Mesh a model's points and what was found, and write the mesh.
 
     Args:
         model: the model.
@@ -134,6 +136,7 @@ def mesh_stage(
         up: (3,) upward direction, for files with a convention of it.
         background: background rays.
         faces: planar faces.
+        patches: points where images have texture.
 
     Raises:
         ColmapEdgesError: if no image observes a point.
@@ -146,7 +149,8 @@ def mesh_stage(
     with stages.stage("mesh") as stage:
         curves = [traced.edges, traced.contours] if traced else []
         threads = thread_count(options)
-        mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
+        given = (background, faces.points, patches)
+        mesh = mesh_with_curves(model, curves, options.meshing, threads, *given)
         mesh = finished(mesh, extended, options.meshing)
         is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}", up=up)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

@@ -17,6 +17,8 @@ from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.patches.adding import what_they_add
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
 
@@ -29,6 +31,8 @@ FINEST = 0.01
 # Largest median distance of edges' projections from their observations, in image sides. Those of
 # edges of this model are below a hundredth of it, those of another are anywhere.
 MAX_MISS = 0.01
+# Least number of patches that a mesh lacks for which it is made again, relative to its points.
+MIN_LACKING = 0.005
 
 
 class Polylines(NamedTuple):
@@ -55,6 +59,7 @@ def mesh(
     background: Background | None = None,
     contours: Edges3D | None = None,
     faces: Faces | None = None,
+    patches: Patches | None = None,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -67,6 +72,7 @@ def mesh(
         background: background rays and silhouette points, as found by `reconstruct`.
         contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
         faces: planar faces between the edges, as found by `reconstruct`.
+        patches: points where images have texture, as found by `reconstruct`.
 
     Raises:
         ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
@@ -76,10 +82,11 @@ def mesh(
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
-    check_of_model(model, {"edges": edges, "contours": contours}, background, faces)
+    check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     curves = [of for of in (edges, contours) if of is not None]
     points = faces.points if faces else NO_POINTS
-    found = mesh_with_curves(model, curves, options, num_threads, background, points)
+    given = (background, points, patches or NO_PATCHES)
+    found = mesh_with_curves(model, curves, options, num_threads, *given)
     return finished(found, model, options)
 
 
@@ -90,11 +97,14 @@ def mesh_with_curves(
     num_threads: int,
     background: Background | None = None,
     faces: SeenPoints = NO_POINTS,
+    patches: Patches = NO_PATCHES,
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
     Silhouettes already bound bodies before a background other than the sky, so that no points of
     faces are added.
+    Of patches those are added that the mesh without them lacks: where it is right, they would add
+    their noise only.
 
     `point3D_ids` of the result are indices of the points in this order.
     """
@@ -117,16 +127,26 @@ def mesh_with_curves(
     )
     is_bounded = background and background.bounds_bodies and options.background_weight
     seen.append(background.silhouettes if background and is_bounded else faces)
-    return mesh_points(
-        np.concatenate([part.points for part in seen]),
-        joined_offsets([part.track_offsets for part in seen]),
-        np.concatenate([part.track_views for part in seen]),
-        model.camera_centers,
-        options,
-        polylines if curves else None,
-        num_threads,
-        background.rays if background else None,
-    )
+
+    def meshed() -> Mesh:
+        return mesh_points(
+            np.concatenate([part.points for part in seen]),
+            joined_offsets([part.track_offsets for part in seen]),
+            np.concatenate([part.track_views for part in seen]),
+            model.camera_centers,
+            options,
+            polylines if curves else None,
+            num_threads,
+            background.rays if background else None,
+        )
+
+    mesh = meshed()
+    lacking = what_they_add(patches, model, mesh.vertices, mesh.faces, num_threads)
+    if len(lacking) > MIN_LACKING * sum(len(part.points) for part in seen):
+        seen.append(patches.points.chosen(lacking))
+        mesh = meshed()
+        mesh = replace(mesh, stats={**mesh.stats, "patches_added": len(lacking)})
+    return mesh
 
 
 def check_of_model(
@@ -134,6 +154,7 @@ def check_of_model(
     curves: Mapping[str, Edges3D | None],
     background: Background | None,
     faces: Faces | None,
+    patches: Patches | None,
 ) -> None:
     """Check that all that a mesh follows was found in this model.
 
@@ -143,7 +164,8 @@ def check_of_model(
     num_views = len(model.views)
     sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
     sfm.check("model", num_views)
-    for name, given in {**curves, "background": background, "faces": faces}.items():
+    others = {"background": background, "faces": faces, "patches": patches}
+    for name, given in {**curves, **others}.items():
         if given is not None:
             given.check(name, num_views)
     for name, edges in curves.items():

@@ -22,6 +22,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    entries_of,
     offsets_of,
     order_of,
 )
@@ -80,6 +81,12 @@ class SeenPoints(NamedTuple):
         check_arrays(name, self)
         check_offsets(f"{name}.track_offsets", self.track_offsets, len(self.track_views))
         check_views(f"{name}.track_views", self.track_views, num_views)
+
+    def chosen(self, rows: IntArray) -> SeenPoints:
+        """The points of these (K,) rows."""
+        counts = np.diff(self.track_offsets)[rows]
+        views = self.track_views[entries_of(self.track_offsets, rows)]
+        return SeenPoints(self.points[rows], offsets_of(counts), views)
 
 
 NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))

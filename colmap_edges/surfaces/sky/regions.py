@@ -73,7 +73,14 @@ class SmallPictures:
         """Hold none yet."""
         self.pictures: dict[int, Picture] = {}
 
-    def visit(self, index: int, view: View, read: Callable[[], Picture], found: object) -> Picture:
+    def visit(
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: object,
+        usable: object = None,
+    ) -> Picture:
         """Take the picture of a view."""
         return small_picture(read())
 
