@@ -55,6 +55,11 @@ class PipelineOptions(Options):
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
         stage="mesh",
     )
+    refine_mesh: bool = option(
+        True,
+        "Move vertices of the mesh within their noise until faces between edges are smooth",
+        stage="mesh",
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

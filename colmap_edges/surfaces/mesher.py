@@ -15,8 +15,11 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import Faces
+from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
 
@@ -38,11 +41,13 @@ class Polylines(NamedTuple):
         point_indices: (P,) int32 indices into the meshed points.
         offsets: (E + 1,) int64; polyline e is point_indices[offsets[e]:offsets[e + 1]].
         closed: (E,) bool; the last point of a closed polyline connects to its first.
+        num_edges: number of polylines that are 3D edges, the first ones; None for all.
     """
 
     point_indices: Int32Array
     offsets: IntArray
     closed: BoolArray
+    num_edges: int | None = None
 
 
 @checked
@@ -55,6 +60,7 @@ def mesh(
     background: Background | None = None,
     contours: Edges3D | None = None,
     faces: Faces | None = None,
+    refine: bool = True,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -67,6 +73,7 @@ def mesh(
         background: background rays and silhouette points, as found by `reconstruct`.
         contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
         faces: planar faces between the edges, as found by `reconstruct`.
+        refine: move vertices within their noise until faces between edges are smooth.
 
     Raises:
         ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
@@ -77,19 +84,21 @@ def mesh(
     if method is not None:
         options = replace(options, method=method)
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces)
-    curves = [of for of in (edges, contours) if of is not None]
     points = faces.points if faces else NO_POINTS
-    found = mesh_with_curves(model, curves, options, num_threads, background, points)
+    found = mesh_with_curves(
+        model, (edges, contours), options, num_threads, background, points, refine
+    )
     return finished(found, model, options)
 
 
 def mesh_with_curves(
     model: Model,
-    curves: list[Edges3D],
+    edges_and_contours: tuple[Edges3D | None, Edges3D | None],
     options: MeshingOptions,
     num_threads: int,
     background: Background | None = None,
     faces: SeenPoints = NO_POINTS,
+    refine: bool = True,
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
@@ -97,33 +106,57 @@ def mesh_with_curves(
 
     `point3D_ids` of the result are indices of the points in this order.
     """
+    edges, contours = edges_and_contours
+    curves = [of for of in edges_and_contours if of is not None]
     seen_points = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     if not seen_points and len(model.far_point3D_ids):
         raise ColmapEdgesError(
             f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
             "with the distances between cameras; check the units of points and poses"
         )
-    seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
-    seen += [
+    has_silhouettes = background is not None and options.background_weight > 0
+    others = background.silhouettes if background and has_silhouettes else faces
+    found = mesh_points(
+        *joined_points(model, curves, others),
+        model.camera_centers,
+        options,
+        polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0),
+        num_threads,
+        background.rays if background else None,
+    )
+    if not refine:
+        return found
+    sfm = Tracks(model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D)
+    measured = Measured(model.views, sfm, edges, contours)
+    other_sigma = 1.0 if has_silhouettes else FACE_SIGMA
+    return refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+
+
+def joined_points(model: Model, curves: list[Edges3D], others: SeenPoints) -> SeenPoints:
+    """Points of a model, of curves, and others, one after the other."""
+    parts = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
+    parts += [
         SeenPoints(each.points, each.observations.offsets, each.observations.views)
         for each in curves
     ]
-    first, count = len(model.points3D_xyz), sum(len(part.points) for part in seen)
-    polylines = Polylines(
+    parts.append(others)
+    return SeenPoints(
+        np.concatenate([part.points for part in parts]),
+        joined_offsets([part.track_offsets for part in parts]),
+        np.concatenate([part.track_views for part in parts]),
+    )
+
+
+def polylines_of(curves: list[Edges3D], first: int, num_edges: int) -> Polylines | None:
+    """The polylines of curves whose points follow `first` others; None without curves."""
+    if not curves:
+        return None
+    count = first + sum(each.num_points for each in curves)
+    return Polylines(
         np.arange(first, count, dtype=np.int32),
         joined_offsets([each.edge_offsets for each in curves]),
-        np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
-    )
-    seen.append(background.silhouettes if background and options.background_weight else faces)
-    return mesh_points(
-        np.concatenate([part.points for part in seen]),
-        joined_offsets([part.track_offsets for part in seen]),
-        np.concatenate([part.track_views for part in seen]),
-        model.camera_centers,
-        options,
-        polylines if curves else None,
-        num_threads,
-        background.rays if background else None,
+        np.concatenate([each.closed for each in curves]),
+        num_edges,
     )
 
 
@@ -220,7 +253,7 @@ def mesh_points(
     extension = load_extension()
     check_extent(points, camera_centers)
     polyline_offsets, polyline_points = closed_rows(edges)
-    vertices, faces, sources, stats = extension.mesh_points(
+    vertices, faces, sources, on_edges, stats = extension.mesh_points(
         np.ascontiguousarray(points, np.float64).reshape(-1, 3),
         np.ascontiguousarray(visibility_offsets, np.int64),
         np.ascontiguousarray(visibility_cameras, np.int32),
@@ -243,8 +276,16 @@ def mesh_points(
         num_threads=num_threads or os.cpu_count() or 1,
     )
     check_volume(stats, len(points))
-    ids, black = sources[:, 0].astype(np.int64), np.zeros(vertices.shape, np.uint8)
-    return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
+    if edges is not None and edges.num_edges is not None:
+        on_edges = on_edges[on_edges[:, 2] < edges.num_edges]
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        point3D_ids=sources[:, 0].astype(np.int64),
+        colors=np.zeros(vertices.shape, np.uint8),
+        creases=np.ascontiguousarray(on_edges[:, :2]),
+        stats=stats,
+    )
 
 
 def check_extent(points: FloatArray, camera_centers: FloatArray) -> None:
@@ -295,19 +336,3 @@ def closed_rows(edges: Polylines | None) -> tuple[IntArray, Int32Array]:
     loops = closed & (np.diff(offsets) > 2)
     indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
     return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
-
-
-def load_extension() -> Any:
-    """Import the compiled mesher.
-
-    Raises:
-        ColmapEdgesError: if it is not built.
-    """
-    try:
-        from colmap_edges import _mesher
-    except ImportError as error:
-        raise ColmapEdgesError(
-            f"the mesher is not built ({error}); "
-            "run: apt-get install libcgal-dev, then reinstall colmap-edges"
-        ) from error
-    return _mesher
