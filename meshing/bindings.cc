@@ -141,8 +141,7 @@ nb::ndarray<nb::numpy, Index> Intersections(const Matrix<double, 3>& vertices,
   std::vector<std::pair<Index, Index>> pairs;
   {
     nb::gil_scoped_release release;
-    pairs = mesher::Intersections(corners, points, mesher::FirstAtPlace(points),
-                                  std::vector<char>(corners.size(), 1), num_threads);
+    pairs = mesher::Intersections(corners, points, num_threads);
   }
   return ToArray<Index, 2>(pairs);
 }

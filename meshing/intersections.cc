@@ -28,16 +28,6 @@ class Tester {
   Tester(const Faces3& faces, const std::vector<Vec3>& vertices, const std::vector<Index>& same)
       : faces_(faces), vertices_(vertices), same_(same) {}
 
-  Box BoxOf(Index f) const {
-    const Vec3 &a = At(f, 0), &b = At(f, 1), &c = At(f, 2);
-    double low[3], high[3];
-    for (int i = 0; i < 3; ++i) {
-      low[i] = std::min({a[i], b[i], c[i]});
-      high[i] = std::max({a[i], b[i], c[i]});
-    }
-    return {low, high, f};
-  }
-
   // Whether two faces share more than their common vertices and side.
   bool Intersect(Index f, Index g) const {
     int of_f[3], of_g[3], count = 0;
@@ -94,6 +84,44 @@ Vec3 Normal(const std::array<Index, 3>& face, const std::vector<Vec3>& at) {
   return Cross(at[face[1]] - at[face[0]], at[face[2]] - at[face[0]]);
 }
 
+// Pairs of faces whose boxes, around their corners at both times, meet. One of each pair is chosen.
+std::vector<Pair> MeetingBoxes(const Faces3& faces, const std::vector<Vec3>& before,
+                               const std::vector<Vec3>& after, const std::vector<char>& is_chosen) {
+  std::vector<Box> chosen, others;
+  for (std::size_t f = 0; f < faces.size(); ++f) {
+    Box box(false);
+    for (const Index v : faces[f])
+      for (const Vec3& p : {before[v], after[v]}) {
+        double point[] = {p.x, p.y, p.z};
+        box.extend(point);
+      }
+    box = {box.bbox(), static_cast<Index>(f)};
+    (is_chosen[f] ? chosen : others).push_back(box);
+  }
+  std::vector<Pair> pairs;
+  const auto add = [&](const Box& a, const Box& b) {
+    pairs.push_back(std::minmax(a.info(), b.info()));
+  };
+  CGAL::box_self_intersection_d(chosen.begin(), chosen.end(), add);
+  CGAL::box_intersection_d(chosen.begin(), chosen.end(), others.begin(), others.end(), add);
+  return pairs;
+}
+
+// Those of the pairs that share more than a vertex or a side.
+std::vector<Pair> Intersecting(const Tester& tester, const std::vector<Pair>& pairs,
+                               int num_threads) {
+  std::vector<char> intersect(pairs.size());
+  ParallelChunks(static_cast<std::int64_t>(pairs.size()), num_threads,
+                 [&](std::int64_t begin, std::int64_t end) {
+                   for (std::int64_t i = begin; i < end; ++i)
+                     intersect[i] = tester.Intersect(pairs[i].first, pairs[i].second);
+                 });
+  std::vector<Pair> found;
+  for (std::size_t i = 0; i < pairs.size(); ++i)
+    if (intersect[i]) found.push_back(pairs[i]);
+  return found;
+}
+
 }  // namespace
 
 std::vector<Index> FirstAtPlace(const std::vector<Vec3>& vertices) {
@@ -110,25 +138,11 @@ std::vector<Index> FirstAtPlace(const std::vector<Vec3>& vertices) {
 }
 
 std::vector<Pair> Intersections(const Faces3& faces, const std::vector<Vec3>& vertices,
-                                const std::vector<Index>& same, const std::vector<char>& is_tested,
                                 int num_threads) {
-  const Tester tester(faces, vertices, same);
-  std::vector<Box> tested, others;
-  for (Index f = 0; f < static_cast<Index>(faces.size()); ++f)
-    (is_tested[f] ? tested : others).push_back(tester.BoxOf(f));
-  std::vector<Pair> pairs;
-  const auto add = [&](const Box& a, const Box& b) { pairs.emplace_back(a.info(), b.info()); };
-  CGAL::box_self_intersection_d(tested.begin(), tested.end(), add);
-  CGAL::box_intersection_d(tested.begin(), tested.end(), others.begin(), others.end(), add);
-  std::vector<char> intersect(pairs.size());
-  ParallelChunks(static_cast<std::int64_t>(pairs.size()), num_threads,
-                 [&](std::int64_t begin, std::int64_t end) {
-                   for (std::int64_t i = begin; i < end; ++i)
-                     intersect[i] = tester.Intersect(pairs[i].first, pairs[i].second);
-                 });
-  std::vector<Pair> found;
-  for (std::size_t i = 0; i < pairs.size(); ++i)
-    if (intersect[i]) found.push_back(std::minmax(pairs[i].first, pairs[i].second));
+  const std::vector<Index> same = FirstAtPlace(vertices);
+  auto found = Intersecting(
+      Tester(faces, vertices, same),
+      MeetingBoxes(faces, vertices, vertices, std::vector<char>(faces.size(), 1)), num_threads);
   std::sort(found.begin(), found.end());
   return found;
 }
@@ -136,29 +150,32 @@ std::vector<Pair> Intersections(const Faces3& faces, const std::vector<Vec3>& ve
 void TakeBack(const Faces3& faces, const std::vector<Vec3>& before, int num_threads,
               std::vector<Vec3>& after) {
   const std::vector<Index> same = FirstAtPlace(before);
-  std::vector<char> is_tested(faces.size());
-  for (std::size_t f = 0; f < faces.size(); ++f)
-    is_tested[f] = std::any_of(faces[f].begin(), faces[f].end(),
-                               [&](Index v) { return !(after[v] == before[v]); });
+  const Tester tester(faces, after, same);
+  std::vector<char> is_changed(before.size()), is_tested(faces.size());
+  for (std::size_t v = 0; v < before.size(); ++v) is_changed[v] = !(after[v] == before[v]);
+  std::vector<Pair> pairs;
   for (int attempt = 0;; ++attempt) {
+    for (std::size_t f = 0; f < faces.size(); ++f)
+      is_tested[f] = is_changed[faces[f][0]] || is_changed[faces[f][1]] || is_changed[faces[f][2]];
+    if (attempt == 0) pairs = MeetingBoxes(faces, before, after, is_tested);
+    std::vector<Pair> changed;
+    for (const auto& pair : pairs)
+      if (is_tested[pair.first] || is_tested[pair.second]) changed.push_back(pair);
     std::vector<char> is_bad(faces.size());
+    for (std::size_t f = 0; f < faces.size(); ++f) {
+      const Vec3 normal = Normal(faces[f], before);
+      is_bad[f] = is_tested[f] && Norm(normal) > 0 && Dot(normal, Normal(faces[f], after)) <= 0;
+    }
+    for (const auto& [f, g] : Intersecting(tester, changed, num_threads)) is_bad[f] = is_bad[g] = 1;
+    std::fill(is_changed.begin(), is_changed.end(), 0);
+    bool has_changed = false;
     for (std::size_t f = 0; f < faces.size(); ++f)
-      is_bad[f] = is_tested[f] && Dot(Normal(faces[f], before), Normal(faces[f], after)) <= 0 &&
-                  Norm(Normal(faces[f], before)) > 0;
-    for (const auto& [f, g] : Intersections(faces, after, same, is_tested, num_threads))
-      is_bad[f] = is_bad[g] = 1;
-    // Only faces at vertices that are taken back can differ in the next attempt.
-    std::vector<char> is_changed(before.size());
-    for (std::size_t f = 0; f < faces.size(); ++f)
-      if (is_bad[f])
-        for (const Index v : faces[f]) is_changed[v] = !(after[v] == before[v]);
-    if (std::none_of(is_changed.begin(), is_changed.end(), [](char c) { return c; })) return;
+      for (const Index v : faces[f])
+        if (is_bad[f] && !(after[v] == before[v])) is_changed[v] = has_changed = true;
+    if (!has_changed) return;
     for (std::size_t v = 0; v < before.size(); ++v)
       if (is_changed[v])
         after[v] = attempt < kHalvings ? 0.5 * before[v] + 0.5 * after[v] : before[v];
-    for (std::size_t f = 0; f < faces.size(); ++f)
-      is_tested[f] = std::any_of(faces[f].begin(), faces[f].end(),
-                                 [&](Index v) { return is_changed[v] != 0; });
   }
 }
 

@@ -15,12 +15,10 @@ using Faces3 = std::vector<std::array<Index, 3>>;
 // The first vertex at the place of each one.
 std::vector<Index> FirstAtPlace(const std::vector<Vec3>& vertices);
 
-// Pairs of faces that share more than a vertex or a side, of the faces with `is_tested` set and all
-// others. Vertices with the same entry in `same` are one vertex. Exact.
+// Pairs of faces that share more than a vertex or a side, in ascending order. Exact; vertices at the
+// same place are one vertex.
 std::vector<std::pair<Index, Index>> Intersections(const Faces3& faces,
                                                    const std::vector<Vec3>& vertices,
-                                                   const std::vector<Index>& same,
-                                                   const std::vector<char>& is_tested,
                                                    int num_threads);
 
 // Takes motions of vertices back, by halves and then whole, at faces that turn over (by more than

@@ -141,13 +141,10 @@ bool FitPlane(const std::vector<Vec3>& points, Vec3& mean, Vec3& normal) {
 
 }  // namespace
 
-struct Refiner::Faces {
-  explicit Faces(std::size_t count)
-      : measured(count), normals(count), next(count), variances(count), certainties(count) {}
-
-  std::vector<Vec3> measured, normals, next;
-  std::vector<double> variances;    // of a normal, by the noise of the corners
-  std::vector<double> certainties;  // weight of a normal
+struct Refiner::Face {
+  Vec3 normal;           // smoothed
+  double variance = 0;   // of the measured normal, by the noise of the corners
+  double certainty = 0;  // weight of the normal
 };
 
 Refiner::Refiner(RefinementInput input, int num_threads)
@@ -179,6 +176,13 @@ Refiner::Refiner(RefinementInput input, int num_threads)
   for (const Symmetric& information : input_.information)
     if (Mean(information) > 0) means.push_back(Mean(information));
   typical_ = Median(std::move(means));
+  covariances_.assign(count, {});
+  for (std::size_t v = 0; v < count; ++v) {
+    Symmetric information = input_.information[v];
+    if (!(Mean(information) > 0)) continue;
+    AddToDiagonal(kRegular * typical_, information);
+    covariances_[v] = Inverse(information);
+  }
 }
 
 template <typename Body>
@@ -191,52 +195,60 @@ void Refiner::Each(std::size_t count, const Body& body) const {
 
 // A corner's height over the opposite side is as uncertain as the corner along the normal, which
 // tilts the normal by that over the height.
-void Refiner::MeasureFaces(const std::vector<Vec3>& x, Faces& faces) const {
-  std::vector<double> areas(input_.faces.size());
-  Each(input_.faces.size(), [&](std::int64_t f) {
+std::vector<Refiner::Face> Refiner::MeasuredFaces(const std::vector<Vec3>& x) const {
+  std::vector<Face> faces(input_.faces.size());
+  std::vector<double> areas(faces.size());
+  Each(faces.size(), [&](std::int64_t f) {
     const auto& c = input_.faces[f];
     const Vec3 cross = Cross(x[c[1]] - x[c[0]], x[c[2]] - x[c[0]]);
     areas[f] = Norm(cross);
-    faces.measured[f] = faces.normals[f] = Unit(cross);
+    const Vec3 normal = Unit(cross);
     double variance = 0;
     for (int k = 0; k < 3; ++k) {
-      Symmetric information = input_.information[c[k]];
-      if (!(Mean(information) > 0)) continue;
-      AddToDiagonal(kRegular * typical_, information);
-      const double side = Norm(x[c[(k + 1) % 3]] - x[c[(k + 2) % 3]]);
-      const Vec3& n = faces.normals[f];
-      variance += Dot(n, Multiply(Inverse(information), n)) * side * side / (areas[f] * areas[f]);
+      const Vec3 side = x[c[(k + 1) % 3]] - x[c[(k + 2) % 3]];
+      const double of_corner = Dot(normal, Multiply(covariances_[c[k]], normal));
+      variance += of_corner * Dot(side, side) / (areas[f] * areas[f]);
     }
-    faces.variances[f] = variance < 1 ? variance : 1;  // also if the area is 0
+    faces[f] = {normal, variance < 1 ? variance : 1, 0};  // 1 also if the area is 0
   });
-  const double typical_area = Median(areas);
-  Each(input_.faces.size(), [&](std::int64_t f) {
-    faces.certainties[f] = areas[f] / typical_area / (kNormalVariance + faces.variances[f]);
+  const double typical = Median(areas);
+  Each(faces.size(), [&](std::int64_t f) {
+    faces[f].certainty = areas[f] / typical / (kNormalVariance + faces[f].variance);
   });
+  return faces;
 }
 
-void Refiner::SmoothNormals(const std::vector<double>& strengths, Faces& faces) const {
+// Weight of a neighbour whose normal differs by the square root of q deviations: exp(-q / 2),
+// nearly, in a tenth of the time.
+double Similarity(double q) {
+  double weight = 1 / (1 + q / 16);
+  for (int i = 0; i < 3; ++i) weight *= weight;
+  return weight;
+}
+
+void Refiner::SmoothNormals(const std::vector<double>& strengths, std::vector<Face>& faces) const {
+  const std::vector<Face> measured = faces;
+  std::vector<Face> next = faces;
   for (int sweep = 0; sweep < kNormalSweeps; ++sweep) {
-    Each(input_.faces.size(), [&](std::int64_t f) {
-      const auto& corners = input_.faces[f];
-      const double strength =
-          (strengths[corners[0]] + strengths[corners[1]] + strengths[corners[2]]) / 3;
-      Vec3 sum = faces.certainties[f] * faces.measured[f];
+    Each(faces.size(), [&](std::int64_t f) {
+      const Face& face = faces[f];
+      const double own_scale = kSmoothAngle * kSmoothAngle + face.variance;
+      Vec3 sum{};
       for (const Index g : across_[f]) {
         if (g == kNone) continue;
-        const Vec3 difference = faces.normals[f] - faces.normals[g];
-        const double scale =
-            kSmoothAngle * kSmoothAngle + faces.variances[f] + faces.variances[g];
-        const double weight = std::exp(-Dot(difference, difference) / (2 * scale));
-        sum = sum + strength * weight * faces.certainties[g] * faces.normals[g];
+        const Face& other = faces[g];
+        const Vec3 difference = face.normal - other.normal;
+        const double q = Dot(difference, difference) / (own_scale + other.variance);
+        sum = sum + Similarity(q) * other.certainty * other.normal;
       }
-      faces.next[f] = Unit(sum);
+      const double strength = strengths[input_.faces[f][0]];
+      next[f].normal = Unit(face.certainty * measured[f].normal + strength * sum);
     });
-    faces.normals.swap(faces.next);
+    faces.swap(next);
   }
 }
 
-void Refiner::MoveVertices(const RefinementInput& input, const Faces& faces,
+void Refiner::MoveVertices(const RefinementInput& input, const std::vector<Face>& faces,
                            std::vector<Vec3>& x) const {
   const double plane_weight = kPlaneWeight * typical_;
   std::vector<Symmetric> inverse(x.size());
@@ -250,13 +262,13 @@ void Refiner::MoveVertices(const RefinementInput& input, const Faces& faces,
     right[v] = Multiply(left, input.vertices[v]) + kRegular * typical_ * x[v];
     AddToDiagonal(kRegular * typical_, left);
     for (const Index* f = faces_of_.begin(v); f != faces_of_.end(v); ++f)
-      AddOuter(plane_weight, faces.normals[*f], left);
+      AddOuter(plane_weight, faces[*f].normal, left);
     inverse[v] = Inverse(left);
   });
   for (int sweep = 0; sweep < kVertexSweeps; ++sweep) {
     Each(input.faces.size(), [&](std::int64_t f) {
       const auto& c = input.faces[f];
-      const Vec3& n = faces.normals[f];
+      const Vec3& n = faces[f].normal;
       pulls[f] = plane_weight / 3 * Dot(n, x[c[0]] + x[c[1]] + x[c[2]]) * n;
     });
     Each(x.size(), [&](std::int64_t v) {
@@ -272,9 +284,8 @@ std::vector<Vec3> Refiner::Minimise(const RefinementInput& input, std::vector<Ve
                                     const std::vector<double>& strengths, int num_rounds) const {
   if (strengths.size() != x.size())
     throw std::invalid_argument("vertices and strengths differ in number");
-  Faces faces(input.faces.size());
   for (int round = 0; round < num_rounds; ++round) {
-    MeasureFaces(x, faces);
+    std::vector<Face> faces = MeasuredFaces(x);
     SmoothNormals(strengths, faces);
     MoveVertices(input, faces, x);
   }

@@ -44,13 +44,14 @@ class Refiner {
                                     const std::vector<double>& strengths, int num_rounds) const;
 
  private:
-  struct Faces;  // state of the faces in a round
+  struct Face;  // a face in a round
 
   std::vector<Vec3> Minimise(const RefinementInput& input, std::vector<Vec3> x,
                              const std::vector<double>& strengths, int num_rounds) const;
-  void MeasureFaces(const std::vector<Vec3>& x, Faces& faces) const;
-  void SmoothNormals(const std::vector<double>& strengths, Faces& faces) const;
-  void MoveVertices(const RefinementInput& input, const Faces& faces, std::vector<Vec3>& x) const;
+  std::vector<Face> MeasuredFaces(const std::vector<Vec3>& x) const;
+  void SmoothNormals(const std::vector<double>& strengths, std::vector<Face>& faces) const;
+  void MoveVertices(const RefinementInput& input, const std::vector<Face>& faces,
+                    std::vector<Vec3>& x) const;
   template <typename Body>
   void Each(std::size_t count, const Body& body) const;
 
@@ -58,6 +59,7 @@ class Refiner {
   int num_threads_;
   std::vector<std::array<Index, 3>> across_;  // per face and side: the face across, or kNone
   Rows faces_of_;                             // vertex -> faces
+  std::vector<Symmetric> covariances_;        // of the vertices; 0 for those that stay
   double typical_ = 0;                        // median of the mean information of a vertex
 };
 

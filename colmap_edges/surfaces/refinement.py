@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -68,8 +68,8 @@ class Measured:
 def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int) -> Mesh:
     """A mesh with its vertices moved within their noise, so that faces between edges are smooth.
 
-    How smooth is learned: a tenth of the vertices is predicted from the others with every strength
-    of `STRENGTHS`, and the strongest is taken whose predictions are as good as the best ones.
+    How smooth is learned: a tenth of the vertices is predicted from the others with several
+    strengths, see `learned_strength`.
 
     Args:
         mesh: a mesh whose `point3D_ids` are indices of points.
@@ -85,11 +85,9 @@ def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int
         mesh.vertices, mesh.faces, mesh.creases, information, num_threads
     )
     count = len(mesh.vertices)
-    errors = [
-        refiner.held_out_errors(held_out, np.full(count, strength), TRIAL_ROUNDS)[:, 0]
-        for strength in STRENGTHS
-    ]
-    strength = STRENGTHS[best_strength(np.array(errors))]
+    strength = learned_strength(
+        lambda value: refiner.held_out_errors(held_out, np.full(count, value), TRIAL_ROUNDS)[:, 0]
+    )
     vertices = refiner.refine(np.full(count, strength), ROUNDS)
     moved = int((vertices != mesh.vertices).any(axis=1).sum())
     stats = {"refinement_strength": strength, "vertices_moved": moved}
@@ -107,18 +105,31 @@ def chosen_apart(candidates: BoolArray, faces: Int32Array) -> Int32Array:
     return np.flatnonzero(chosen).astype(np.int32)
 
 
-def best_strength(errors: FloatArray) -> int:
-    """Index of the strongest of S strengths that predicts as well as the best one.
+def learned_strength(errors_with: Callable[[float], FloatArray]) -> float:
+    """The strongest of `STRENGTHS` that predicts as well as the best one.
 
     That is, within one standard error of the difference (Breiman et al. 1984). Errors count by
-    their logarithm, as of a heavy-tailed distribution.
+    their logarithm, as of a heavy-tailed distribution. From the second strongest, the search goes
+    on in the direction in which predictions get better.
 
     Args:
-        errors: (S, H) squared errors of H predictions, in variances; negative for none.
+        errors_with: (H,) squared errors of H predictions with a strength, in variances; negative
+            for none.
     """
-    costs = np.log1p(errors[:, (errors >= 0).all(axis=0)])
-    if not costs.size:
-        return 0
-    worse = costs - costs[np.argmin(costs.mean(axis=1))]
-    limits = worse.std(axis=1) / np.sqrt(costs.shape[1])
-    return int(np.flatnonzero(worse.mean(axis=1) <= limits)[-1])
+    costs: dict[int, FloatArray] = {}
+
+    def mean_of(index: int) -> float:
+        if index not in costs:
+            errors = errors_with(STRENGTHS[index])
+            costs[index] = np.log1p(errors[errors >= 0])
+        return float(costs[index].mean()) if len(costs[index]) else 0.0
+
+    best = len(STRENGTHS) - 2
+    step = 1 if mean_of(best + 1) < mean_of(best) else -1
+    while 0 <= best + step < len(STRENGTHS) and mean_of(best + step) < mean_of(best):
+        best += step
+    for index in sorted(costs, reverse=True):
+        worse = costs[index] - costs[best]
+        if not len(worse) or worse.mean() <= worse.std() / np.sqrt(len(worse)):
+            break
+    return STRENGTHS[index]
