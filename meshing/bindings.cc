@@ -80,7 +80,8 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
     result = mesher::MeshPoints(input, options);
   }
   return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 3>(result.faces),
-                        ToArray<Index, 1>(result.sources), ToArray<Index, 3>(result.edges), result.stats);
+                        ToArray<Index, 1>(result.sources), ToArray<Index, 3>(result.edges),
+                        result.stats);
 }
 
 // The rows of an array as items of the core.
@@ -90,10 +91,6 @@ std::vector<Item> ToItems(const Array& array) {
   std::vector<Item> items(array.shape(0));
   if (!items.empty()) std::memcpy(items.data(), array.data(), items.size() * sizeof(Item));
   return items;
-}
-
-std::vector<double> ToNumbers(const Vector<double>& values) {
-  return {values.data(), values.data() + values.size()};
 }
 
 // Keeps what all refinements of a mesh share.
@@ -106,25 +103,22 @@ class BoundRefiner {
                ToItems<std::array<Index, 2>>(creases), ToItems<mesher::Symmetric>(information)},
               num_threads) {}
 
-  nb::ndarray<nb::numpy, double> Refine(const Vector<double>& strengths, int num_rounds) const {
-    const std::vector<double> given = ToNumbers(strengths);
+  nb::ndarray<nb::numpy, double> Refine(double strength, int num_rounds) const {
     std::vector<mesher::Vec3> result;
     {
       nb::gil_scoped_release release;
-      result = core_.Refine(given, num_rounds);
+      result = core_.Refine(strength, num_rounds);
     }
     return ToArray<double, 3>(result);
   }
 
-  nb::ndarray<nb::numpy, double> HeldOutErrors(const Vector<Index>& held_out,
-                                               const Vector<double>& strengths,
+  nb::ndarray<nb::numpy, double> HeldOutErrors(const Vector<Index>& held_out, double strength,
                                                int num_rounds) const {
     const std::vector<Index> vertices = ToIndices(held_out);
-    const std::vector<double> given = ToNumbers(strengths);
     std::vector<double> result;
     {
       nb::gil_scoped_release release;
-      result = core_.HeldOutErrors(vertices, given, num_rounds);
+      result = core_.HeldOutErrors(vertices, strength, num_rounds);
     }
     return ToArray<double, 1>(result);
   }
@@ -155,8 +149,8 @@ NB_MODULE(_mesher, m) {
       .def(nb::init<const Matrix<double, 3>&, const Matrix<Index, 3>&, const Matrix<Index, 2>&,
                     const Matrix<double, 6>&, int>(),
            "vertices"_a, "faces"_a, "creases"_a, "information"_a, "num_threads"_a)
-      .def("refine", &BoundRefiner::Refine, "strengths"_a, "num_rounds"_a)
-      .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strengths"_a,
+      .def("refine", &BoundRefiner::Refine, "strength"_a, "num_rounds"_a)
+      .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strength"_a,
            "num_rounds"_a);
   m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,

@@ -26,7 +26,7 @@ struct Conforming {
 // point is appended to `rays` with the cameras that see both ends of its piece. If a vertex of a
 // polyline is nearer to the midpoint than the radii of both ends, it is used instead.
 Conforming Conform(const Rows& polylines, double min_length, std::vector<double> radii,
-                        DelaunayBuilder& builder, Rows& rays);
+                   DelaunayBuilder& builder, Rows& rays);
 
 // The distinct pieces of `polylines`, unsplit.
 std::vector<Piece> PiecesOf(const Rows& polylines);

@@ -15,8 +15,8 @@ using Faces3 = std::vector<std::array<Index, 3>>;
 // The first vertex at the place of each one.
 std::vector<Index> FirstAtPlace(const std::vector<Vec3>& vertices);
 
-// Pairs of faces that share more than a vertex or a side, in ascending order. Exact; vertices at the
-// same place are one vertex.
+// Pairs of faces that share more than a vertex or a side, in ascending order. Exact; vertices at
+// the same place are one vertex.
 std::vector<std::pair<Index, Index>> Intersections(const Faces3& faces,
                                                    const std::vector<Vec3>& vertices,
                                                    int num_threads);

@@ -113,8 +113,9 @@ struct Scene {
   Rows rays;
   std::vector<Vec3> cameras;
   Rows polylines;
-  std::vector<Index> polyline_rows;  // the input's polyline of each, which are split at dropped points
-  std::vector<double> radii;         // merging radii of points of polylines
+  std::vector<Index>
+      polyline_rows;          // the input's polyline of each, which are split at dropped points
+  std::vector<double> radii;  // merging radii of points of polylines
   std::vector<BackgroundRay> background;
 };
 
@@ -195,8 +196,15 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   const auto representatives = Representatives(scene.points, radii);
   std::vector<Index> place_of(scene.points.size());
   std::vector<std::vector<Index>> members;
-  Scene merged{scene.frame, {}, {}, {}, std::move(scene.cameras), std::move(scene.polylines),
-               std::move(scene.polyline_rows), {}, {}};
+  Scene merged{scene.frame,
+               {},
+               {},
+               {},
+               std::move(scene.cameras),
+               std::move(scene.polylines),
+               std::move(scene.polyline_rows),
+               {},
+               {}};
   for (Index v = 0; v < static_cast<Index>(scene.points.size()); ++v) {
     if (representatives[v] == v) {
       place_of[v] = static_cast<Index>(members.size());
@@ -252,8 +260,7 @@ Triangulation Triangulate(const MesherInput& input, const MesherOptions& options
   if (options.min_segment_factor > 0) {
     const double min_length =
         options.min_segment_factor * TypicalSegmentLength(scene.polylines, scene.points);
-    Conforming conforming =
-        Conform(scene.polylines, min_length, scene.radii, builder, scene.rays);
+    Conforming conforming = Conform(scene.polylines, min_length, scene.radii, builder, scene.rays);
     pieces = std::move(conforming.pieces);
     stats["edge_segments"] = conforming.segments;
     stats["edge_segments_missing"] = conforming.segments_missing;
@@ -350,7 +357,8 @@ void AddEdges(const Scene& scene, const std::vector<Piece>& pieces, const Surfac
       if (!is_end(a) || !is_end(b) || !is_end(c) || !is_end(d)) continue;
       const auto found = rows.find({low, high});
       if (found != rows.end())
-        result.edges.push_back({std::min(i, j), std::max(i, j), scene.polyline_rows[found->second]});
+        result.edges.push_back(
+            {std::min(i, j), std::max(i, j), scene.polyline_rows[found->second]});
     }
   std::sort(result.edges.begin(), result.edges.end());
   result.edges.erase(std::unique(result.edges.begin(), result.edges.end()), result.edges.end());

@@ -20,36 +20,36 @@ struct RefinementInput {
   std::vector<Symmetric> information;  // inverse covariance of each vertex; 0 for one that stays
 };
 
-// The vertices that minimise, over positions x and unit normals n of faces, by turns,
+// Minimises by turns, over positions x of vertices and unit normals n of faces,
 //
-//   sum over vertices of  rho(x - m) with the information of the vertex (m: as measured)
-// + sum over corners of   (n . (x - centre of the face))^2, in typical variances of a vertex
-// + sum over faces of     c |n - normal of the face|^2
-// + strength * sum over neighbouring faces of  c c' w(|n - n'|)
+//   sum over vertices of   rho((x - m)^T I (x - m))        measured at m with the information I
+// + sum over corners of    w (n . (x - centre of face))^2  planes of faces
+// + sum over faces of      c |n - normal of the face|^2    normals of faces
+// + sum over neighbours of strength c c' s(|n - n'|^2)     smoothness, but not across creases
 //
-// docs/meshing.md explains the terms. Borders, and vertices where sheets of the surface touch, stay.
-// `strengths` has one entry per vertex; `num_rounds` is the number of turns.
+// docs/meshing.md explains the terms. Borders, and vertices where sheets of the surface touch,
+// stay. `num_rounds` is the number of turns.
 class Refiner {
  public:
   // Throws std::invalid_argument for faces, creases or information that do not fit the vertices.
   Refiner(RefinementInput input, int num_threads);
 
   // The refined positions. No triangle turns over or passes through another one.
-  std::vector<Vec3> Refine(const std::vector<double>& strengths, int num_rounds) const;
+  std::vector<Vec3> Refine(double strength, int num_rounds) const;
 
   // Squared errors, in variances, with which the surface predicts the positions of vertices, if
   // it is refined without their measurements. No two of them may share a face. -1 for those that
   // stay, and those whose neighbours span no plane.
-  std::vector<double> HeldOutErrors(const std::vector<Index>& held_out,
-                                    const std::vector<double>& strengths, int num_rounds) const;
+  std::vector<double> HeldOutErrors(const std::vector<Index>& held_out, double strength,
+                                    int num_rounds) const;
 
  private:
   struct Face;  // a face in a round
 
-  std::vector<Vec3> Minimise(const RefinementInput& input, std::vector<Vec3> x,
-                             const std::vector<double>& strengths, int num_rounds) const;
+  std::vector<Vec3> Minimise(const RefinementInput& input, std::vector<Vec3> x, double strength,
+                             int num_rounds) const;
   std::vector<Face> MeasuredFaces(const std::vector<Vec3>& x) const;
-  void SmoothNormals(const std::vector<double>& strengths, std::vector<Face>& faces) const;
+  void SmoothNormals(double strength, std::vector<Face>& faces) const;
   void MoveVertices(const RefinementInput& input, const std::vector<Face>& faces,
                     std::vector<Vec3>& x) const;
   template <typename Body>

@@ -20,6 +20,7 @@ STRENGTHS = (0.25, 1.0, 4.0, 16.0)
 # Turns between normals and vertices: when strengths are compared, and of the refinement.
 TRIAL_ROUNDS, ROUNDS = 4, 6
 HELD_OUT_SHARE = 0.1  # of the vertices, which others predict
+MIN_HELD_OUT = 30  # fewer predictions tell nothing
 # Standard deviation of points of planar faces relative to that of the measured point next to them,
 # since many points determine a plane.
 FACE_SIGMA = 0.1
@@ -76,19 +77,21 @@ def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int
         measured: the information of these points.
         other_sigma: deviation of unmeasured points, relative to measured ones next to them.
         num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The refined mesh; the given one if it has too few measured vertices to learn from.
     """
     information, certain = measured.of_vertices(mesh, other_sigma)
     held_out = chosen_apart(certain, mesh.faces)
-    if not len(held_out):
+    if len(held_out) < MIN_HELD_OUT:
         return mesh
     refiner = load_extension().Refiner(
         mesh.vertices, mesh.faces, mesh.creases, information, num_threads
     )
-    count = len(mesh.vertices)
     strength = learned_strength(
-        lambda value: refiner.held_out_errors(held_out, np.full(count, value), TRIAL_ROUNDS)[:, 0]
+        lambda value: refiner.held_out_errors(held_out, value, TRIAL_ROUNDS)[:, 0]
     )
-    vertices = refiner.refine(np.full(count, strength), ROUNDS)
+    vertices = refiner.refine(strength, ROUNDS)
     moved = int((vertices != mesh.vertices).any(axis=1).sum())
     stats = {"refinement_strength": strength, "vertices_moved": moved}
     return replace(mesh, vertices=vertices, stats={**mesh.stats, **stats})
@@ -114,22 +117,21 @@ def learned_strength(errors_with: Callable[[float], FloatArray]) -> float:
 
     Args:
         errors_with: (H,) squared errors of H predictions with a strength, in variances; negative
-            for none.
+            where there is no prediction.
     """
     costs: dict[int, FloatArray] = {}
 
-    def mean_of(index: int) -> float:
+    def cost(index: int) -> float:
         if index not in costs:
-            errors = errors_with(STRENGTHS[index])
-            costs[index] = np.log1p(errors[errors >= 0])
-        return float(costs[index].mean()) if len(costs[index]) else 0.0
+            costs[index] = np.log1p(np.maximum(errors_with(STRENGTHS[index]), 0))
+        return float(costs[index].mean())
 
     best = len(STRENGTHS) - 2
-    step = 1 if mean_of(best + 1) < mean_of(best) else -1
-    while 0 <= best + step < len(STRENGTHS) and mean_of(best + step) < mean_of(best):
+    step = 1 if cost(best + 1) < cost(best) else -1
+    while 0 <= best + step < len(STRENGTHS) and cost(best + step) < cost(best):
         best += step
     for index in sorted(costs, reverse=True):
         worse = costs[index] - costs[best]
-        if not len(worse) or worse.mean() <= worse.std() / np.sqrt(len(worse)):
+        if worse.mean() <= worse.std() / np.sqrt(len(worse)):
             break
     return STRENGTHS[index]
