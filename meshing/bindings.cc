@@ -103,22 +103,22 @@ class BoundRefiner {
                ToItems<std::array<Index, 2>>(creases), ToItems<mesher::Symmetric>(information)},
               num_threads) {}
 
-  nb::ndarray<nb::numpy, double> Refine(double strength, int num_rounds) const {
+  nb::ndarray<nb::numpy, double> Refine(double strength, double angle, int num_rounds) const {
     std::vector<mesher::Vec3> result;
     {
       nb::gil_scoped_release release;
-      result = core_.Refine(strength, num_rounds);
+      result = core_.Refine({strength, angle}, num_rounds);
     }
     return ToArray<double, 3>(result);
   }
 
   nb::ndarray<nb::numpy, double> HeldOutErrors(const Vector<Index>& held_out, double strength,
-                                               int num_rounds) const {
+                                               double angle, int num_rounds) const {
     const std::vector<Index> vertices = ToIndices(held_out);
     std::vector<double> result;
     {
       nb::gil_scoped_release release;
-      result = core_.HeldOutErrors(vertices, strength, num_rounds);
+      result = core_.HeldOutErrors(vertices, {strength, angle}, num_rounds);
     }
     return ToArray<double, 1>(result);
   }
@@ -149,8 +149,8 @@ NB_MODULE(_mesher, m) {
       .def(nb::init<const Matrix<double, 3>&, const Matrix<Index, 3>&, const Matrix<Index, 2>&,
                     const Matrix<double, 6>&, int>(),
            "vertices"_a, "faces"_a, "creases"_a, "information"_a, "num_threads"_a)
-      .def("refine", &BoundRefiner::Refine, "strength"_a, "num_rounds"_a)
-      .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strength"_a,
+      .def("refine", &BoundRefiner::Refine, "strength"_a, "angle"_a, "num_rounds"_a)
+      .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strength"_a, "angle"_a,
            "num_rounds"_a);
   m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,

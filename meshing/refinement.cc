@@ -17,9 +17,9 @@ namespace {
 
 // Weight of the distances of vertices from the planes of their faces.
 constexpr double kPlaneWeight = 2;
-// Angle between neighbouring faces up to which they are smoothed, besides that by noise: the share
-// of the variances of their normals, which are alike since the faces have two corners in common.
-constexpr double kSmoothAngle = 0.05, kNoiseShare = 0.2;
+// Share of the variances of two normals that makes them differ: the faces have two corners in
+// common.
+constexpr double kNoiseShare = 0.2;
 // Variance of a normal, in addition to that by the noise of its corners: no normal is exact.
 constexpr double kNormalVariance = 0.1;
 // Degrees of freedom of Student's t distribution of measurements: outliers weigh less.
@@ -227,13 +227,13 @@ double Similarity(double q) {
   return weight;
 }
 
-void Refiner::SmoothNormals(double strength, std::vector<Face>& faces) const {
+void Refiner::SmoothNormals(Smoothness smoothness, std::vector<Face>& faces) const {
   const std::vector<Face> measured = faces;
   std::vector<Face> next = faces;
   for (int sweep = 0; sweep < kNormalSweeps; ++sweep) {
     Each(faces.size(), [&](std::int64_t f) {
       const Face& face = faces[f];
-      const double own_scale = kSmoothAngle * kSmoothAngle + kNoiseShare * face.variance;
+      const double own_scale = smoothness.angle * smoothness.angle + kNoiseShare * face.variance;
       Vec3 sum{};
       for (const Index g : across_[f]) {
         if (g == kNone) continue;
@@ -242,7 +242,7 @@ void Refiner::SmoothNormals(double strength, std::vector<Face>& faces) const {
         const double q = Dot(difference, difference) / (own_scale + kNoiseShare * other.variance);
         sum = sum + Similarity(q) * other.certainty * other.normal;
       }
-      next[f].normal = Unit(face.certainty * measured[f].normal + strength * sum);
+      next[f].normal = Unit(face.certainty * measured[f].normal + smoothness.strength * sum);
     });
     faces.swap(next);
   }
@@ -281,17 +281,17 @@ void Refiner::MoveVertices(const RefinementInput& input, const std::vector<Face>
 }
 
 std::vector<Vec3> Refiner::Minimise(const RefinementInput& input, std::vector<Vec3> x,
-                                    double strength, int num_rounds) const {
+                                    Smoothness smoothness, int num_rounds) const {
   for (int round = 0; round < num_rounds; ++round) {
     std::vector<Face> faces = MeasuredFaces(x);
-    SmoothNormals(strength, faces);
+    SmoothNormals(smoothness, faces);
     MoveVertices(input, faces, x);
   }
   return x;
 }
 
-std::vector<Vec3> Refiner::Refine(double strength, int num_rounds) const {
-  std::vector<Vec3> x = Minimise(input_, input_.vertices, strength, num_rounds);
+std::vector<Vec3> Refiner::Refine(Smoothness smoothness, int num_rounds) const {
+  std::vector<Vec3> x = Minimise(input_, input_.vertices, smoothness, num_rounds);
   Each(x.size(), [&](std::int64_t v) {
     const Vec3 moved = x[v] - input_.vertices[v];
     const double sigmas =
@@ -305,8 +305,8 @@ std::vector<Vec3> Refiner::Refine(double strength, int num_rounds) const {
   return x;
 }
 
-std::vector<double> Refiner::HeldOutErrors(const std::vector<Index>& held_out, double strength,
-                                           int num_rounds) const {
+std::vector<double> Refiner::HeldOutErrors(const std::vector<Index>& held_out,
+                                           Smoothness smoothness, int num_rounds) const {
   CheckVertices(held_out.data(), held_out.data() + held_out.size(), input_.vertices.size(),
                 "held out ones");
   RefinementInput input = input_;
@@ -329,7 +329,7 @@ std::vector<double> Refiner::HeldOutErrors(const std::vector<Index>& held_out, d
     AddOuter(-1 / along, column, information);
     x[v] = x[v] + Dot(mean - x[v], normal) * normal;
   }
-  x = Minimise(input, std::move(x), strength, num_rounds);
+  x = Minimise(input, std::move(x), smoothness, num_rounds);
   std::vector<double> errors(held_out.size(), -1);
   for (std::size_t i = 0; i < held_out.size(); ++i) {
     if (informations[i] < 0) continue;

@@ -20,6 +20,11 @@ struct RefinementInput {
   std::vector<Symmetric> information;  // inverse covariance of each vertex; 0 for one that stays
 };
 
+struct Smoothness {
+  double strength;  // weight of the smoothness of normals
+  double angle;     // between faces, in radians, up to which they are smoothed, besides by noise
+};
+
 // Minimises by turns, over positions x of vertices and unit normals n of faces,
 //
 //   sum over vertices of   rho((x - m)^T I (x - m))        measured at m with the information I
@@ -35,21 +40,21 @@ class Refiner {
   Refiner(RefinementInput input, int num_threads);
 
   // The refined positions. No triangle turns over or passes through another one.
-  std::vector<Vec3> Refine(double strength, int num_rounds) const;
+  std::vector<Vec3> Refine(Smoothness smoothness, int num_rounds) const;
 
   // Squared errors, in variances, with which the surface predicts the positions of vertices, if
   // it is refined without their measurements. No two of them may share a face. -1 for those that
   // stay, and those whose neighbours span no plane.
-  std::vector<double> HeldOutErrors(const std::vector<Index>& held_out, double strength,
+  std::vector<double> HeldOutErrors(const std::vector<Index>& held_out, Smoothness smoothness,
                                     int num_rounds) const;
 
  private:
   struct Face;  // a face in a round
 
-  std::vector<Vec3> Minimise(const RefinementInput& input, std::vector<Vec3> x, double strength,
-                             int num_rounds) const;
+  std::vector<Vec3> Minimise(const RefinementInput& input, std::vector<Vec3> x,
+                             Smoothness smoothness, int num_rounds) const;
   std::vector<Face> MeasuredFaces(const std::vector<Vec3>& x) const;
-  void SmoothNormals(double strength, std::vector<Face>& faces) const;
+  void SmoothNormals(Smoothness smoothness, std::vector<Face>& faces) const;
   void MoveVertices(const RefinementInput& input, const std::vector<Face>& faces,
                     std::vector<Vec3>& x) const;
   template <typename Body>

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +15,10 @@ from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.information import Tracks, information_of, isotropic, mean_of
 from colmap_edges.surfaces.mesh import Mesh
 
-# Weights of smoothness that are tried, from the weakest.
-STRENGTHS = (0.25, 1.0, 4.0, 16.0)
-# Turns between normals and vertices: when strengths are compared, and of the refinement.
+# What is tried: the weight of smoothness, and the angle between neighbouring faces, in radians, up
+# to which they are smoothed, besides by noise. The first keeps relief, the last is for plain walls.
+SMOOTHNESS = ((16.0, 0.02), (4.0, 0.1), (16.0, 0.1))
+# Turns between normals and vertices: when smoothness is learned, and of the refinement.
 TRIAL_ROUNDS, ROUNDS = 4, 6
 HELD_OUT_SHARE = 0.1  # of the vertices, which others predict
 MIN_HELD_OUT = 30  # fewer predictions tell nothing
@@ -69,8 +70,8 @@ class Measured:
 def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int) -> Mesh:
     """A mesh with its vertices moved within their noise, so that faces between edges are smooth.
 
-    How smooth is learned: a tenth of the vertices is predicted from the others with several
-    strengths, see `learned_strength`.
+    How smooth is learned: a tenth of the vertices is predicted from the others with each of
+    `SMOOTHNESS`, and the one that predicts best is taken.
 
     Args:
         mesh: a mesh whose `point3D_ids` are indices of points.
@@ -88,12 +89,14 @@ def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int
     refiner = load_extension().Refiner(
         mesh.vertices, mesh.faces, mesh.creases, information, num_threads
     )
-    strength = learned_strength(
-        lambda value: refiner.held_out_errors(held_out, value, TRIAL_ROUNDS)[:, 0]
-    )
-    vertices = refiner.refine(strength, ROUNDS)
+    costs = [
+        cost_of(refiner.held_out_errors(held_out, *smoothness, TRIAL_ROUNDS)[:, 0])
+        for smoothness in SMOOTHNESS
+    ]
+    strength, angle = SMOOTHNESS[int(np.argmin(costs))]
+    vertices = refiner.refine(strength, angle, ROUNDS)
     moved = int((vertices != mesh.vertices).any(axis=1).sum())
-    stats = {"refinement_strength": strength, "vertices_moved": moved}
+    stats = {"smooth_strength": strength, "smooth_angle_rad": angle, "vertices_moved": moved}
     return replace(mesh, vertices=vertices, stats={**mesh.stats, **stats})
 
 
@@ -108,30 +111,9 @@ def chosen_apart(candidates: BoolArray, faces: Int32Array) -> Int32Array:
     return np.flatnonzero(chosen).astype(np.int32)
 
 
-def learned_strength(errors_with: Callable[[float], FloatArray]) -> float:
-    """The strongest of `STRENGTHS` that predicts as well as the best one.
+def cost_of(errors: FloatArray) -> float:
+    """Mean cost of (H,) squared errors in variances, negative where there is no prediction.
 
-    That is, within one standard error of the difference (Breiman et al. 1984). Errors count by
-    their logarithm, as of a heavy-tailed distribution. From the second strongest, the search goes
-    on in the direction in which predictions get better.
-
-    Args:
-        errors_with: (H,) squared errors of H predictions with a strength, in variances; negative
-            where there is no prediction.
+    They count by their logarithm, as of a heavy-tailed distribution.
     """
-    costs: dict[int, FloatArray] = {}
-
-    def cost(index: int) -> float:
-        if index not in costs:
-            costs[index] = np.log1p(np.maximum(errors_with(STRENGTHS[index]), 0))
-        return float(costs[index].mean())
-
-    best = len(STRENGTHS) - 2
-    step = 1 if cost(best + 1) < cost(best) else -1
-    while 0 <= best + step < len(STRENGTHS) and cost(best + step) < cost(best):
-        best += step
-    for index in sorted(costs, reverse=True):
-        worse = costs[index] - costs[best]
-        if worse.mean() <= worse.std() / np.sqrt(len(worse)):
-            break
-    return STRENGTHS[index]
+    return float(np.log1p(np.maximum(errors, 0)).mean())
