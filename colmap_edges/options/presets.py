@@ -50,6 +50,7 @@ PAPER: dict[str, Any] = {
     },
     "use_faces": False,
     "use_patches": False,
+    "refine_mesh": False,
 }
 PRESETS = {**QUALITIES, "paper": PAPER}
 

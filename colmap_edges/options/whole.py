@@ -66,6 +66,11 @@ class PipelineOptions(Options):
     write_patches: bool = option(
         False, "Write points found where images have texture, too", stage="write"
     )
+    refine_mesh: bool = option(
+        True,
+        "Move vertices of the mesh within their noise until faces between edges are smooth",
+        stage="mesh",
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

@@ -17,6 +17,7 @@ from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
@@ -33,8 +34,6 @@ def check_mesher(options: PipelineOptions) -> None:
     Raises:
         ColmapEdgesError: if a library is not installed.
     """
-    from colmap_edges.surfaces.mesher import load_extension
-
     load_extension()
     if options.meshing.max_faces:
         load_meshlab()
@@ -147,10 +146,17 @@ def mesh_stage(
             "`colmap point_triangulator` on the model first"
         )
     with stages.stage("mesh") as stage:
-        curves = [traced.edges, traced.contours] if traced else []
-        threads = thread_count(options)
-        given = (background, faces.points, patches)
-        mesh = mesh_with_curves(model, curves, options.meshing, threads, *given)
+        curves = (traced.edges, traced.contours) if traced else (None, None)
+        mesh = mesh_with_curves(
+            model,
+            curves,
+            options.meshing,
+            thread_count(options),
+            background,
+            faces.points,
+            patches,
+            options.refine_mesh,
+        )
         mesh = finished(mesh, extended, options.meshing)
         is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}", up=up)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

@@ -250,7 +250,7 @@ def test_rays_of_the_sky_open_the_mesh_and_leave_faces():
     options = replace(MeshingOptions(), long_facet_factor=0.0)
 
     def found(background):
-        mesh = mesh_with_curves(model, [Edges3D.none()], options, 1, background, faces)
+        mesh = mesh_with_curves(model, (Edges3D.none(), None), options, 1, background, faces)
         return mesh.vertices[mesh.faces], mesh.point3D_ids
 
     def spanning(triangles):
@@ -288,7 +288,7 @@ def test_volumes_behind_the_towers_are_not_closed_by_long_triangles():
 
     def long_ones(factor):
         options = replace(MeshingOptions(), long_facet_factor=factor)
-        mesh = mesh_with_curves(model, [], options, 1, sky)
+        mesh = mesh_with_curves(model, (None, None), options, 1, sky)
         corners = mesh.vertices[mesh.faces]
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         return turned_away(mesh, model) & (sides > 0.3 * 6)
