@@ -2,9 +2,9 @@
 """Run the program on random scenes with truth, and print how good its meshes and edges are.
 
 Each scene is meshed four times: SfM points only, with edges, with edges and the faces between them,
-and with patches, too. Everything is kept in --output_path, so that a run can be interrupted, and is done again only
-where the maker of the scenes, the program or the measures changed. Failed scenes are repeated. The
-folder receives summary.md with the tables, and pictures of the worst scenes.
+and with patches, too. Everything is kept in --output_path, so that a run can be interrupted, and is
+done again only where the maker of the scenes, the program or the measures changed. Failed scenes
+are repeated. The folder receives summary.md with the tables, and pictures of the worst scenes.
 """
 
 from __future__ import annotations
