@@ -12,7 +12,7 @@ from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
-from colmap_edges.pipeline.detect import detect_stage
+from colmap_edges.pipeline.detect import Detection, detect_stage
 from colmap_edges.pipeline.mesh import background_stage, face_stage, sky_stage
 from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
@@ -80,8 +80,8 @@ def find_edges(
     grids = GridVisitor() if for_mesh and settings.use_faces else None
     finds_patches = (for_mesh and settings.use_patches) or settings.write_patches
     textures = GridVisitor(picture_columns(model)) if finds_patches else None
-    has_background = for_mesh and settings.meshing.background_weight > 0
-    small = SmallPictures() if has_background and settings.use_sky else None
+    finds_open = for_mesh and settings.meshing.background_weight > 0
+    small = SmallPictures() if finds_open and settings.use_sky else None
     images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
     visitor = Visitors.of(taker, grids, textures, small)
     detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
@@ -95,15 +95,10 @@ def find_edges(
         viewer.show_model(model)
     viewer.show_edges(traced.edges, len(model.views))
     curves = curve_stage(traced.edges, settings, stages)
-    background: Background | None = None
-    hidden: Sequence[BackgroundMask] = detection.background_masks
+    found = (model, traced.edges, detection, small, settings, stages)
+    background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
-    if has_background:
-        background = background_stage(model, detection, traced.edges, settings, stages)
-    if small and background is None:
-        background, hidden = sky_stage(model, traced.edges, small.pictures, stages)
     if grids:
-        hidden = hidden if background else ()
         faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
         viewer.show_faces(faces.faces)
     if textures:
@@ -117,6 +112,20 @@ def find_edges(
         patches=patches,
         pictures=pictures,
     )
+
+
+def background_or_sky(
+    model: Model,
+    edges: Edges3D,
+    detection: Detection,
+    small: SmallPictures | None,
+    settings: PipelineOptions,
+    stages: Stages,
+) -> tuple[Background | None, Sequence[BackgroundMask]]:
+    """Find the background or, without one, the sky in small pictures; and where views show it."""
+    if background := background_stage(model, detection, edges, settings, stages):
+        return background, detection.background_masks
+    return sky_stage(model, edges, small.pictures, stages) if small else (None, ())
 
 
 def curve_stage(edges: Edges3D, settings: PipelineOptions, stages: Stages) -> Curves3D:

@@ -283,19 +283,8 @@ def mesh_points(
         polyline_offsets,
         polyline_points,
         *(background if background and options.background_weight else NO_BACKGROUND),
-        method=options.method,
-        sigma_factor=options.sigma_factor,
-        quality_weight=options.quality_weight,
-        edge_solid_weight=options.edge_solid_weight,
-        background_weight=options.background_weight,
-        vote_weights=(options.vote_crossed, options.vote_near, options.vote_far),
-        vote_behind=options.vote_behind,
-        vote_threshold=options.vote_threshold,
-        merge_factor=options.merge_factor,
-        min_segment_factor=options.min_segment_factor and max(options.min_segment_factor, FINEST),
-        long_facet_factor=options.long_facet_factor,
-        min_component_faces=options.min_component_faces,
         num_threads=num_threads or os.cpu_count() or 1,
+        **values_of(options),
     )
     check_volume(stats, len(points))
     if edges is not None and edges.num_edges is not None:
@@ -308,6 +297,27 @@ def mesh_points(
         creases=np.ascontiguousarray(on_edges[:, :2]),
         stats=stats,
     )
+
+
+def values_of(options: MeshingOptions) -> dict[str, Any]:
+    """The options of the extension, by name."""
+    names = (
+        "method",
+        "sigma_factor",
+        "quality_weight",
+        "edge_solid_weight",
+        "background_weight",
+        "vote_behind",
+        "vote_threshold",
+        "merge_factor",
+        "long_facet_factor",
+        "min_component_faces",
+    )
+    shortest = options.min_segment_factor and max(options.min_segment_factor, FINEST)
+    return {name: getattr(options, name) for name in names} | {
+        "vote_weights": (options.vote_crossed, options.vote_near, options.vote_far),
+        "min_segment_factor": shortest,
+    }
 
 
 def check_extent(points: FloatArray, camera_centers: FloatArray) -> None:
