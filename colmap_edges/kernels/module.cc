@@ -11,4 +11,5 @@ NB_MODULE(_kernels, m) {
   colmap_edges::BindFaintLines(m);
   colmap_edges::BindPaper(m);
   colmap_edges::BindPoses(m);
+  colmap_edges::BindTexture(m);
 }

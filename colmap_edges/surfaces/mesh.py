@@ -8,11 +8,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, Picture
 from colmap_edges.core.checks import check_arrays, check_points, check_values
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """A picture on a mesh.
+
+    Attributes:
+        picture: (H, W, 3) uint8 RGB.
+        points: (N, 2) float64 places in the picture, from 0 at its left and upper border to 1.
+        corners: (F, 3) int32 indices into `points`, of the corners of the mesh's triangles.
+    """
+
+    picture: Annotated[Picture, "H", "W", 3]
+    points: Annotated[FloatArray, "N", 2]
+    corners: Annotated[Int32Array, "F", 3]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +40,7 @@ class Mesh:
         point3D_ids: (V,) int64; -1 for edge points and for vertices added by the mesher.
         colors: (V, 3) uint8.
         stats: numbers of inputs, kept and dropped items, and seconds per step.
+        texture: its texture, or None.
     """
 
     vertices: Annotated[FloatArray, "V", 3]
@@ -32,6 +48,7 @@ class Mesh:
     point3D_ids: Annotated[IntArray, "V"]
     colors: Annotated[ByteArray, "V", 3]
     stats: Mapping[str, float] = field(default_factory=dict)
+    texture: Texture | None = None
 
     def __repr__(self) -> str:
         """The numbers of triangles and vertices, in one line."""
@@ -46,6 +63,10 @@ class Mesh:
         check_arrays(name, self)
         check_points(f"{name}.vertices", self.vertices)
         check_values(f"{name}.faces", self.faces, 0, len(self.vertices) - 1)
+        if self.texture is not None:
+            texture = self.texture
+            check_arrays(f"{name}.texture", texture, F=len(self.faces))
+            check_values(f"{name}.texture.corners", texture.corners, 0, len(texture.points) - 1)
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:

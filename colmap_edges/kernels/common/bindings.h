@@ -13,5 +13,6 @@ void BindFaceHypotheses(nanobind::module_& m);
 void BindFaintLines(nanobind::module_& m);
 void BindPaper(nanobind::module_& m);
 void BindPoses(nanobind::module_& m);
+void BindTexture(nanobind::module_& m);
 
 }  // namespace colmap_edges
