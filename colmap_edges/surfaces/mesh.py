@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, Picture
 from colmap_edges.core.checks import check_arrays, check_points, check_values
+from colmap_edges.errors import check_type
+from colmap_edges.images.files import decode
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
@@ -20,14 +24,28 @@ class Texture:
     """A picture on a mesh.
 
     Attributes:
-        picture: (H, W, 3) uint8 RGB.
+        jpeg: the picture as JPEG, as files hold it.
         points: (N, 2) float64 places in the picture, from 0 at its left and upper border to 1.
         corners: (F, 3) int32 indices into `points`, of the corners of the mesh's triangles.
     """
 
-    picture: Annotated[Picture, "H", "W", 3]
+    jpeg: bytes
     points: Annotated[FloatArray, "N", 2]
     corners: Annotated[Int32Array, "F", 3]
+
+    @cached_property
+    def picture(self) -> Picture:
+        """(H, W, 3) uint8 RGB."""
+        return np.ascontiguousarray(
+            decode(np.frombuffer(self.jpeg, np.uint8), Path("texture.jpg"))[:, :, ::-1]
+        )
+
+    def colors(self) -> ByteArray:
+        """(N, 3) uint8 colours of the picture at its points."""
+        height, width = self.picture.shape[:2]
+        places = np.clip(self.points * [width, height], 0, np.array([width, height]) - 1)
+        columns, rows = places.astype(np.int64).T
+        return np.asarray(self.picture[rows, columns])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +83,7 @@ class Mesh:
         check_values(f"{name}.faces", self.faces, 0, len(self.vertices) - 1)
         if self.texture is not None:
             texture = self.texture
+            check_type(f"{name}.texture.jpeg", texture.jpeg, (bytes,))
             check_arrays(f"{name}.texture", texture, F=len(self.faces))
             check_values(f"{name}.texture.corners", texture.corners, 0, len(texture.points) - 1)
 

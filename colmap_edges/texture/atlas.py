@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray, Picture, offsets_of, order_of, parts_of
@@ -77,7 +78,7 @@ class Atlas:
         image = resized(images.full(self.views[view]), self.packing.scale)
         table = gained(np.arange(256.0)[:, None], gain)
         levels = np.clip(np.rint(table), 0, 255).astype(np.uint8)
-        image = np.dstack([levels[:, c][image[:, :, c]] for c in range(3)])
+        image = np.asarray(cv2.LUT(image, levels[None]))
         height, width = image.shape[:2]
         for chart in np.flatnonzero(self.charts.views == view).tolist():
             (x, y), (across, down) = self.packing.lows[chart], self.packing.sizes[chart]

@@ -6,11 +6,12 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, Int32Array
 from colmap_edges.texture.seen_faces import SeenFaces
 
 USABLE_LEVELS = (8.0, 247.0)  # range of mean colours that are neither dark nor saturated
 NUM_ROUNDS = 10  # rounds of reweighted least squares
+MAX_PAIRS = 200_000  # pairs of views of a triangle that suffice
 ANCHOR = 1e-3  # weight of a gain of 1 for each view, relative to what compares it with others
 
 
@@ -24,8 +25,8 @@ def find_gains(seen: SeenFaces, num_views: int) -> FloatArray:
     usable = ((seen.colors > low) & (seen.colors < high)).all(axis=1)
     faces = seen.faces[usable]
     views, logs = seen.views[usable], np.log(seen.colors[usable])
-    # Each view of a triangle with the next one; the last with the first closes the ring.
-    rows = np.flatnonzero(faces[1:] == faces[:-1])
+    rows = np.flatnonzero(faces[1:] == faces[:-1])  # each view of a triangle with its next one
+    rows = rows[:: len(rows) // MAX_PAIRS + 1]
     gains = np.zeros((num_views, 3))
     if not len(rows):
         return gains
@@ -36,11 +37,11 @@ def find_gains(seen: SeenFaces, num_views: int) -> FloatArray:
         scale = max(1.4826 * float(np.median(residuals)), 1e-3)
         weights = 1 / (1 + (residuals / scale) ** 2)
         gains = fitted(first, second, differences, weights, num_views)
-    return gains - gains[np.unique(views)].mean(axis=0)
+    return np.asarray(gains - gains[np.unique(views)].mean(axis=0))
 
 
 def fitted(
-    first: FloatArray, second: FloatArray, differences: FloatArray, weights: FloatArray, count: int
+    first: Int32Array, second: Int32Array, differences: FloatArray, weights: FloatArray, count: int
 ) -> FloatArray:
     """(count, 3) values whose differences are nearest to the given ones."""
     pairs = coo_array((weights, (first, second)), (count, count)).tocsr()

@@ -5,11 +5,12 @@ Waechter, Moehrle and Goesele, Let there be color! (ECCV 2014), section 4.3.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import cg
 
-from colmap_edges.core.arrays import Float32Array, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.atlas import Atlas
 
@@ -83,16 +84,17 @@ def seam_differences(atlas: Atlas, ends: IntArray) -> tuple[FloatArray, FloatArr
     return sums[0], sums[1]
 
 
-def sampled(atlas: Atlas, ends: IntArray, share: float) -> Float32Array:
+def sampled(atlas: Atlas, ends: IntArray, share: float) -> FloatArray:
     """(S, 3) colours between two points of a chart, (S, 2)."""
     at = share * atlas.pixels[ends[:, 0]] + (1 - share) * atlas.pixels[ends[:, 1]]
     return np.asarray(_kernels.bilinear(atlas.picture, at - 0.5), np.float64)
 
 
-def blank(atlas: Atlas, covered: IntArray) -> None:
+def blank(atlas: Atlas, covered: ByteArray) -> None:
     """Give what lies between triangles the mean colour, which needs few bytes."""
     for chart in np.flatnonzero(atlas.charts.views < 0).tolist():
         (x, y), (width, height) = atlas.packing.places[chart], atlas.packing.sizes[chart]
         covered[y : y + height, x : x + width] = 1
     if covered.any():
-        atlas.picture[covered == 0] = atlas.picture[covered > 0].mean(axis=0).round()
+        mean = np.rint(cv2.mean(atlas.picture, covered)[:3]).astype(np.uint8)
+        np.copyto(atlas.picture, mean, where=(covered == 0)[:, :, None])

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from colmap_edges.core.view import View
+from colmap_edges.images.files import encoded, single_threaded_opencv
 from colmap_edges.surfaces.mesh import Mesh, Texture
 from colmap_edges.texture.atlas import Atlas
 from colmap_edges.texture.charts import make_charts
@@ -16,6 +18,8 @@ from colmap_edges.texture.levelling import level
 from colmap_edges.texture.pictures import Images
 from colmap_edges.texture.seen_faces import find_seen_faces
 from colmap_edges.texture.view_choice import choose_views, neighbours
+
+JPEG_QUALITY = 90
 
 
 def textured(
@@ -39,6 +43,14 @@ def textured(
     """
     if not len(mesh.faces):
         return mesh, {"charts": 0}
+    with single_threaded_opencv():
+        return made(mesh, views, images, texture_size, num_threads)
+
+
+def made(
+    mesh: Mesh, views: Sequence[View], images: Images, texture_size: int, num_threads: int
+) -> tuple[Mesh, dict[str, float]]:
+    """Give a mesh with triangles a texture, as `textured` does."""
     seen = find_seen_faces(mesh, views, images, num_threads)
     gains = find_gains(seen, len(views))
     pairs, sides = neighbours(mesh.faces)
@@ -49,7 +61,7 @@ def textured(
     level(atlas, pairs, sides)
     height, width = atlas.packing.shape
     texture = Texture(
-        picture=np.ascontiguousarray(atlas.picture[:, :, ::-1]),
+        jpeg=encoded(".jpg", atlas.picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)),
         points=atlas.pixels / [width, height],
         corners=charts.corners,
     )

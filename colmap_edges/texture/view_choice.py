@@ -69,7 +69,7 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
     counts = np.diff(seen.offsets)
     residuals = np.zeros(len(logs))
     for channel in logs.T:
-        order = np.lexsort((channel, seen.faces))
+        order = by_face(seen, channel)
         middle = np.clip(seen.offsets[:-1] + counts // 2, 0, len(order) - 1)
         lower = np.clip(seen.offsets[:-1] + (counts - 1) // 2, 0, len(order) - 1)
         medians = (channel[order[middle]] + channel[order[lower]]) / 2
@@ -79,9 +79,15 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 
 
+def by_face(seen: SeenFaces, values: FloatArray) -> IntArray:
+    """The order of pairs by triangle, then by value."""
+    low, high = values.min(initial=0), values.max(initial=0)
+    return np.argsort(seen.faces + 0.5 * (values - low) / max(high - low, 1e-300), kind="stable")
+
+
 def cheapest(seen: SeenFaces, costs: FloatArray) -> IntArray:
     """Ascending rows of the cheapest pairs of each triangle, at most `MAX_CANDIDATES`."""
-    order = np.lexsort((costs, seen.faces))
+    order = by_face(seen, costs)
     ranks = np.arange(len(order)) - np.repeat(seen.offsets[:-1], np.diff(seen.offsets))
     return np.sort(order[ranks < MAX_CANDIDATES])
 

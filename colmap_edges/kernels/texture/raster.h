@@ -20,31 +20,30 @@ class Plane2D {
   explicit Plane2D(const std::array<Corner, 3>& at) : at_(at) {
     twice_area_ =
         (at[1].x - at[0].x) * (at[2].y - at[0].y) - (at[1].y - at[0].y) * (at[2].x - at[0].x);
+    for (int k = 0; k < 3; ++k) {
+      const Corner &p = at[(k + 1) % 3], &q = at[(k + 2) % 3];
+      along_x_[k] = (p.y - q.y) / twice_area_, along_y_[k] = (q.x - p.x) / twice_area_;
+    }
   }
   double area() const { return std::abs(twice_area_) / 2; }
   bool IsDegenerate() const { return !(std::abs(twice_area_) > 1e-12); }
   std::array<double, 3> At(double x, double y) const {
-    const double b =
-        ((x - at_[0].x) * (at_[2].y - at_[0].y) - (y - at_[0].y) * (at_[2].x - at_[0].x)) /
-        twice_area_;
-    const double c =
-        ((at_[1].x - at_[0].x) * (y - at_[0].y) - (at_[1].y - at_[0].y) * (x - at_[0].x)) /
-        twice_area_;
-    return {1 - b - c, b, c};
+    std::array<double, 3> weights{};
+    for (int k = 1; k < 3; ++k)
+      weights[k] = along_x_[k] * (x - at_[0].x) + along_y_[k] * (y - at_[0].y);
+    weights[0] = 1 - weights[1] - weights[2];
+    return weights;
   }
-  // Lengths by which barycentric coordinates change by 1: heights of the triangle.
-  std::array<double, 3> Heights() const {
-    std::array<double, 3> heights{};
-    for (int k = 0; k < 3; ++k) {
-      const Corner &p = at_[(k + 1) % 3], &q = at_[(k + 2) % 3];
-      heights[k] = std::abs(twice_area_) / std::max(std::hypot(q.x - p.x, q.y - p.y), 1e-12);
-    }
-    return heights;
+  double AlongX(int k) const { return along_x_[k]; }
+  // How far a barycentric coordinate changes over a length.
+  double Change(int k, double length) const {
+    return length * std::hypot(along_x_[k], along_y_[k]);
   }
 
  private:
   std::array<Corner, 3> at_;
   double twice_area_ = 0;
+  std::array<double, 3> along_x_{}, along_y_{};
 };
 
 // Calls body(row, column, barycentric coordinates) for each pixel whose centre lies inside of a
@@ -54,23 +53,32 @@ void ForPixels(const std::array<Corner, 3>& at, int rows, int columns, double ma
                const Body& body) {
   const Plane2D plane(at);
   if (plane.IsDegenerate()) return;
-  const auto heights = plane.Heights();
   const auto [left, right] = std::minmax({at[0].x, at[1].x, at[2].x});
   const auto [top, bottom] = std::minmax({at[0].y, at[1].y, at[2].y});
-  const auto first = [&](double low, int count) {
-    return int(std::clamp(std::ceil(low - margin - 0.5), 0.0, double(count)));
+  const auto first = [](double low, int count) {
+    return int(std::clamp(std::ceil(low - 0.5), 0.0, double(count)));
   };
-  const auto last = [&](double high, int count) {
-    return int(std::clamp(std::floor(high + margin - 0.5), -1.0, double(count - 1)));
+  const auto last = [](double high, int count) {
+    return int(std::clamp(std::floor(high - 0.5), -1.0, double(count - 1)));
   };
-  const double slack = margin + 1e-9;
-  for (int row = first(top, rows); row <= last(bottom, rows); ++row) {
-    for (int column = first(left, columns); column <= last(right, columns); ++column) {
-      const auto weights = plane.At(column + 0.5, row + 0.5);
-      if (weights[0] * heights[0] >= -slack && weights[1] * heights[1] >= -slack &&
-          weights[2] * heights[2] >= -slack)
-        body(row, column, weights);
+  std::array<double, 3> least{};  // of the coordinates
+  for (int k = 0; k < 3; ++k) least[k] = -plane.Change(k, margin + 1e-9);
+  for (int row = first(top - margin, rows); row <= last(bottom + margin, rows); ++row) {
+    // Where along the row all coordinates are large enough.
+    double low = left - margin, high = right + margin;
+    const auto start = plane.At(0, row + 0.5);
+    for (int k = 0; k < 3; ++k) {
+      const double slope = plane.AlongX(k), bound = (least[k] - start[k]) / slope;
+      if (slope > 0) {
+        low = std::max(low, bound);
+      } else if (slope < 0) {
+        high = std::min(high, bound);
+      } else if (start[k] < least[k]) {
+        low = high + 1;
+      }
     }
+    for (int column = first(low, columns); column <= last(high, columns); ++column)
+      body(row, column, plane.At(column + 0.5, row + 0.5));
   }
 }
 
@@ -139,9 +147,9 @@ inline Tally TallyOf(const SeenMesh& mesh, const ViewPicture& view) {
     };
     if (!in(at[0]) || !in(at[1]) || !in(at[2])) continue;
     const Plane2D plane(at);
-    const auto heights = plane.Heights();
     double slope = 0;  // change of the inverse depth from a pixel to the next, at most
-    for (int k = 0; k < 3; ++k) slope += std::abs(inverse[k] - inverse[(k + 1) % 3]) / heights[k];
+    for (int k = 0; k < 3; ++k)
+      slope += std::abs(inverse[k] - inverse[(k + 1) % 3]) * plane.Change(k, 1);
     int64_t count = 0, seen = 0, clear = 0;
     std::array<double, Tally::kChannels> sums{};
     const auto visit = [&](int row, int column, double own) {
