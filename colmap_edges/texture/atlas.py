@@ -20,6 +20,7 @@ from colmap_edges.texture.pictures import Images, resized, scaled_pixels
 # Pixels of the texture by which a side of a triangle may bend in the image, by perspective or
 # distortion, before its pixels are projected one by one.
 MAX_BEND_PX = 0.5
+BORDER_PX = MARGIN_PX + 2  # by which charts may reach beyond their image; rounding adds to it
 
 
 class Atlas:
@@ -79,12 +80,13 @@ class Atlas:
         table = gained(np.arange(256.0)[:, None], gain)
         levels = np.clip(np.rint(table), 0, 255).astype(np.uint8)
         image = np.asarray(cv2.LUT(image, levels[None]))
-        height, width = image.shape[:2]
+        around = cv2.copyMakeBorder(image, *4 * (BORDER_PX,), cv2.BORDER_REPLICATE)
         for chart in np.flatnonzero(self.charts.views == view).tolist():
-            (x, y), (across, down) = self.packing.lows[chart], self.packing.sizes[chart]
-            columns = np.clip(np.arange(x, x + across), 0, width - 1)
-            rows = np.clip(np.arange(y, y + down), 0, height - 1)
-            self.part(chart)[:] = image[rows[0] : rows[-1] + 1][rows - rows[0]][:, columns]
+            (x, y), (width, height) = (
+                self.packing.lows[chart] + BORDER_PX,
+                self.packing.sizes[chart],
+            )
+            self.part(chart)[:] = around[y : y + height, x : x + width]
         self.straighten(view, image)
 
     def straighten(self, view: int, image: Picture) -> None:

@@ -17,7 +17,7 @@ from colmap_edges.texture.atlas import Atlas
 STIFFNESS = 0.1  # weight of equal corrections along a chart's sides, relative to a seam's
 ANCHOR = 1e-4  # weight of no correction at each point
 NUM_SAMPLES = 9  # of colours along a side
-TOLERANCE, MAX_STEPS = 1e-4, 1000  # of conjugate gradients
+TOLERANCE, MAX_STEPS = 1e-3, 1000  # of conjugate gradients
 
 
 def level(atlas: Atlas, pairs: Int32Array, sides: IntArray) -> None:

@@ -19,9 +19,9 @@ from colmap_edges.images.files import (
 )
 from colmap_edges.images.masks import decode_mask, read_mask
 
-# Length of the longer side above which images are halved, or quartered, or cut to an eighth, when
-# views are compared; JPEG files are then decoded in part only.
-COMPARED_PX = 1000
+# Least length of the longer side of images that are reduced two, four or eight times to compare
+# views; JPEG files are then decoded in part only.
+COMPARED_PX = 700
 REDUCED = {
     2: cv2.IMREAD_REDUCED_COLOR_2,
     4: cv2.IMREAD_REDUCED_COLOR_4,

@@ -19,7 +19,7 @@ STRANGE = 2.0  # cost of a colour unlike that in other views, which shows someth
 STRANGE_SIGMAS = 3.0  # deviation that counts as unlike, in standard deviations
 MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
 MAX_CANDIDATES = 12  # most views that are compared for a triangle, the cheapest
-NUM_SWEEPS = 20  # sweeps of message passing, there and back
+NUM_SWEEPS = 8  # sweeps of message passing, there and back
 
 
 def choose_views(seen: SeenFaces, gains: FloatArray, pairs: Int32Array) -> IntArray:
