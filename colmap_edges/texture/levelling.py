@@ -14,8 +14,9 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.atlas import Atlas
 
-STIFFNESS = 0.1  # weight of equal corrections along a chart's sides, relative to a seam's
-ANCHOR = 1e-4  # weight of no correction at each point
+STIFFNESS = 1.0  # weight of equal corrections along a chart's sides, relative to a seam's
+ANCHOR = 0.01  # weight of no correction at each point
+MIN_SCALE = 2.0  # least typical difference at seams, gray levels
 NUM_SAMPLES = 9  # of colours along a side
 TOLERANCE, MAX_STEPS = 1e-3, 1000  # of conjugate gradients
 
@@ -61,16 +62,25 @@ def solved(atlas: Atlas, ends: IntArray) -> FloatArray:
     differences = np.concatenate(seam_differences(atlas, ends))
     inner = np.unique(np.sort(charts.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     rows = np.concatenate([seams, inner])
-    weights = np.concatenate([np.ones(len(seams)), np.full(len(inner), STIFFNESS)])
+    trusted = trust(differences)
+    weights = np.concatenate([trusted, np.full(len(inner), STIFFNESS)])
     between = coo_array((weights, rows.T), (count, count)).tocsr()
     between = between + between.T
     degrees = np.asarray(between.sum(axis=1)).ravel() + ANCHOR
     system, scale = (diags_array(degrees) - between).tocsr(), diags_array(1 / degrees)
     found = np.zeros((count, 3))
     for channel, wanted in enumerate(differences.T):
-        side = np.bincount(seams[:, 0], wanted, count) - np.bincount(seams[:, 1], wanted, count)
+        forces = trusted * wanted
+        side = np.bincount(seams[:, 0], forces, count) - np.bincount(seams[:, 1], forces, count)
         found[:, channel] = cg(system, side, rtol=TOLERANCE, maxiter=MAX_STEPS, M=scale)[0]
     return found
+
+
+def trust(differences: FloatArray) -> FloatArray:
+    """(S,) weights of seams: small where the views show different things and not another light."""
+    sizes = np.abs(differences).max(axis=1)
+    scale = max(1.4826 * float(np.median(sizes)), MIN_SCALE)
+    return np.asarray(1 / (1 + (sizes / scale) ** 2))
 
 
 def seam_differences(atlas: Atlas, ends: IntArray) -> tuple[FloatArray, FloatArray]:
