@@ -24,7 +24,7 @@ DEPTH_TOLERANCE = 0.005
 # outlines of a mesh are not exactly those in the image.
 RIM_PX = 3
 MIN_SHARE = 0.5  # minimum visible share of a triangle, for a view that may give its texture
-MIN_COSINE = 0.1  # minimum cosine of the angle between normal and line of sight
+MIN_COSINE = 0.02  # minimum cosine of the angle between normal and line of sight
 # Depth at which triangles that reach behind a camera are cut, relative to the median depth.
 NEAREST = 0.01
 

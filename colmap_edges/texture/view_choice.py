@@ -6,7 +6,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.texture.gains import gained
+from colmap_edges.texture.gains import USABLE_LEVELS, gained
 from colmap_edges.texture.seen_faces import SeenFaces
 
 # What a triangle costs is the logarithm of the area and contrast that its view lacks to the best
@@ -15,6 +15,7 @@ SEAM = 1.0
 MAX_LACK = 4.0  # largest cost of too small an area; any seen texture is better than none
 HIDDEN = 20.0  # cost of a hidden triangle, multiplied by its hidden share
 NEAR = 3.0  # cost of one beside a body that hides what is behind it, multiplied by the share
+SATURATED = 2.0  # cost of a mean colour with a saturated channel, which gains cannot correct
 STRANGE = 2.0  # cost of a colour unlike that in other views, which shows something else
 STRANGE_SIGMAS = 3.0  # deviation that counts as unlike, in standard deviations
 MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
@@ -50,7 +51,8 @@ def costs_of(seen: SeenFaces, gains: FloatArray) -> FloatArray:
     qualities = np.log(seen.areas * (seen.slopes + np.median(seen.slopes) + 1e-6) + 1e-12)
     lacks = np.minimum(best_of(seen, qualities) - qualities, MAX_LACK)
     hidden = HIDDEN * (1 - seen.shares) + NEAR * (1 - seen.clear)
-    return lacks + hidden + STRANGE * strangeness(seen, gains)
+    saturated = SATURATED * (seen.colors > USABLE_LEVELS[1]).any(axis=1)
+    return np.asarray(lacks + hidden + saturated + STRANGE * strangeness(seen, gains))
 
 
 def best_of(seen: SeenFaces, values: FloatArray) -> FloatArray:
