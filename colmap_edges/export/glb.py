@@ -151,10 +151,7 @@ def as_textured_glb(mesh: Mesh, texture: Texture, root: dict[str, Any], far: boo
         return chunks({"asset": ASSET})
     points = mesh.vertices
     offset = (points.min(axis=0) + points.max(axis=0)) / 2 if far else np.zeros(3)
-    # Each pair of a vertex and a point of the texture is a vertex of the file.
-    keys = mesh.faces.astype(np.int64) * len(texture.points) + texture.corners
-    pairs, corners = np.unique(keys, return_inverse=True)
-    vertices, places = np.divmod(pairs, len(texture.points))
+    vertices, places, corners = texture.joined(mesh.faces)
     arrays: list[NDArray[Any]] = [
         (points[vertices] - offset).astype("<f4"),
         texture.points[places].astype("<f4"),

@@ -40,6 +40,17 @@ class Texture:
             decode(np.frombuffer(self.jpeg, np.uint8), Path("texture.jpg"))[:, :, ::-1]
         )
 
+    def joined(self, faces: Int32Array) -> tuple[IntArray, IntArray, Int32Array]:
+        """Pairs of a vertex and a point that triangles (F, 3) have at their corners.
+
+        Returns:
+            (M,) vertices and (M,) points of the pairs, and (F, 3) indices of the pairs.
+        """
+        keys = faces.astype(np.int64) * len(self.points) + self.corners
+        pairs, corners = np.unique(keys, return_inverse=True)
+        vertices, points = np.divmod(pairs, len(self.points))
+        return vertices, points, corners.reshape(-1, 3).astype(np.int32)
+
     def colors(self) -> ByteArray:
         """(N, 3) uint8 colours of the picture at its points."""
         height, width = self.picture.shape[:2]
