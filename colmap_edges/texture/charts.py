@@ -13,7 +13,7 @@ from colmap_edges.surfaces.mesh import Mesh, spread_colors
 from colmap_edges.texture.gains import gained
 from colmap_edges.texture.seen_faces import SeenFaces
 
-PLAIN_STEP = 8  # levels to which colours of unseen triangles are rounded, so that many share one
+PLAIN_STEP = 4  # levels to which colours of unseen triangles are rounded, so that many share one
 
 
 @dataclass(frozen=True, kw_only=True)
