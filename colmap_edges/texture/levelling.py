@@ -17,6 +17,7 @@ from colmap_edges.texture.atlas import Atlas
 STIFFNESS = 1.0  # weight of equal corrections along a chart's sides, relative to a seam's
 ANCHOR = 0.01  # weight of no correction at each point
 MIN_SCALE = 2.0  # least typical difference at seams, gray levels
+BLOCK = 64  # rows that are blanked at once
 NUM_SAMPLES = 9  # of colours along a side
 TOLERANCE, MAX_STEPS = 1e-3, 1000  # of conjugate gradients
 
@@ -107,4 +108,7 @@ def blank(atlas: Atlas, covered: ByteArray) -> None:
         covered[y : y + height, x : x + width] = 1
     if covered.any():
         mean = np.rint(cv2.mean(atlas.picture, covered)[:3]).astype(np.uint8)
-        np.copyto(atlas.picture, mean, where=(covered == 0)[:, :, None])
+        for first in range(0, len(covered), BLOCK):
+            rows = slice(first, first + BLOCK)
+            plain = np.broadcast_to(mean, atlas.picture[rows].shape).copy()
+            cv2.copyTo(plain, (covered[rows] == 0).view(np.uint8), atlas.picture[rows])

@@ -60,8 +60,9 @@ def find_seen_faces(
     mesh: Mesh, views: Sequence[View], images: Images, num_threads: int
 ) -> SeenFaces:
     """Find which views see each triangle; views whose image cannot be read see none."""
+    directions = directions_of(mesh)
     with ThreadPoolExecutor(num_threads) as pool:
-        parts = list(pool.map(lambda view: seen_by(mesh, view, images), views))
+        parts = list(pool.map(lambda view: seen_by(mesh, directions, view, images), views))
     faces = np.concatenate([rows for rows, _ in parts])
     owners = np.repeat(np.arange(len(parts), dtype=np.int32), [len(rows) for rows, _ in parts])
     order = np.argsort(faces, kind="stable")
@@ -71,7 +72,9 @@ def find_seen_faces(
     return SeenFaces(offsets, owners[order], areas, shares, clear, slopes, values[:, 4:])
 
 
-def seen_by(mesh: Mesh, view: View, images: Images) -> tuple[IntArray, FloatArray]:
+def seen_by(
+    mesh: Mesh, directions: tuple[FloatArray, FloatArray], view: View, images: Images
+) -> tuple[IntArray, FloatArray]:
     """(N,) triangles that a view sees, and (N, 7) area, shares, slope and mean colour of each."""
     try:
         image, usable = images.reduced(view)
@@ -88,7 +91,7 @@ def seen_by(mesh: Mesh, view: View, images: Images) -> tuple[IntArray, FloatArra
         *(pixels, inverses, mesh.faces, nearest, around, with_slope(image)),
         *(usable.view(np.uint8), DEPTH_TOLERANCE, RIM_PX),
     )
-    seen = np.flatnonzero((shares[:, 0] >= MIN_SHARE) & (cosines(mesh, view) >= MIN_COSINE))
+    seen = np.flatnonzero((shares[:, 0] >= MIN_SHARE) & (cosines(*directions, view) >= MIN_COSINE))
     values = np.column_stack([areas / factor**2, shares, means[:, 3], means[:, :3]])
     return seen, values[seen].astype(float)
 
@@ -142,9 +145,16 @@ def with_slope(image: Picture) -> FloatArray:
     return np.dstack([image.astype(np.float32), cv2.magnitude(across, down)])
 
 
-def cosines(mesh: Mesh, view: View) -> FloatArray:
-    """(F,) cosines of the angles between the triangles' normals and lines of sight."""
+def directions_of(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+    """(F, 3) unit normals of the triangles, and (F, 3) their centres."""
     a, b, c = mesh.vertices[mesh.faces.T]
-    normals, sights = np.cross(b - a, c - a), view.center - (a + b + c) / 3
-    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(sights, axis=1)
-    return np.asarray((normals * sights).sum(axis=1) / np.maximum(lengths, 1e-300))
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    return normals, (a + b + c) / 3
+
+
+def cosines(normals: FloatArray, centers: FloatArray, view: View) -> FloatArray:
+    """(F,) cosines of the angles between the triangles' normals and lines of sight."""
+    sights = view.center - centers
+    lengths = np.sqrt(np.einsum("nk,nk->n", sights, sights))
+    return np.asarray(np.einsum("nk,nk->n", normals, sights) / np.maximum(lengths, 1e-300))

@@ -16,8 +16,8 @@ MAX_LACK = 4.0  # largest cost of too small an area; any seen texture is better 
 HIDDEN = 20.0  # cost of a hidden triangle, multiplied by its hidden share
 NEAR = 3.0  # cost of one beside a body that hides what is behind it, multiplied by the share
 SATURATED = 2.0  # cost of a mean colour with a saturated channel, which gains cannot correct
-STRANGE = 4.0  # cost of a colour unlike that in other views, which shows something else
-STRANGE_SIGMAS = 2.0  # deviation that counts as unlike, in standard deviations
+STRANGE = 5.0  # cost of a colour unlike that in other views, which shows something else
+STRANGE_SIGMAS = 1.0  # deviation that counts as unlike, in standard deviations
 MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
 MAX_CANDIDATES = 12  # most views that are compared for a triangle, the cheapest
 NUM_SWEEPS = 8  # sweeps of message passing, there and back
@@ -77,7 +77,7 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
         medians = (channel[order[middle]] + channel[order[lower]]) / 2
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
     sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
-    unlike = np.log1p((residuals / (STRANGE_SIGMAS * sigma)) ** 2)
+    unlike = np.log(np.maximum(residuals / (STRANGE_SIGMAS * sigma), 1))
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 
 
