@@ -19,7 +19,7 @@ from colmap_edges.texture.pictures import Images, resized, scaled_pixels
 
 # Pixels of the texture by which a side of a triangle may bend in the image, by perspective or
 # distortion, before its pixels are projected one by one.
-MAX_BEND_PX = 0.5
+MAX_BEND_PX = 1.0
 BORDER_PX = MARGIN_PX + 2  # by which charts may reach beyond their image; rounding adds to it
 
 

@@ -12,6 +12,7 @@ import trimesh
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import read_mesh, write_mesh
+from colmap_edges.report.scene3d import mesh_layer
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.texture import packing
 from colmap_edges.texture.gains import find_gains
@@ -231,6 +232,21 @@ def test_triangles_are_cut_before_the_camera():
     share = (1.98 / 4) ** 2
     behind = 1 - (2.02 / 4) ** 2
     assert sum(areas) == pytest.approx(behind * whole[0] + share * whole[1] + whole[2], rel=1e-6)
+
+
+def test_the_report_has_the_texture(tmp_path):
+    views = [make_view(i) for i in range(4)]
+    images = write_images(tmp_path, views, [1] * 4)
+    mesh, _ = textured(wall(8), views, images, 1024, 1)
+    layer = mesh_layer(mesh, mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
+    assert layer["texture"].startswith("data:image/jpeg;base64,")
+    x = layer["x"]["low"] + layer["x"]["step"] * layer["x"]["steps"]
+    corners = layer["corners"].reshape(3, -1).T
+    np.testing.assert_allclose(x[corners], mesh.vertices[mesh.faces][:, :, 0], atol=1e-3)
+    at = layer["texture_points"]["y"]
+    y = at["low"] + at["step"] * at["steps"]
+    expected = mesh.texture.points[mesh.texture.corners][:, :, 1]
+    np.testing.assert_allclose(y[corners], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])
