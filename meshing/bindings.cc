@@ -9,7 +9,9 @@
 
 #include <cstring>
 
+#include "intersections.h"
 #include "mesher.h"
+#include "refinement.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -78,7 +80,64 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
     result = mesher::MeshPoints(input, options);
   }
   return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 3>(result.faces),
-                        ToArray<Index, 1>(result.sources), result.stats);
+                        ToArray<Index, 1>(result.sources), ToArray<Index, 3>(result.edges),
+                        result.stats);
+}
+
+// The rows of an array as items of the core.
+template <typename Item, typename Array>
+std::vector<Item> ToItems(const Array& array) {
+  static_assert(sizeof(Item) % sizeof(*array.data()) == 0);
+  std::vector<Item> items(array.shape(0));
+  if (!items.empty()) std::memcpy(items.data(), array.data(), items.size() * sizeof(Item));
+  return items;
+}
+
+// Keeps what all refinements of a mesh share.
+class BoundRefiner {
+ public:
+  BoundRefiner(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& faces,
+               const Matrix<Index, 2>& creases, const Matrix<double, 6>& information,
+               int num_threads)
+      : core_({ToPoints(vertices), ToItems<std::array<Index, 3>>(faces),
+               ToItems<std::array<Index, 2>>(creases), ToItems<mesher::Symmetric>(information)},
+              num_threads) {}
+
+  nb::ndarray<nb::numpy, double> Refine(double strength, double angle, int num_rounds) const {
+    std::vector<mesher::Vec3> result;
+    {
+      nb::gil_scoped_release release;
+      result = core_.Refine({strength, angle}, num_rounds);
+    }
+    return ToArray<double, 3>(result);
+  }
+
+  nb::ndarray<nb::numpy, double> HeldOutErrors(const Vector<Index>& held_out, double strength,
+                                               double angle, int num_rounds) const {
+    const std::vector<Index> vertices = ToIndices(held_out);
+    std::vector<double> result;
+    {
+      nb::gil_scoped_release release;
+      result = core_.HeldOutErrors(vertices, {strength, angle}, num_rounds);
+    }
+    return ToArray<double, 1>(result);
+  }
+
+ private:
+  mesher::Refiner core_;
+};
+
+// Pairs of faces that intersect, beyond common vertices and sides.
+nb::ndarray<nb::numpy, Index> Intersections(const Matrix<double, 3>& vertices,
+                                            const Matrix<Index, 3>& faces, int num_threads) {
+  const std::vector<mesher::Vec3> points = ToPoints(vertices);
+  const auto corners = ToItems<std::array<Index, 3>>(faces);
+  std::vector<std::pair<Index, Index>> pairs;
+  {
+    nb::gil_scoped_release release;
+    pairs = mesher::Intersections(corners, points, num_threads);
+  }
+  return ToArray<Index, 2>(pairs);
 }
 
 }  // namespace
@@ -86,6 +145,14 @@ nb::tuple MeshPoints(const Matrix<double, 3>& points, const Vector<std::int64_t>
 NB_MODULE(_mesher, m) {
   m.doc() = "Delaunay meshing of sparse points with visibility";
   m.attr("cgal_version") = CGAL_VERSION_STR;
+  nb::class_<BoundRefiner>(m, "Refiner")
+      .def(nb::init<const Matrix<double, 3>&, const Matrix<Index, 3>&, const Matrix<Index, 2>&,
+                    const Matrix<double, 6>&, int>(),
+           "vertices"_a, "faces"_a, "creases"_a, "information"_a, "num_threads"_a)
+      .def("refine", &BoundRefiner::Refine, "strength"_a, "angle"_a, "num_rounds"_a)
+      .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strength"_a, "angle"_a,
+           "num_rounds"_a);
+  m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,
         "background_directions"_a, nb::kw_only(), "method"_a, "sigma_factor"_a, "quality_weight"_a,

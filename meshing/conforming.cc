@@ -3,22 +3,11 @@
 
 #include <algorithm>
 #include <iterator>
+#include <tuple>
 #include <utility>
 
 namespace mesher {
 namespace {
-
-using Segment = std::pair<Index, Index>;
-
-std::vector<Segment> SegmentsOf(const Rows& polylines) {
-  std::vector<Segment> segments;
-  for (std::int64_t row = 0; row < polylines.size(); ++row)
-    for (const Index* v = polylines.begin(row); v + 1 < polylines.end(row); ++v)
-      if (v[0] != v[1]) segments.push_back(std::minmax(v[0], v[1]));
-  std::sort(segments.begin(), segments.end());
-  segments.erase(std::unique(segments.begin(), segments.end()), segments.end());
-  return segments;
-}
 
 class Splitter {
  public:
@@ -30,56 +19,59 @@ class Splitter {
         last_change_(builder.num_vertices(), 0) {}
 
   // Splits until no piece needs it. Insertions may break existing edges, so pieces near them are
-  // tested again until none has changed. Returns the number of pieces that are not edges.
-  Index Split(const std::vector<Segment>& segments) {
-    std::vector<Piece> pieces;
-    for (const Segment& segment : segments) pieces.push_back({segment});
+  // tested again until none has changed.
+  void Split(Conforming& result) {
+    std::vector<Tested> pieces;
+    for (const Piece& piece : result.pieces) pieces.push_back({piece});
     bool has_changed = true;
     while (has_changed) {
       has_changed = false;
-      std::vector<Piece> next;
-      for (const Piece& piece : pieces)
-        if (IsKnown(piece))
-          next.push_back(piece);
+      std::vector<Tested> next;
+      for (const Tested& tested : pieces)
+        if (IsKnown(tested))
+          next.push_back(tested);
         else
-          has_changed |= SplitOne(piece.ends, next);
+          has_changed |= SplitOne(tested.piece, next);
       pieces.swap(next);
     }
-    return static_cast<Index>(
-        std::count_if(pieces.begin(), pieces.end(), [](const Piece& p) { return !p.is_edge; }));
+    result.pieces.clear();
+    for (const Tested& tested : pieces) {
+      result.pieces.push_back(tested.piece);
+      result.segments_missing += !tested.is_edge;
+    }
   }
 
  private:
-  struct Piece {
-    Segment ends;
+  struct Tested {
+    Piece piece;
     bool is_edge = false;
     Index when = kNone;  // number of points added before `is_edge` was computed
   };
 
   // An insertion creates and breaks edges between neighbors of the new vertex only.
-  bool IsKnown(const Piece& piece) const {
-    const auto [a, b] = piece.ends;
-    return piece.when != kNone && std::min(last_change_[a], last_change_[b]) <= piece.when;
+  bool IsKnown(const Tested& tested) const {
+    const auto [a, b, row] = tested.piece;
+    return tested.when != kNone && std::min(last_change_[a], last_change_[b]) <= tested.when;
   }
 
-  // Writes the pieces of `ends` to `pieces`; returns whether a point was added.
-  bool SplitOne(const Segment& ends, std::vector<Piece>& pieces) {
-    const auto [a, b] = ends;
+  // Writes the parts of `piece` to `pieces`; returns whether a point was added.
+  bool SplitOne(const Piece& piece, std::vector<Tested>& pieces) {
+    const auto [a, b, row] = piece;
     if (builder_.IsEdge(a, b)) {
-      pieces.push_back({ends, true, added_});
+      pieces.push_back({piece, true, added_});
       return false;
     }
     const Vec3 at_a = builder_.points()[a], at_b = builder_.points()[b];
     const Index before = builder_.num_vertices();
     if (Norm(at_b - at_a) < 2 * min_length_) {
-      pieces.push_back({ends, false, added_});
+      pieces.push_back({piece, false, added_});
       return false;
     }
     const Index middle = Middle(a, b);
     const bool is_new = middle == before;
     if (middle != a && middle != b) {
-      SplitOne({a, middle}, pieces);
-      SplitOne({middle, b}, pieces);
+      SplitOne({std::min(a, middle), std::max(a, middle), row}, pieces);
+      SplitOne({std::min(middle, b), std::max(middle, b), row}, pieces);
     }
     return is_new;
   }
@@ -121,20 +113,33 @@ class Splitter {
 
 }  // namespace
 
-ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
-                        DelaunayBuilder& builder, Rows& rays) {
-  const std::vector<Segment> segments = SegmentsOf(polylines);
-  ConformingStats stats;
-  stats.segments = static_cast<Index>(segments.size());
+std::vector<Piece> PiecesOf(const Rows& polylines) {
+  std::vector<Piece> pieces;
+  for (Index row = 0; row < polylines.size(); ++row)
+    for (const Index* v = polylines.begin(row); v + 1 < polylines.end(row); ++v)
+      if (v[0] != v[1]) pieces.push_back({std::min(v[0], v[1]), std::max(v[0], v[1]), row});
+  std::sort(pieces.begin(), pieces.end(), [](const Piece& p, const Piece& q) {
+    return std::tie(p.a, p.b, p.row) < std::tie(q.a, q.b, q.row);
+  });
+  const auto is_same = [](const Piece& p, const Piece& q) { return p.a == q.a && p.b == q.b; };
+  pieces.erase(std::unique(pieces.begin(), pieces.end(), is_same), pieces.end());
+  return pieces;
+}
+
+Conforming Conform(const Rows& polylines, double min_length, std::vector<double> radii,
+                   DelaunayBuilder& builder, Rows& rays) {
+  Conforming result{PiecesOf(polylines)};
+  result.segments = static_cast<Index>(result.pieces.size());
   const Index before = builder.num_vertices();
-  stats.segments_missing = Splitter(min_length, std::move(radii), builder, rays).Split(segments);
-  stats.points_added = builder.num_vertices() - before;
-  return stats;
+  Splitter(min_length, std::move(radii), builder, rays).Split(result);
+  result.points_added = builder.num_vertices() - before;
+  return result;
 }
 
 double TypicalSegmentLength(const Rows& polylines, const std::vector<Vec3>& points) {
   std::vector<double> lengths;
-  for (const auto& [a, b] : SegmentsOf(polylines)) lengths.push_back(Norm(points[b] - points[a]));
+  for (const Piece& piece : PiecesOf(polylines))
+    lengths.push_back(Norm(points[piece.b] - points[piece.a]));
   if (lengths.empty()) return 0;
   auto median = lengths.begin() + lengths.size() / 2;
   std::nth_element(lengths.begin(), median, lengths.end());

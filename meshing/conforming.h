@@ -8,8 +8,15 @@
 
 namespace mesher {
 
-struct ConformingStats {
-  Index segments = 0;
+// A piece of a polyline between two vertices.
+struct Piece {
+  Index a, b;  // a < b
+  Index row;   // the first polyline that it belongs to
+};
+
+struct Conforming {
+  std::vector<Piece> pieces;   // all pieces of all polylines, each once
+  Index segments = 0;          // pieces of the given polylines
   Index segments_missing = 0;  // pieces that are not edges and too short to be split
   Index points_added = 0;
 };
@@ -18,8 +25,11 @@ struct ConformingStats {
 // triangulation at their midpoints, until all pieces are edges or shorter than `min_length`. A new
 // point is appended to `rays` with the cameras that see both ends of its piece. If a vertex of a
 // polyline is nearer to the midpoint than the radii of both ends, it is used instead.
-ConformingStats Conform(const Rows& polylines, double min_length, std::vector<double> radii,
-                        DelaunayBuilder& builder, Rows& rays);
+Conforming Conform(const Rows& polylines, double min_length, std::vector<double> radii,
+                   DelaunayBuilder& builder, Rows& rays);
+
+// The distinct pieces of `polylines`, unsplit.
+std::vector<Piece> PiecesOf(const Rows& polylines);
 
 // Median length of the segments of `polylines`; 0 without segments.
 double TypicalSegmentLength(const Rows& polylines, const std::vector<Vec3>& points);

@@ -113,24 +113,27 @@ struct Scene {
   Rows rays;
   std::vector<Vec3> cameras;
   Rows polylines;
+  std::vector<Index>
+      polyline_rows;          // the input's polyline of each, which are split at dropped points
   std::vector<double> radii;  // merging radii of points of polylines
   std::vector<BackgroundRay> background;
 };
 
-// Polylines of vertices, split at dropped points.
-Rows MapPolylines(const Rows& polylines, const std::vector<Index>& vertex_of) {
-  Rows mapped;
-  auto finish = [&] { mapped.offsets.push_back(static_cast<std::int64_t>(mapped.values.size())); };
-  for (std::int64_t row = 0; row < polylines.size(); ++row) {
+// Adds the polylines of vertices, split at dropped points.
+void MapPolylines(const Rows& polylines, const std::vector<Index>& vertex_of, Scene& scene) {
+  for (Index row = 0; row < polylines.size(); ++row) {
+    const auto finish = [&] {
+      scene.polylines.offsets.push_back(static_cast<std::int64_t>(scene.polylines.values.size()));
+      scene.polyline_rows.push_back(row);
+    };
     for (const Index* point = polylines.begin(row); point != polylines.end(row); ++point) {
       if (vertex_of[*point] == kNone)
         finish();
       else
-        mapped.values.push_back(vertex_of[*point]);
+        scene.polylines.values.push_back(vertex_of[*point]);
     }
     finish();
   }
-  return mapped;
 }
 
 Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) {
@@ -143,7 +146,7 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
   }
   const UnitFrame frame(points);
   for (Vec3& p : points) p = frame(p);
-  Scene scene{frame, {}, {}, {}, {}, {}, {}, {}};
+  Scene scene{frame, {}, {}, {}, {}, {}, {}, {}, {}};
   std::vector<Index> vertex_of(input.points.size(), kNone);
   for (const Vec3& camera : input.cameras) scene.cameras.push_back(frame(camera));
 
@@ -169,7 +172,7 @@ Scene MakeScene(const MesherInput& input, std::map<std::string, double>& stats) 
     scene.points.push_back(point);
     scene.sources.push_back(finite[*places.begin(place)]);
   }
-  scene.polylines = MapPolylines(input.polylines, vertex_of);
+  MapPolylines(input.polylines, vertex_of, scene);
   stats["points"] = static_cast<double>(input.points.size());
   stats["points_not_finite"] = static_cast<double>(input.points.size() - points.size());
   stats["points_duplicate"] = static_cast<double>(points.size() - scene.points.size());
@@ -193,8 +196,15 @@ Scene WithMergedPoints(Scene scene, double factor, std::map<std::string, double>
   const auto representatives = Representatives(scene.points, radii);
   std::vector<Index> place_of(scene.points.size());
   std::vector<std::vector<Index>> members;
-  Scene merged{scene.frame, {}, {}, {}, std::move(scene.cameras), std::move(scene.polylines),
-               {},          {}};
+  Scene merged{scene.frame,
+               {},
+               {},
+               {},
+               std::move(scene.cameras),
+               std::move(scene.polylines),
+               std::move(scene.polyline_rows),
+               {},
+               {}};
   for (Index v = 0; v < static_cast<Index>(scene.points.size()); ++v) {
     if (representatives[v] == v) {
       place_of[v] = static_cast<Index>(members.size());
@@ -241,19 +251,22 @@ void AddBackground(const MesherInput& input, DelaunayBuilder& builder, Scene& sc
   }
 }
 
-// Empty if the points span no volume. Appends rays for the points that it adds.
+// Empty if the points span no volume. Appends rays for the points that it adds, and writes the
+// `pieces` of the polylines.
 Triangulation Triangulate(const MesherInput& input, const MesherOptions& options, Scene& scene,
-                          std::map<std::string, double>& stats) {
+                          std::vector<Piece>& pieces, std::map<std::string, double>& stats) {
   DelaunayBuilder builder(scene.points);
   if (builder.dimension() < 3) return {};
   if (options.min_segment_factor > 0) {
     const double min_length =
         options.min_segment_factor * TypicalSegmentLength(scene.polylines, scene.points);
-    const ConformingStats conforming =
-        Conform(scene.polylines, min_length, scene.radii, builder, scene.rays);
+    Conforming conforming = Conform(scene.polylines, min_length, scene.radii, builder, scene.rays);
+    pieces = std::move(conforming.pieces);
     stats["edge_segments"] = conforming.segments;
     stats["edge_segments_missing"] = conforming.segments_missing;
     stats["edge_points_added"] = conforming.points_added;
+  } else {
+    pieces = PiecesOf(scene.polylines);
   }
   if (!input.background_cameras.empty()) AddBackground(input, builder, scene);
   return builder.Flatten();
@@ -328,6 +341,29 @@ void AddSurface(const MesherInput& input, const Scene& scene, const Triangulatio
   result.stats["edges_split"] = stats.edges_split;
 }
 
+// The sides of faces that lie on pieces of polylines. A side that ends at the midpoint of two
+// vertices lies on the piece between them.
+void AddEdges(const Scene& scene, const std::vector<Piece>& pieces, const Surface& surface,
+              MesherResult& result) {
+  std::map<std::pair<Index, Index>, Index> rows;
+  for (const Piece& piece : pieces) rows.emplace(std::pair(piece.a, piece.b), piece.row);
+  for (const auto& corners : surface.faces)
+    for (int k = 0; k < 3; ++k) {
+      const Index i = corners[k], j = corners[(k + 1) % 3];
+      const auto [a, b] = surface.vertices[i];
+      const auto [c, d] = surface.vertices[j];
+      const auto [low, high] = std::minmax({a, b, c, d});
+      const auto is_end = [low = low, high = high](Index v) { return v == low || v == high; };
+      if (!is_end(a) || !is_end(b) || !is_end(c) || !is_end(d)) continue;
+      const auto found = rows.find({low, high});
+      if (found != rows.end())
+        result.edges.push_back(
+            {std::min(i, j), std::max(i, j), scene.polyline_rows[found->second]});
+    }
+  std::sort(result.edges.begin(), result.edges.end());
+  result.edges.erase(std::unique(result.edges.begin(), result.edges.end()), result.edges.end());
+}
+
 }  // namespace
 
 MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) {
@@ -339,16 +375,19 @@ MesherResult MeshPoints(const MesherInput& input, const MesherOptions& options) 
   Scene scene =
       WithMergedPoints(MakeScene(input, result.stats), options.merge_factor, result.stats);
   watch.Lap("sorting");
-  const Triangulation triangulation = Triangulate(input, options, scene, result.stats);
+  std::vector<Piece> pieces;
+  const Triangulation triangulation = Triangulate(input, options, scene, pieces, result.stats);
   result.stats["cells"] = triangulation.num_cells();
   result.stats["background_rays"] = static_cast<double>(scene.background.size());
   watch.Lap("triangulation");
   if (triangulation.cells.empty()) return result;
   const auto is_free = LabelFreeCells(triangulation, scene, options, result, watch);
   watch.Lap("labelling");
-  const Surface surface = ExtractSurface(triangulation, is_free,
-                                         SeenFrom(triangulation.points, scene), options.surface);
+  const auto ranges = SeenFrom(triangulation.points, scene);
+  const Surface surface =
+      ExtractSurface(triangulation, is_free, {scene.rays, scene.cameras, ranges}, options.surface);
   AddSurface(input, scene, triangulation, surface, result);
+  AddEdges(scene, pieces, surface, result);
   watch.Lap("surface");
   return result;
 }

@@ -39,6 +39,8 @@ struct MesherResult {
   std::vector<Vec3> vertices;
   std::vector<std::array<Index, 3>> faces;
   std::vector<Index> sources;  // input point of each vertex; kNone for added ones
+  // Edges of the mesh that lie on polylines: two vertices, and the first polyline of theirs.
+  std::vector<std::array<Index, 3>> edges;
   std::map<std::string, double> stats;
 };
 

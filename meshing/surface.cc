@@ -8,6 +8,10 @@
 namespace mesher {
 namespace {
 
+// Facets that face no camera are dropped if they are longer than this part of the limit of others;
+// shorter ones are the noise of surfaces.
+constexpr double kUnseenFactor = 0.4;
+
 class DisjointSets {
  public:
   explicit DisjointSets(std::size_t size) : parents_(size) {
@@ -130,8 +134,24 @@ Index Keep(const std::vector<std::uint8_t>& kept, Facets& facets) {
   return removed;
 }
 
-Index DropLongFacets(const Triangulation& triangulation, const std::vector<double>& ranges,
-                     double factor, Facets& facets) {
+// Whether a camera that observes a corner of a facet is on its free side. A facet that all of these
+// see from behind closes a volume that no ray has entered, and is no surface that they observe.
+// Facets between points that no camera observes are not judged.
+bool FacesCamera(const std::array<Index, 3>& corners, const Sight& sight,
+                 const std::vector<Vec3>& points) {
+  const Vec3& origin = points[corners[0]];
+  const Vec3 outward = Cross(points[corners[1]] - origin, points[corners[2]] - origin);
+  bool is_observed = false;
+  for (const Index v : corners)
+    for (const Index* camera = sight.rays.begin(v); camera != sight.rays.end(v); ++camera) {
+      is_observed = true;
+      if (Dot(outward, sight.cameras[*camera] - origin) > 0) return true;
+    }
+  return !is_observed;
+}
+
+Index DropLongFacets(const Triangulation& triangulation, const Sight& sight, double factor,
+                     Facets& facets) {
   if (factor <= 0) return 0;
   const auto& points = triangulation.points;
   std::vector<std::uint8_t> kept(facets.corners.size());
@@ -139,7 +159,9 @@ Index DropLongFacets(const Triangulation& triangulation, const std::vector<doubl
     const auto& [a, b, c] = facets.corners[f];
     const double longest = std::max(
         {Norm(points[a] - points[b]), Norm(points[b] - points[c]), Norm(points[c] - points[a])});
-    kept[f] = longest <= factor * std::min({ranges[a], ranges[b], ranges[c]});
+    const double limit = factor * std::min({sight.ranges[a], sight.ranges[b], sight.ranges[c]});
+    kept[f] = longest <= kUnseenFactor * limit ||
+              (longest <= limit && FacesCamera(facets.corners[f], sight, points));
   }
   return Keep(kept, facets);
 }
@@ -232,12 +254,12 @@ void AddFaces(const Index* corners, const Index* midpoints, Surface& surface) {
 }  // namespace
 
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
-                       const std::vector<double>& ranges, const SurfaceOptions& options) {
+                       const Sight& sight, const SurfaceOptions& options) {
   Surface surface;
   Facets facets = Extractor(triangulation, is_free).Extract();
   surface.stats.boundary_facets = facets.size();
   surface.stats.long_facets_dropped =
-      DropLongFacets(triangulation, ranges, options.long_facet_factor, facets);
+      DropLongFacets(triangulation, sight, options.long_facet_factor, facets);
   surface.stats.component_faces_dropped = DropSmallComponents(options.min_component_faces, facets);
   const std::vector<Index> vertex_of = SplitVertices(facets, surface);
   const std::vector<Index> midpoints = SplitEdges(facets, vertex_of, surface);

@@ -12,7 +12,7 @@ namespace mesher {
 
 struct SurfaceOptions {
   double long_facet_factor = 0.5;  // facets with a longer side, in ranges of their vertices, are
-                                   // dropped; 0 keeps all
+                                   // dropped; facets that face no camera sooner; 0 keeps all
   Index min_component_faces = 1;   // smaller connected components are dropped
 };
 
@@ -31,12 +31,19 @@ struct Surface {
   SurfaceStats stats;
 };
 
+// How the vertices are seen: the cameras of each, and its viewing distance.
+struct Sight {
+  const Rows& rays;
+  const std::vector<Vec3>& cameras;
+  const std::vector<double>& ranges;
+};
+
 // The facets between free and solid cells, with normals towards free space. Where solid cells touch
 // along an edge or in a vertex only, vertices are duplicated, which does not change the shape:
 // every edge has one or two faces, and the faces around a vertex form one fan or one disk.
 //
-// `ranges` holds the viewing distance of each vertex; the shortest of a facet counts.
+// The shortest viewing distance of a facet's vertices counts.
 Surface ExtractSurface(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free,
-                       const std::vector<double>& ranges, const SurfaceOptions& options);
+                       const Sight& sight, const SurfaceOptions& options);
 
 }  // namespace mesher

@@ -335,7 +335,13 @@ void TestSurfaceOfRandomLabels() {
     SurfaceOptions options;
     options.long_facet_factor = round % 3 ? 0.8 : 0;
     const std::vector<double> ranges(points.size(), 1.5);
-    CheckEdges(ExtractSurface(triangulation, is_free, ranges, options), round);
+    const std::vector<Vec3> cameras{{0.5, 0.5, 9}};
+    Rows rays;
+    for (std::size_t v = 0; v < points.size(); ++v) {
+      if (random() % 2) rays.values.push_back(0);
+      rays.offsets.push_back(static_cast<std::int64_t>(rays.values.size()));
+    }
+    CheckEdges(ExtractSurface(triangulation, is_free, {rays, cameras, ranges}, options), round);
   }
 }
 

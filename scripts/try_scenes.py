@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Run the program on random scenes with truth, and print how good its meshes and edges are.
 
-Each scene is meshed three times: SfM points only, with edges, and with edges and the faces between
-them. Everything is kept in --output_path, so that a run can be interrupted, and is done again only
-where the maker of the scenes, the program or the measures changed. Failed scenes are repeated. The
-folder receives summary.md with the tables, and pictures of the worst scenes.
+Each scene is meshed four times: SfM points only, with edges, with edges and the faces between them,
+and with patches, too. Everything is kept in --output_path, so that a run can be interrupted, and is
+done again only where the maker of the scenes, the program or the measures changed. Failed scenes
+are repeated. The folder receives summary.md with the tables, and pictures of the worst scenes.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def draw_worst(
 
     With a baseline its pictures are below those of the present version.
     """
-    value = rules.of_mesh("faces", rules.RIGHT)
+    value = rules.of_mesh("patches", rules.RIGHT)
     before = {rules.name_of(record): value(record) or 0.0 for record in baseline}
     measured = [(record, now) for record in records if (now := value(record)) is not None]
     order = sorted(measured, key=lambda pair: pair[1] - before.get(rules.name_of(pair[0]), 0.0))

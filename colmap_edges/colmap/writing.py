@@ -21,9 +21,17 @@ from colmap_edges.colmap.model import (
     view_from_image,
 )
 from colmap_edges.colmap.text_files import check_text_files
-from colmap_edges.core.arrays import FloatArray, IntArray, entries_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    entries_of,
+    joined_offsets,
+    owners_of,
+)
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.view import track_residuals
+from colmap_edges.core.view import track_residuals, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 
 
@@ -61,6 +69,7 @@ def write_model(
     path: Path | str,
     output_type: str = "BIN",
     residuals: FloatArray | None = None,
+    added: NewPoints | None = None,
 ) -> IntArray:
     """Write the model plus the edge points as points3D with tracks.
 
@@ -73,6 +82,7 @@ def write_model(
         path: folder to write to; created if missing.
         output_type: BIN or TXT.
         residuals: (T,) result of `observation_residuals`, if already computed.
+        added: further points, whose ids are counted from 0 after those of the edge points.
 
     Returns:
         (N,) ids of the edge points in the written model; edge points of one node share an id.
@@ -80,13 +90,14 @@ def write_model(
     path = Path(path)
     path.mkdir(exist_ok=True)
     points = new_points(model, edges, residuals)
+    every = joined(points, added, first_new_id(model)) if added else points
     try:
         if output_type == "BIN":
             model.reconstruction.write_binary(str(path))
             check_complete(path, camera_parameter_counts())
-            append_points(path, points)
+            append_points(path, every)
         else:
-            write_text(with_points(model.reconstruction, points), path)
+            write_text(with_points(model.reconstruction, every), path)
     except ColmapEdgesError as error:  # pycolmap does not report a full disk
         raise ColmapEdgesError(f"cannot write to {path}: the disk is full ({error})") from error
     return ids_of_edge_points(edges, points)
@@ -173,16 +184,61 @@ def new_points(
     others = track_residuals(model.views, at[tracks.points], tracks.views, tracks.pixels)
     sums = np.bincount(observed.points, np.concatenate([known, others]), count)
     image_ids = np.array([view.image_id for view in model.views], np.int64)
-    taken = (model.point3D_ids, model.far_point3D_ids)
-    first_id = 1 + int(max(ids.max(initial=0) for ids in taken))
     return NewPoints(
-        ids=first_id + np.arange(count, dtype=np.int64),
+        ids=first_new_id(model) + np.arange(count, dtype=np.int64),
         xyz=points.points,
         rgb=points.colors,
         errors=sums / np.maximum(observed.counts, 1),
         track_offsets=observed.offsets,
         track_image_ids=image_ids[observed.views],
         track_points2D=observed.pixels,
+    )
+
+
+def first_new_id(model: Model) -> int:
+    """The id after those of all points of a model."""
+    taken = (model.point3D_ids, model.far_point3D_ids)
+    return 1 + int(max(ids.max(initial=0) for ids in taken))
+
+
+def joined(points: NewPoints, added: NewPoints, first_id: int) -> NewPoints:
+    """Two sets of points as one, the second with ids after those of the first."""
+    first_id = int(points.ids.max(initial=first_id - 1)) + 1
+    parts = (points, replace(added, ids=first_id + added.ids))
+    values = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in vars(points)
+        if name != "track_offsets"
+    }
+    return NewPoints(**values, track_offsets=joined_offsets([part.track_offsets for part in parts]))
+
+
+def points_of_tracks(
+    model: Model, xyz: FloatArray, offsets: IntArray, views: Int32Array, grays: ByteArray
+) -> NewPoints:
+    """Gray points whose observations are where they project to; ids from 0.
+
+    Their reprojection errors are unknown: -1, as in COLMAP.
+
+    Args:
+        model: the model of the views.
+        xyz: (N, 3) the points.
+        offsets: (N + 1,) of their tracks.
+        views: (T,) views of their tracks.
+        grays: (N,) their gray.
+    """
+    owners, pixels = owners_of(offsets), np.zeros((len(views), 2))
+    for view, rows in views_with_rows(model.views, views):
+        pixels[rows] = view.project(xyz[owners[rows]])[0]
+    image_ids = np.array([view.image_id for view in model.views], np.int64)
+    return NewPoints(
+        ids=np.arange(len(xyz), dtype=np.int64),
+        xyz=xyz,
+        rgb=np.repeat(grays[:, None], 3, axis=1),
+        errors=np.full(len(xyz), -1.0),
+        track_offsets=offsets,
+        track_image_ids=image_ids[views],
+        track_points2D=pixels,
     )
 
 

@@ -85,7 +85,12 @@ class Visitor(Protocol):
     """Computes a value from every image while it is in memory."""
 
     def visit(
-        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: DetectedEdges,
+        usable: BoolArray | None,
     ) -> Any:
         """Compute the value of an image, in the process that works on it.
 
@@ -94,6 +99,7 @@ class Visitor(Protocol):
             view: the view.
             read: returns the (H, W, 3) image, decoding it if necessary.
             found: its edges.
+            usable: (H, W) false where it is masked or transparent; None without a mask.
         """
 
     def collect(self, index: int, kept: Any) -> None:
@@ -113,10 +119,15 @@ class Visitors:
         return cls(found) if len(found) > 1 else next(iter(found), None)
 
     def visit(
-        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: DetectedEdges,
+        usable: BoolArray | None,
     ) -> list[Any]:
         """Call all visitors; the image is decoded at most once."""
-        return [visitor.visit(index, view, read, found) for visitor in self.visitors]
+        return [visitor.visit(index, view, read, found, usable) for visitor in self.visitors]
 
     def collect(self, index: int, kept: list[Any]) -> None:
         """Pass to each visitor its value."""
@@ -226,7 +237,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
     if kept is None:
         image = decode_image(data, path, view)
     usable = None
-    if (mask or alpha is not None) and (kept is None or work.masks_are_background):
+    if (mask or alpha is not None) and (kept is None or work.visitor or work.masks_are_background):
         usable = usable_pixels(mask, alpha, view)
     if kept is None:
         found = detect_edges(image, data, usable, edge_map, view, work)
@@ -240,7 +251,7 @@ def graph_of_image(work: ImageWork, index: int, view: View) -> tuple[EdgeGraph, 
         def read() -> Picture:
             return image if kept is None else decode_image(data, path, view)
 
-        visited = work.visitor.visit(index, view, read, found)
+        visited = work.visitor.visit(index, view, read, found, usable)
     background_mask = found.background_mask
     if work.masks_are_background:
         background_mask = NO_BACKGROUND_MASK if usable is None else masked_background(usable)

@@ -31,8 +31,9 @@ Progress = Callable[[str], None]
 
 
 def methods() -> dict[str, PipelineOptions]:
-    """The options of each method of meshing a model: SfM points alone, with edges, with faces."""
-    own, paper = (replace(preset(name), use_faces=False) for name in ("medium", "paper"))
+    """The options of each method of meshing a model, from SfM points alone to all that is found."""
+    faces = replace(preset("medium"), use_patches=False)
+    own, paper = replace(faces, use_faces=False), preset("paper")
     quality = replace(own.meshing, quality_weight=1.0)
     return {
         "SfM": replace(own, use_edges=False),
@@ -40,7 +41,8 @@ def methods() -> dict[str, PipelineOptions]:
         "COLMAP-like": replace(own, use_edges=False, meshing=quality),
         "paper": paper,
         "edges": own,
-        "faces": preset("medium"),
+        "faces": faces,
+        "patches": preset("medium"),
     }
 
 

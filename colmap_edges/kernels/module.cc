@@ -10,6 +10,7 @@ NB_MODULE(_kernels, m) {
   colmap_edges::BindFaceHypotheses(m);
   colmap_edges::BindFaintLines(m);
   colmap_edges::BindPaper(m);
+  colmap_edges::BindPatches(m);
   colmap_edges::BindPoses(m);
   colmap_edges::BindTexture(m);
 }

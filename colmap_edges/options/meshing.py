@@ -51,8 +51,8 @@ class MeshingOptions(Options):
     edge_solid_weight: float = 0.7
     background_weight: float = option(
         16.0,
-        "Weight of a background ray (plain backdrop, or masked pixels with masks_are_background) "
-        "relative to a ray to a point; 0 disables them",
+        "Weight of a background ray (plain backdrop, sky, or masked pixels with "
+        "masks_are_background) relative to a ray to a point; 0 disables them",
         within=(0, 1000),
     )
     # carve, manifold: vote of a ray for the cells it crosses (w1) (the paper).

@@ -49,6 +49,8 @@ PAPER: dict[str, Any] = {
         "min_segment_factor": 0.0,
     },
     "use_faces": False,
+    "use_patches": False,
+    "refine_mesh": False,
 }
 PRESETS = {**QUALITIES, "paper": PAPER}
 

@@ -55,6 +55,22 @@ class PipelineOptions(Options):
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
         stage="mesh",
     )
+    use_sky: bool = option(
+        True,
+        "Find the sky in images without a background; its rays keep the mesh open",
+        stage="mesh",
+    )
+    use_patches: bool = option(
+        True, "Mesh points found where images have texture, too", stage="mesh"
+    )
+    write_patches: bool = option(
+        False, "Write points found where images have texture, too", stage="write"
+    )
+    refine_mesh: bool = option(
+        True,
+        "Move vertices of the mesh within their noise until faces between edges are smooth",
+        stage="mesh",
+    )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )

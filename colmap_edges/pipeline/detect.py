@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import BoolArray
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.graphs import CacheBackend, Graphs
 from colmap_edges.edges2d.image_graphs import (
@@ -167,7 +168,14 @@ class GraphWriter:
     folder: Path
     options: EdgeGraphOptions
 
-    def visit(self, _index: int, view: View, read: Callable[[], Any], found: DetectedEdges) -> None:
+    def visit(
+        self,
+        _index: int,
+        view: View,
+        read: Callable[[], Any],
+        found: DetectedEdges,
+        _usable: BoolArray | None,
+    ) -> None:
         """Write the files of a view."""
         arrays = path_of_image(self.folder / "edge_graphs", view.name + ".npz")
         picture = path_of_image(self.folder / "overlays", view.name + ".png")

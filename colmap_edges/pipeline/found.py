@@ -10,9 +10,11 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges3d.curves.fitting import fit_curves
+from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import detect_stage
-from colmap_edges.pipeline.mesh import background_stage, face_stage
+from colmap_edges.pipeline.mesh import background_stage, face_stage, sky_stage
+from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import edge_stages
 from colmap_edges.report.contents import ImagePicture
@@ -22,7 +24,9 @@ from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
 from colmap_edges.surfaces.silhouettes import Background
+from colmap_edges.surfaces.sky.regions import SmallPictures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +37,9 @@ class Found:
         model: the model at the working scale, with refined poses if they were wanted.
         traced: the 3D edges and the view-dependent contours.
         curves: the curves that fit the edges.
-        background: rays to the background; None without one.
+        background: rays to the background or the sky; None without one.
         faces: planar faces between the edges.
+        patches: points where images have texture.
         pictures: reduced pictures of the images, if they were wanted.
     """
 
@@ -43,6 +48,7 @@ class Found:
     curves: Curves3D
     background: Background | None
     faces: Faces
+    patches: Patches
     pictures: Sequence[ImagePicture]
 
 
@@ -65,14 +71,19 @@ def find_edges(
         settings: the options, as `resolved` for the model's scale.
         stages: the stages of the run.
         workers: executor of the work on images and views.
-        for_mesh: whether to find the background and, unless `use_faces` is 0, faces.
+        for_mesh: whether to find what the mesh needs: the background or, unless `use_sky` is 0, the
+            sky; faces and patches, unless `use_faces` and `use_patches` are 0.
         with_pictures: whether to take reduced pictures of the images.
         viewer: viewer that shows intermediate results.
     """
     taker = PictureVisitor(len(model.views)) if with_pictures else None
     grids = GridVisitor() if for_mesh and settings.use_faces else None
+    finds_patches = (for_mesh and settings.use_patches) or settings.write_patches
+    textures = GridVisitor(picture_columns(model)) if finds_patches else None
+    has_background = for_mesh and settings.meshing.background_weight > 0
+    small = SmallPictures() if has_background and settings.use_sky else None
     images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
-    visitor = Visitors.of(taker, grids)
+    visitor = Visitors.of(taker, grids, textures, small)
     detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
     pictures = taker.pictures() if taker else ()
     for picture in pictures:
@@ -84,19 +95,26 @@ def find_edges(
         viewer.show_model(model)
     viewer.show_edges(traced.edges, len(model.views))
     curves = curve_stage(traced.edges, settings, stages)
-    background, faces = None, NO_FACES
-    if for_mesh and settings.meshing.background_weight:
+    background: Background | None = None
+    hidden: Sequence[BackgroundMask] = detection.background_masks
+    faces, patches = NO_FACES, NO_PATCHES
+    if has_background:
         background = background_stage(model, detection, traced.edges, settings, stages)
+    if small and background is None:
+        background, hidden = sky_stage(model, traced.edges, small.pictures, stages)
     if grids:
-        small = grids.grids
-        faces = face_stage(model, traced.edges, small, settings, stages, detection, background)
+        hidden = hidden if background else ()
+        faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
         viewer.show_faces(faces.faces)
+    if textures:
+        patches = patch_stage(model, traced.edges, textures.grids, settings, stages)
     return Found(
         model=model,
         traced=traced,
         curves=curves,
         background=background,
         faces=faces,
+        patches=patches,
         pictures=pictures,
     )
 

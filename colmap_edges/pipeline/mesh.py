@@ -8,21 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray
+from colmap_edges.core.arrays import FloatArray, Picture
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
+from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
+from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.texture.pictures import Images
 from colmap_edges.texture.texturing import textured
 
@@ -33,8 +37,6 @@ def check_mesher(options: PipelineOptions) -> None:
     Raises:
         ColmapEdgesError: if a library is not installed.
     """
-    from colmap_edges.surfaces.mesher import load_extension
-
     load_extension()
     if options.meshing.max_faces:
         load_meshlab()
@@ -57,22 +59,47 @@ def background_stage(
     return background
 
 
+def sky_stage(
+    model: Model, edges: Edges3D, pictures: Mapping[int, Picture], stages: Stages
+) -> tuple[Background | None, Sequence[BackgroundMask]]:
+    """Find the rays of the sky, and its masks; none if too few images show a sky.
+
+    Args:
+        model: gives the V views and the SfM points.
+        edges: its 3D edges.
+        pictures: small pictures of the views.
+        stages: the stages of the run.
+    """
+    with stages.stage("sky") as stage:
+        background, masks = find_sky(model, edges, pictures) or (None, ())
+        stage.counts = {
+            "images": len(pictures),
+            "images_with_sky": sum(mask.is_seen for mask in masks),
+            "sky_rays": len(background.rays.cameras) if background else 0,
+        }
+    return background, masks
+
+
 def face_stage(
     model: Model,
     edges: Edges3D,
     grids: Mapping[int, Grid],
     options: PipelineOptions,
     stages: Stages,
-    detection: Detection,
-    background: Background | None,
+    masks: Sequence[BackgroundMask],
 ) -> Faces:
-    """Find the planar faces between 3D edges; `grids` are the reduced images of the views."""
+    """Find the planar faces between 3D edges, none of them before a background.
+
+    Args:
+        model: gives the V views and the SfM points.
+        edges: its 3D edges.
+        grids: reduced images of the views.
+        options: options of all stages.
+        stages: the stages of the run.
+        masks: (V,) background of the images; empty without one.
+    """
     with stages.stage("faces") as stage:
-        bodies = (
-            spread_bodies(model.views, detection.background_masks, edges.points).values()
-            if background
-            else ()
-        )
+        bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
         seed, threads = options.random_seed, thread_count(options)
         faces = find_faces(model, edges, grids, seed, threads, list(bodies))
         stage.counts = {
@@ -95,8 +122,9 @@ def mesh_stage(
     stages: Stages,
     background: Background | None = None,
     faces: Faces = NO_FACES,
+    patches: Patches = NO_PATCHES,
 ) -> Mesh:
-    """Mesh a model's points, edges and faces.
+    """Mesh a model's points and what was found.
 
     Args:
         model: the model.
@@ -106,6 +134,7 @@ def mesh_stage(
         stages: the stages of the run.
         background: background rays.
         faces: planar faces.
+        patches: points where images have texture.
 
     Raises:
         ColmapEdgesError: if no image observes a point.
@@ -116,9 +145,17 @@ def mesh_stage(
             "`colmap point_triangulator` on the model first"
         )
     with stages.stage("mesh") as stage:
-        curves = [traced.edges, traced.contours] if traced else []
-        threads = thread_count(options)
-        mesh = mesh_with_curves(model, curves, options.meshing, threads, background, faces.points)
+        curves = (traced.edges, traced.contours) if traced else (None, None)
+        mesh = mesh_with_curves(
+            model,
+            curves,
+            options.meshing,
+            thread_count(options),
+            background,
+            faces.points,
+            patches,
+            options.refine_mesh,
+        )
         mesh = finished(mesh, extended, options.meshing)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts |= {"far_from_origin": 1} if is_far_from_origin(mesh) else {}

@@ -22,6 +22,7 @@ from colmap_edges.report.findings import Finding
 from colmap_edges.runtime.executors import open_workers
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import Faces
+from colmap_edges.surfaces.patches.finding import Patches
 from colmap_edges.surfaces.silhouettes import Background
 
 
@@ -38,9 +39,10 @@ class EdgeReconstruction:
         reconstruction: a new pycolmap.Reconstruction: the input plus the edge points; poses and
             SfM points are unchanged unless `refine_poses` is set.
         residuals_px: (T,) reprojection error of each observation, pixels.
-        background: background rays for `mesh`, of a plain backdrop or, with
-            `masks_are_background`, of masked pixels; empty without a background.
+        background: background rays for `mesh`, of a plain backdrop, of the sky or, with
+            `masks_are_background`, of masked pixels; None without a background.
         faces: planar faces between the edges, for `mesh`; empty if `use_faces` is 0.
+        patches: points where images have texture, for `mesh`; empty if `use_patches` is 0.
         stages: records of the stages, as in report.json.
         findings: steps at which edges were lost, with remedies; empty if there is no problem.
     """
@@ -53,6 +55,7 @@ class EdgeReconstruction:
     residuals_px: FloatArray
     background: Background | None
     faces: Faces
+    patches: Patches
     stages: list[dict[str, Any]]
     findings: list[Finding]
 
@@ -116,6 +119,7 @@ def result_of(found: Found, options: PipelineOptions, stages: Stages) -> EdgeRec
         residuals_px=residuals,
         background=found.background,
         faces=found.faces,
+        patches=found.patches,
         stages=stages.records(),
         findings=diagnose(stages.records(), options),
     )

@@ -27,6 +27,7 @@ from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import OUTPUT, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
+from colmap_edges.surfaces.patches.finding import NO_PATCHES
 
 
 def run(
@@ -153,13 +154,15 @@ def run_edges(
     )
     model, edges, faces, mesh = found.model, found.traced.edges, found.faces, None
     up = upward(model.views, found.curves)
-    extended = write_stage(model, edges, found.curves, folder, options, stages)
+    extended = write_stage(model, edges, found.curves, folder, options, stages, found.patches)
     if command == "mesh":
         if options.use_faces:
-            in_mesh = bool(len(faces.points.points)) and not found.background
+            is_bounded = found.background is not None and found.background.bounds_bodies
+            in_mesh = bool(len(faces.points.points)) and not is_bounded
             write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
-        given = (found.traced, extended, options, stages, found.background, faces)
-        mesh = mesh_stage(model, *given)
+        patches = found.patches if options.use_patches else NO_PATCHES
+        given = (found.traced, extended, options, stages, found.background)
+        mesh = mesh_stage(model, *given, faces, patches)
         mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
         viewer.show_mesh(mesh)
     return Contents(

@@ -13,7 +13,7 @@ import numpy as np
 
 import colmap_edges
 from colmap_edges.colmap.model import Model, observation_residuals
-from colmap_edges.colmap.writing import with_edge_points, write_model
+from colmap_edges.colmap.writing import points_of_tracks, with_edge_points, write_model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
@@ -31,6 +31,7 @@ from colmap_edges.report.page import write_report
 from colmap_edges.runtime.cache import library_version
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 
 logger = logging.getLogger(__name__)
 
@@ -42,8 +43,11 @@ def write_stage(
     folder: Path,
     options: PipelineOptions,
     stages: Stages,
+    patches: Patches = NO_PATCHES,
 ) -> Model:
     """Write the model with edge points, and the edges as polylines and curves.
+
+    With `write_patches` the model has the patches, too.
 
     Returns:
         The model with the edge points appended.
@@ -51,7 +55,10 @@ def write_stage(
     with stages.stage("write") as stage:
         residuals = observation_residuals(model, edges)
         sparse = folder / "sparse"
-        ids = write_model(model, edges, sparse, options.output_type, residuals)
+        added = None
+        if options.write_patches:
+            added = points_of_tracks(model, *patches.points, patches.grays)
+        ids = write_model(model, edges, sparse, options.output_type, residuals, added)
         write_ply(edges, folder / "edges.ply")
         write_json(edges, curves, model, ids, residuals, folder / "edges.json")
         stage.counts = {

@@ -66,6 +66,11 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     if (faces := counts.get("faces")) is not None:
         has_background = "background_rays" in counts.get("background", {})
         texts["Faces"] = faces_text(faces, unit, has_background)
+    if (sky := counts.get("sky", {})) and sky["images_with_sky"]:
+        texts["Sky"] = (
+            f"in {sky['images_with_sky']:,} of {counted(sky['images'], 'image')}: its rays keep "
+            "the mesh open"
+        )
     if mesh is not None:
         vertices = counted(mesh["vertices"], "vertex", "vertices")
         texts["Mesh"] = f"{counted(mesh['faces'], 'triangle')}, {vertices}"

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, Picture, offsets_of, parts_of, ranks_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, Picture, offsets_of, parts_of, ranks_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -36,7 +36,12 @@ class PictureVisitor:
         self.taken: dict[int, ImagePicture] = {}
 
     def visit(
-        self, index: int, view: View, read: Callable[[], Picture], found: DetectedEdges
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: DetectedEdges,
+        usable: BoolArray | None = None,
     ) -> ImagePicture | None:
         """Make the picture of a view, its longer side at most `side_px`; None if not chosen."""
         if index not in self.chosen:

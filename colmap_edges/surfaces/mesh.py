@@ -68,6 +68,7 @@ class Mesh:
         faces: (F, 3) int32 indices into `vertices`, counter-clockwise seen from free space.
         point3D_ids: (V,) int64; -1 for edge points and for vertices added by the mesher.
         colors: (V, 3) uint8.
+        creases: (C, 2) int32 pairs of vertices: edges of the mesh that lie on 3D edges.
         stats: numbers of inputs, kept and dropped items, and seconds per step.
         texture: its texture, or None.
     """
@@ -76,6 +77,9 @@ class Mesh:
     faces: Annotated[Int32Array, "F", 3]
     point3D_ids: Annotated[IntArray, "V"]
     colors: Annotated[ByteArray, "V", 3]
+    creases: Annotated[Int32Array, "C", 2] = field(
+        default_factory=lambda: np.zeros((0, 2), np.int32)
+    )
     stats: Mapping[str, float] = field(default_factory=dict)
     texture: Texture | None = None
 
@@ -92,6 +96,7 @@ class Mesh:
         check_arrays(name, self)
         check_points(f"{name}.vertices", self.vertices)
         check_values(f"{name}.faces", self.faces, 0, len(self.vertices) - 1)
+        check_values(f"{name}.creases", self.creases, 0, len(self.vertices) - 1)
         if self.texture is not None:
             texture = self.texture
             check_type(f"{name}.texture.jpeg", texture.jpeg, (bytes,))

@@ -15,8 +15,13 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import Faces
+from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.patches.adding import what_they_add
+from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
+from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
 from colmap_edges.surfaces.simplify import simplify
 
@@ -29,6 +34,8 @@ FINEST = 0.01
 # Largest median distance of edges' projections from their observations, in image sides. Those of
 # edges of this model are below a hundredth of it, those of another are anywhere.
 MAX_MISS = 0.01
+# Least number of patches that a mesh lacks for which it is made again, relative to its points.
+MIN_LACKING = 0.005
 
 
 class Polylines(NamedTuple):
@@ -38,11 +45,13 @@ class Polylines(NamedTuple):
         point_indices: (P,) int32 indices into the meshed points.
         offsets: (E + 1,) int64; polyline e is point_indices[offsets[e]:offsets[e + 1]].
         closed: (E,) bool; the last point of a closed polyline connects to its first.
+        num_edges: number of polylines that are 3D edges, the first ones; None for all.
     """
 
     point_indices: Int32Array
     offsets: IntArray
     closed: BoolArray
+    num_edges: int | None = None
 
 
 @checked
@@ -55,6 +64,8 @@ def mesh(
     background: Background | None = None,
     contours: Edges3D | None = None,
     faces: Faces | None = None,
+    patches: Patches | None = None,
+    refine: bool = True,
 ) -> Mesh:
     """Mesh the points of a COLMAP model, with or without 3D edges.
 
@@ -67,6 +78,8 @@ def mesh(
         background: background rays and silhouette points, as found by `reconstruct`.
         contours: view-dependent contours, as found by `reconstruct`; the mesh follows them, too.
         faces: planar faces between the edges, as found by `reconstruct`.
+        patches: points where images have texture, as found by `reconstruct`.
+        refine: move vertices within their noise until faces between edges are smooth.
 
     Raises:
         ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
@@ -76,54 +89,94 @@ def mesh(
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
-    check_of_model(model, {"edges": edges, "contours": contours}, background, faces)
-    curves = [of for of in (edges, contours) if of is not None]
+    check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     points = faces.points if faces else NO_POINTS
-    found = mesh_with_curves(model, curves, options, num_threads, background, points)
+    given = (background, points, patches or NO_PATCHES, refine)
+    found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 
 
 def mesh_with_curves(
     model: Model,
-    curves: list[Edges3D],
+    edges_and_contours: tuple[Edges3D | None, Edges3D | None],
     options: MeshingOptions,
     num_threads: int,
     background: Background | None = None,
     faces: SeenPoints = NO_POINTS,
+    patches: Patches = NO_PATCHES,
+    refine: bool = True,
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
-    Silhouettes already bound bodies before a background, so that no points of faces are added.
+    Silhouettes already bound bodies before a background other than the sky, so that no points of
+    faces are added.
+    Of patches those are added that the mesh without them lacks: where it is right, they would add
+    their noise only.
 
     `point3D_ids` of the result are indices of the points in this order.
     """
-    seen_points = len(model.points3D_xyz) + sum(each.num_points for each in curves)
-    if not seen_points and len(model.far_point3D_ids):
+    edges, contours = edges_and_contours
+    curves = [of for of in edges_and_contours if of is not None]
+    num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
+    if not num_seen and len(model.far_point3D_ids):
         raise ColmapEdgesError(
             f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
             "with the distances between cameras; check the units of points and poses"
         )
-    seen = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
-    seen += [
+    is_bounded = bool(background and background.bounds_bodies and options.background_weight)
+    others = background.silhouettes if background and is_bounded else faces
+    polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
+
+    def meshed(added: SeenPoints) -> Mesh:
+        return mesh_points(
+            *joined_points(model, curves, added, others),
+            model.camera_centers,
+            options,
+            polylines,
+            num_threads,
+            background.rays if background else None,
+        )
+
+    found = meshed(NO_POINTS)
+    lacking = what_they_add(patches, model, found.vertices, found.faces, num_threads)
+    if len(lacking) > MIN_LACKING * (num_seen + len(others.points)):
+        found = meshed(patches.points.chosen(lacking))
+        found = replace(found, stats={**found.stats, "patches_added": len(lacking)})
+    else:
+        lacking = lacking[:0]
+    if not refine:
+        return found
+    sfm = Tracks(model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D)
+    measured = Measured(model.views, sfm, edges, contours, patches.sigmas[lacking])
+    other_sigma = 1.0 if is_bounded else FACE_SIGMA
+    return refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+
+
+def joined_points(model: Model, curves: list[Edges3D], *more: SeenPoints) -> SeenPoints:
+    """Points of a model, of curves, and more, one after the other."""
+    parts = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
+    parts += [
         SeenPoints(each.points, each.observations.offsets, each.observations.views)
         for each in curves
     ]
-    first, count = len(model.points3D_xyz), sum(len(part.points) for part in seen)
-    polylines = Polylines(
+    parts += more
+    return SeenPoints(
+        np.concatenate([part.points for part in parts]),
+        joined_offsets([part.track_offsets for part in parts]),
+        np.concatenate([part.track_views for part in parts]),
+    )
+
+
+def polylines_of(curves: list[Edges3D], first: int, num_edges: int) -> Polylines | None:
+    """The polylines of curves whose points follow `first` others; None without curves."""
+    if not curves:
+        return None
+    count = first + sum(each.num_points for each in curves)
+    return Polylines(
         np.arange(first, count, dtype=np.int32),
         joined_offsets([each.edge_offsets for each in curves]),
-        np.concatenate([np.zeros(0, bool), *(each.closed for each in curves)]),
-    )
-    seen.append(background.silhouettes if background and options.background_weight else faces)
-    return mesh_points(
-        np.concatenate([part.points for part in seen]),
-        joined_offsets([part.track_offsets for part in seen]),
-        np.concatenate([part.track_views for part in seen]),
-        model.camera_centers,
-        options,
-        polylines if curves else None,
-        num_threads,
-        background.rays if background else None,
+        np.concatenate([each.closed for each in curves]),
+        num_edges,
     )
 
 
@@ -132,6 +185,7 @@ def check_of_model(
     curves: Mapping[str, Edges3D | None],
     background: Background | None,
     faces: Faces | None,
+    patches: Patches | None,
 ) -> None:
     """Check that all that a mesh follows was found in this model.
 
@@ -141,7 +195,8 @@ def check_of_model(
     num_views = len(model.views)
     sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
     sfm.check("model", num_views)
-    for name, given in {**curves, "background": background, "faces": faces}.items():
+    others = {"background": background, "faces": faces, "patches": patches}
+    for name, given in {**curves, **others}.items():
         if given is not None:
             given.check(name, num_views)
     for name, edges in curves.items():
@@ -220,7 +275,7 @@ def mesh_points(
     extension = load_extension()
     check_extent(points, camera_centers)
     polyline_offsets, polyline_points = closed_rows(edges)
-    vertices, faces, sources, stats = extension.mesh_points(
+    vertices, faces, sources, on_edges, stats = extension.mesh_points(
         np.ascontiguousarray(points, np.float64).reshape(-1, 3),
         np.ascontiguousarray(visibility_offsets, np.int64),
         np.ascontiguousarray(visibility_cameras, np.int32),
@@ -243,8 +298,16 @@ def mesh_points(
         num_threads=num_threads or os.cpu_count() or 1,
     )
     check_volume(stats, len(points))
-    ids, black = sources[:, 0].astype(np.int64), np.zeros(vertices.shape, np.uint8)
-    return Mesh(vertices=vertices, faces=faces, point3D_ids=ids, colors=black, stats=stats)
+    if edges is not None and edges.num_edges is not None:
+        on_edges = on_edges[on_edges[:, 2] < edges.num_edges]
+    return Mesh(
+        vertices=vertices,
+        faces=faces,
+        point3D_ids=sources[:, 0].astype(np.int64),
+        colors=np.zeros(vertices.shape, np.uint8),
+        creases=np.ascontiguousarray(on_edges[:, :2]),
+        stats=stats,
+    )
 
 
 def check_extent(points: FloatArray, camera_centers: FloatArray) -> None:
@@ -295,19 +358,3 @@ def closed_rows(edges: Polylines | None) -> tuple[IntArray, Int32Array]:
     loops = closed & (np.diff(offsets) > 2)
     indices = np.insert(indices, offsets[1:][loops], indices[offsets[:-1][loops]])
     return offsets + np.concatenate([[0], np.cumsum(loops)]), indices
-
-
-def load_extension() -> Any:
-    """Import the compiled mesher.
-
-    Raises:
-        ColmapEdgesError: if it is not built.
-    """
-    try:
-        from colmap_edges import _mesher
-    except ImportError as error:
-        raise ColmapEdgesError(
-            f"the mesher is not built ({error}); "
-            "run: apt-get install libcgal-dev, then reinstall colmap-edges"
-        ) from error
-    return _mesher

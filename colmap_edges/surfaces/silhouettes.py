@@ -22,6 +22,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    entries_of,
     offsets_of,
     order_of,
 )
@@ -81,6 +82,12 @@ class SeenPoints(NamedTuple):
         check_offsets(f"{name}.track_offsets", self.track_offsets, len(self.track_views))
         check_views(f"{name}.track_views", self.track_views, num_views)
 
+    def chosen(self, rows: IntArray) -> SeenPoints:
+        """The points of these (K,) rows."""
+        counts = np.diff(self.track_offsets)[rows]
+        views = self.track_views[entries_of(self.track_offsets, rows)]
+        return SeenPoints(self.points[rows], offsets_of(counts), views)
+
 
 NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))
 
@@ -92,10 +99,17 @@ class Background:
     Attributes:
         rays: background rays, which pass through free space only.
         silhouettes: silhouette points of smooth bodies.
+        is_sky: whether it is a sky, which bounds bodies at the top only.
     """
 
     rays: BackgroundRays
     silhouettes: SeenPoints
+    is_sky: bool = False
+
+    @property
+    def bounds_bodies(self) -> bool:
+        """Whether silhouettes before it bound the bodies, so that the mesh needs no faces."""
+        return not self.is_sky
 
     def check(self, name: str = "background", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.

@@ -26,7 +26,7 @@ def simplify(mesh: Mesh, max_faces: int) -> Mesh:
     """Collapse edges by quadric errors until at most `max_faces` triangles are left.
 
     Borders and topology are preserved, so a manifold stays manifold. Vertices move and so have no
-    point3D ids; each gets the colour of the nearest vertex of `mesh`.
+    point3D ids and are on no 3D edge; each gets the colour of the nearest vertex of `mesh`.
 
     Raises:
         ColmapEdgesError: if pymeshlab is not installed, or MeshLab fails.
@@ -57,5 +57,6 @@ def simplify(mesh: Mesh, max_faces: int) -> Mesh:
         faces=np.ascontiguousarray(current.face_matrix(), np.int32),
         point3D_ids=np.full(len(vertices), -1, np.int64),
         colors=mesh.colors[nearest],
+        creases=np.zeros((0, 2), np.int32),
         stats={**mesh.stats, "faces_before_simplification": len(mesh.faces)},
     )

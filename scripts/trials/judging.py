@@ -20,7 +20,8 @@ from colmap_edges.evaluation.metrics.raycasting import RayCaster, load_mesh
 from colmap_edges.evaluation.readers.arrays import read_arrays
 from colmap_edges.evaluation.readers.curves import Curves, load_curves
 
-MESHES = ("sfm", "edges", "faces")
+MESHES = ("sfm", "edges", "faces", "patches")
+STEPS = ("sfm", "reconstruct", "edges", "faces", "patches")
 NUM_VIEWS = 6
 STRIDE = 4  # pixels between rays
 THRESHOLD = 0.005  # of edges, of the longest side of the true curves' box
@@ -49,11 +50,11 @@ def judge(scene: Path, run: Path) -> dict[str, Any]:
     """
     found = read_arrays(run)
     truths = list(truth_of(scene))
-    seconds = dict(zip(("sfm", "reconstruct", "edges", "faces"), found["seconds"], strict=True))
+    seconds = dict(zip(STEPS, found["seconds"], strict=True))
     return {
         "meshes": {name: mesh_figures(caster_of(found, name), truths) for name in MESHES},
         "edges": edge_figures(found_curves(found), scene / "curves.npz"),
-        "seconds": float(seconds["reconstruct"] + seconds["faces"]),
+        "seconds": float(seconds["reconstruct"] + seconds["patches"]),
     }
 
 

@@ -28,7 +28,7 @@ EDGE, BACKGROUND = (60, 220, 60), (255, 220, 200)
 def draw(scene: Path, run: Path) -> Picture:
     """Edges on the image and the error map above the mesh from there and from another place."""
     found = read_arrays(run)
-    caster = judging.caster_of(found, "faces")
+    caster = judging.caster_of(found, "patches")
     truths = [t for t in judging.truth_of(scene, stride=STRIDE) if t.reference.known.any()]
     worst = max(truths, key=lambda truth: wrong_share(caster, truth.reference))
     reference = worst.reference

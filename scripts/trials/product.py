@@ -46,12 +46,16 @@ def main(scene: Path, output: Path) -> None:
     keep("reconstruct")
     curves = {"contours": result.contours, "background": result.background}
     keep("edges", colmap_edges.mesh(sparse, result.edges, **curves))
-    keep("faces", colmap_edges.mesh(sparse, result.edges, **curves, faces=result.faces))
+    curves["faces"] = result.faces
+    keep("faces", colmap_edges.mesh(sparse, result.edges, **curves))
+    if hasattr(result, "patches"):  # not in versions without them
+        curves["patches"] = result.patches
+    keep("patches", colmap_edges.mesh(sparse, result.edges, **curves))
     edges = result.edges
     found |= {
         "edge_points": edges.points,
         "edge_segments": segments_of(edges.edge_offsets, edges.closed),
-        "seconds": np.array([seconds[name] for name in ("sfm", "reconstruct", "edges", "faces")]),
+        "seconds": np.array([seconds[name] for name in seconds]),
     }
     with output.open("wb") as file:
         np.savez_compressed(file, **found)

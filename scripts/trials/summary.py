@@ -10,7 +10,12 @@ import numpy as np
 from colmap_edges.evaluation.tables import markdown
 from trials.rules import COMPARED, Record, Value, differences, families, of_edges, of_mesh, pairs
 
-MESH_NAMES = {"sfm": "SfM only", "edges": "edges", "faces": "edges and faces"}
+MESH_NAMES = {
+    "sfm": "SfM only",
+    "edges": "edges",
+    "faces": "edges and faces",
+    "patches": "edges, faces, patches",
+}
 # Figures by header, and the percentile that shows the worst scenes.
 MESH_FIGURES = {
     "right at 1 %": ("right_1_percent", 5),

@@ -190,7 +190,7 @@ def test_usage_errors_exit_2(flags, tmp_path, args, message):
 @pytest.mark.parametrize(
     "flag",
     [
-        *("--mesh_type", "--masks_are_background", "--use_faces", "--use_edges"),
+        *("--mesh_type", "--masks_are_background", "--use_faces", "--use_edges", "--refine_mesh"),
         *("--Meshing.method", "--max_faces"),
     ],
 )

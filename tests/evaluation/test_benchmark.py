@@ -250,8 +250,9 @@ def test_the_papers_way_is_a_method():
         *("paper", "manifold"),
     )
     assert options["paper"].use_edges
-    assert options["faces"] == PipelineOptions()
-    assert options["edges"] == PipelineOptions(use_faces=False)
+    assert options["patches"] == PipelineOptions()
+    assert options["faces"] == PipelineOptions(use_patches=False)
+    assert options["edges"] == PipelineOptions(use_faces=False, use_patches=False)
     assert not options["SfM-paper"].use_edges
     assert options["SfM-paper"].meshing == options["paper"].meshing
     assert options["COLMAP-like"].meshing.quality_weight == 1

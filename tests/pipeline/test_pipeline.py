@@ -27,6 +27,8 @@ from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.output import check_output_path, new_folder
 from colmap_edges.runtime.ownership import file_sizes
 from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.patches.finding import NO_PATCHES
+from colmap_edges.surfaces.silhouettes import SeenPoints
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
@@ -284,6 +286,24 @@ def test_write_stage_writes_model_and_edges(scene_model, scene_edges, tmp_path, 
     assert stages.records()[0]["counts"]["edge_points"] == scene_edges.num_points
 
 
+@pytest.mark.parametrize("output_type", ["BIN", "TXT"])
+def test_patches_are_written_after_the_edges(scene_model, scene_edges, tmp_path, output_type):
+    xyz = scene_edges.points[:4] + 0.01
+    seen = SeenPoints(xyz, np.arange(0, 9, 2), np.tile(np.array([1, 3], np.int32), 4))
+    grays = np.array([10, 20, 30, 40], np.uint8)
+    patches = replace(NO_PATCHES, points=seen, grays=grays)
+    options = PipelineOptions(output_type=output_type, write_patches=True)
+    given = (scene_model, scene_edges, fit_curves(scene_edges), tmp_path, options, Stages())
+    extended = write_stage(*given, patches)
+    written = load_model(tmp_path / "sparse")
+    np.testing.assert_allclose(written.points3D_xyz[-4:], xyz, rtol=1e-14)
+    np.testing.assert_array_equal(written.points3D_rgb[-4:, 1], grays)
+    assert written.point3D_ids[-4] == extended.point3D_ids.max() + 1
+    np.testing.assert_array_equal(written.track_views[-8:], seen.track_views)
+    pixels = scene_model.views[1].project(xyz)[0]
+    np.testing.assert_allclose(written.track_points2D[-8::2], pixels, atol=1e-9)
+
+
 @pytest.fixture(scope="module")
 def meshed(scene_paths, tmp_path_factory):
     """Output of `mesh` on the scene, and its report."""
@@ -296,7 +316,8 @@ def test_mesh_writes_every_file(meshed, scene_model):
     names = {"edges.json", "edges.ply", "faces.json", "mesh.ply", "sparse"}
     names |= {"report.html", "report.json"}
     assert {path.name for path in output.iterdir()} == names
-    stages = ["read", "detect", "trace", "curves", "background", "faces", "write", "mesh", "report"]
+    stages = ["read", "detect", "trace", "curves", "background", "faces", "patches"]
+    stages += ["write", "mesh", "report"]
     assert [stage["name"] for stage in report["stages"]] == stages
     edge_points = report["stages"][stages.index("write")]["counts"]["edge_points"]
     written = load_model(output / "sparse")
@@ -390,7 +411,7 @@ def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_pat
     np.testing.assert_allclose(written.points3D_xyz[count:], distinct.points, rtol=1e-14)
     np.testing.assert_array_equal(distinct.points[places], result.edges.points)
     assert np.median(result.residuals_px) < 0.5
-    names = ["read", "detect", "trace", "curves", "background", "faces"]
+    names = ["read", "detect", "trace", "curves", "background", "faces", "patches"]
     assert [stage["name"] for stage in result.stages] == names
     assert result.curves.num_curves >= result.edges.num_edges
     mesh = colmap_edges.mesh(scene.reconstruction, result.edges)

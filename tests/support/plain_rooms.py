@@ -131,6 +131,7 @@ def model_of(views):
         points3D_xyz=np.zeros((0, 3)),
         track_offsets=np.zeros(1, np.int64),
         track_views=np.zeros(0, np.int32),
+        track_points2D=np.zeros((0, 2)),
         camera_centers=np.array([view.center for view in views]),
     )
 

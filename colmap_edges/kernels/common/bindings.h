@@ -12,6 +12,7 @@ void BindFaces(nanobind::module_& m);
 void BindFaceHypotheses(nanobind::module_& m);
 void BindFaintLines(nanobind::module_& m);
 void BindPaper(nanobind::module_& m);
+void BindPatches(nanobind::module_& m);
 void BindPoses(nanobind::module_& m);
 void BindTexture(nanobind::module_& m);
 

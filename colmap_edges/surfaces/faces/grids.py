@@ -8,11 +8,20 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, Picture, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Picture,
+    offsets_of,
+)
 from colmap_edges.core.view import View
 from colmap_edges.images.files import gray_of
 
 CELL_PX = 4  # side of a cell in pixels of the reduced image
+NODE_PX = 8  # pixels of the picture
 NUM_COLUMNS = 80  # cells along the longer side of an image
 
 
@@ -24,11 +33,13 @@ class Grid:
         gray: (h, w) uint8, whole cells.
         focal_px: its focal length.
         principal: (2,) its principal point, the corner of the picture is (0, 0).
+        usable: (h, w) false where it is masked; None without a mask.
     """
 
     gray: ByteArray
     focal_px: float
     principal: FloatArray
+    usable: BoolArray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -48,38 +59,70 @@ def cell_offsets(grids: Sequence[Grid]) -> IntArray:
     return offsets_of(np.array([grid.shape[0] * grid.shape[1] for grid in grids], np.int64))
 
 
-def size_of(view: View) -> tuple[int, int, float]:
+def size_of(view: View, num_columns: int) -> tuple[int, int, float]:
     """Width and height of a view's small picture, and its size over the image's."""
-    factor = NUM_COLUMNS * CELL_PX / max(view.width, view.height)
+    factor = num_columns * CELL_PX / max(view.width, view.height)
     width, height = (
         CELL_PX * max(2, round(side * factor / CELL_PX)) for side in (view.width, view.height)
     )
     return width, height, factor
 
 
-def make_grid(view: View, image: Picture) -> Grid:
-    """The small undistorted picture of a view's image (H, W, 3)."""
-    blank = blank_grid(view)
+def make_grid(
+    view: View, image: Picture, num_columns: int = NUM_COLUMNS, usable: BoolArray | None = None
+) -> Grid:
+    """The small undistorted picture of a view's image (H, W, 3), and what is usable of it."""
+    blank = blank_grid(view, num_columns)
     height, width = blank.gray.shape
     small = gray_of(image)
     while min(small.shape) > 4 * min(width, height):  # halving is quick
         half = small.shape[1] // 2, small.shape[0] // 2
         small = np.asarray(cv2.resize(small, half, interpolation=cv2.INTER_AREA), np.uint8)
     small = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    at = places_of(view, blank)
+    gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    gray = np.ascontiguousarray(gray, np.uint8)
+    return replace(blank, gray=gray, usable=usable_at(at, usable))
+
+
+def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:
+    """(h, w) whether a picture shows usable parts of the image; None if it does everywhere.
+
+    Args:
+        at: (h, w, 2) where its pixels are in the image, reduced to its size.
+        usable: (H, W) of the image; None without a mask.
+    """
+    size = np.array(at.shape[1::-1])
+    inside = np.asarray(((at >= -0.6) & (at <= size - 0.4)).all(axis=2))
+    if usable is not None:
+        near = np.clip(np.nan_to_num(np.rint(at)), 0, size - 1).astype(np.int64)
+        columns, rows = np.moveaxis(near * usable.shape[::-1] // size, 2, 0)
+        inside &= usable[rows, columns]
+    return None if inside.all() else inside
+
+
+def places_of(view: View, grid: Grid) -> Float32Array:
+    """(h, w, 2) where the pixels of a picture are in the image, reduced to its size.
+
+    Every `NODE_PX`-th is computed, between which lenses distort nearly linearly.
+    """
+    height, width = grid.gray.shape
+    nodes = [np.arange(side // NODE_PX + 2) * NODE_PX + 0.5 for side in (width, height)]
+    columns, rows = np.meshgrid(*nodes)
     undistorted = (
-        np.column_stack([columns.ravel(), rows.ravel()]) - blank.principal
-    ) / blank.focal_px
+        np.column_stack([columns.ravel(), rows.ravel()]) - grid.principal
+    ) / grid.focal_px
     pixels = view.image_from_undistorted(undistorted * view.focal_px)
     scale = np.array([width / view.width, height / view.height])
-    at = (pixels * scale - 0.5).astype(np.float32).reshape(height, width, 2)
-    gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return replace(blank, gray=np.ascontiguousarray(gray, np.uint8))
+    at = (pixels * scale - 0.5).astype(np.float32).reshape(*rows.shape, 2)
+    step = np.array([[1 / NODE_PX, 0, 0], [0, 1 / NODE_PX, 0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(at, step, (width, height), flags=flags), np.float32)
 
 
-def blank_grid(view: View) -> Grid:
+def blank_grid(view: View, num_columns: int = NUM_COLUMNS) -> Grid:
     """The picture of a view whose image shows nothing."""
-    width, height, factor = size_of(view)
+    width, height, factor = size_of(view, num_columns)
     camera = view.camera
     principal = np.array([camera.principal_point_x, camera.principal_point_y]) * factor
     gray = np.zeros((height, width), np.uint8)
@@ -99,13 +142,21 @@ def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntA
 class GridVisitor:
     """Takes the small pictures of all views while their images are in memory."""
 
-    def __init__(self) -> None:
-        """Hold none yet."""
+    def __init__(self, num_columns: int = NUM_COLUMNS) -> None:
+        """Hold none yet; `num_columns`: cells along the longer side of a picture."""
+        self.num_columns = num_columns
         self.grids: dict[int, Grid] = {}
 
-    def visit(self, index: int, view: View, read: Callable[[], Picture], found: object) -> Grid:
+    def visit(
+        self,
+        index: int,
+        view: View,
+        read: Callable[[], Picture],
+        found: object,
+        usable: BoolArray | None = None,
+    ) -> Grid:
         """Take the picture of a view."""
-        return make_grid(view, read())
+        return make_grid(view, read(), self.num_columns, usable)
 
     def collect(self, index: int, kept: Grid) -> None:
         """Keep a picture."""

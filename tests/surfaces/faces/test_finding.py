@@ -123,7 +123,7 @@ def test_no_point_lies_where_a_view_sees_the_background(room):
 
 def meshed(room, faces, background=None):
     """The room's mesh, with points on faces."""
-    return mesh_with_curves(room.model, [room.edges], MeshingOptions(), 1, background, faces)
+    return mesh_with_curves(room.model, (room.edges, None), MeshingOptions(), 1, background, faces)
 
 
 def test_a_mesh_follows_points_on_faces(room):

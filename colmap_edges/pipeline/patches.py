@@ -1,0 +1,32 @@
+"""The stage that finds patches: points where images have texture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.options import PipelineOptions
+from colmap_edges.runtime.executors import thread_count
+from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.faces.grids import Grid
+from colmap_edges.surfaces.patches.finding import Patches, find_patches
+
+
+def patch_stage(
+    model: Model,
+    edges: Edges3D,
+    pictures: Mapping[int, Grid],
+    options: PipelineOptions,
+    stages: Stages,
+) -> Patches:
+    """Find patches; `pictures` are the views' images without distortion."""
+    with stages.stage("patches") as stage:
+        patches = find_patches(model, edges, pictures, options.random_seed, thread_count(options))
+        stage.counts = {
+            "windows_with_texture": patches.num_sites,
+            "windows_with_depth": patches.num_found,
+            "windows_agreed": patches.num_agreed,
+            "patches": len(patches.sigmas),
+        }
+    return patches

@@ -1,0 +1,1 @@
+"""Points with normals and noise where images have texture, by correlation of windows."""

@@ -1,0 +1,1 @@
+"""Detection of the sky in images without masks."""

@@ -1,0 +1,131 @@
+"""Regions that look like the sky: blue or overexposed, above the horizon, at the upper border."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Picture
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
+
+TURNED_GAIN = 0.05  # minimum gain in the length of their mean for which all images are turned
+MEAN_WEIGHT = 0.1  # weight of the mean of the upward axes relative to that of the side axes
+MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
+BLUE = 1.03  # minimum ratio of blue to red
+# Minimum sum of the shares of structure that are darker, in blue, and less blue ...
+BRIGHT_AND_BLUE = 1.4
+DEEP_BLUE = 1.3  # ... unless the ratio of blue to red is this, and ...
+BLUER = 0.95  # ... this share of structure is less blue
+MIN_LEVEL = 64  # minimum level of a sky's blue
+CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
+CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
+LOWEST = 0.05  # share of a region's pixels that may lie below the horizon
+
+
+def upward(views: Sequence[View]) -> list[FloatArray]:
+    """The (3,) upward direction; two opposite ones if all photographs are turned by 90 degrees.
+
+    Photographs are held upright or turned, a few or all of them. The image axes that point up do
+    so in all images, while others turn with the camera. The axes beside them are level: the
+    direction is perpendicular to these, and near the mean of those that point up.
+    """
+    right, down = (np.array([view.rotation[row] for view in views]) for row in (0, 1))
+    axes, rows = np.stack([-down, right, down, -right]), np.arange(len(views))
+    means, levels = [], []
+    for first in (0, 1):
+        mean = axes[first].mean(axis=0)
+        for _ in range(4):
+            chosen = (axes @ mean).argmax(axis=0)
+            mean = axes[chosen, rows].mean(axis=0)
+        means.append(mean)
+        levels.append(axes[(chosen + 1) % 4, rows])
+    upright, sideways = np.linalg.norm(means, axis=1)
+    turned = int(sideways > upright + TURNED_GAIN)
+    mean, level = means[turned], levels[turned]
+    moments = level.T @ level / len(views) - MEAN_WEIGHT * np.outer(mean, mean)
+    up: FloatArray = np.linalg.eigh(moments)[1][:, 0]
+    up = up if up @ mean > 0 else -up
+    return [up, -up] if turned else [up]
+
+
+def looks_like_sky(
+    views: Sequence[View], regions: Regions, up: FloatArray
+) -> tuple[BoolArray, BoolArray]:
+    """Find regions at the upper border, above the horizon, that look like the sky.
+
+    A sky is brighter or bluer than what it shines on. Colours are compared with those of structure
+    in the same picture, so that its exposure and white balance do not matter.
+
+    Args:
+        views: the V views.
+        regions: their R regions.
+        up: (3,) upward direction.
+
+    Returns:
+        (R,) whether they are blue, and (R,) whether they are overexposed, as windows are, too.
+    """
+    blue, white = np.zeros((2, len(regions.views)), bool)
+    for index, (view, picture) in enumerate(zip(views, regions.pictures, strict=True)):
+        own, pixels = regions.pixels(index)
+        near = regions.near[index]
+        if not len(own) or not near.any():
+            continue
+        turns = round(angle_of(view, up) / (np.pi / 2))
+        border = np.rot90(regions.labels[index], turns)[0]
+        around = Colors.of(picture[near])
+        for region, inside in zip(own, pixels, strict=True):
+            color = np.median(picture.reshape(-1, 3)[inside], axis=0)
+            is_white, is_blue = around.below_white(color), around.below_blue(color)
+            if (is_white or is_blue) and (border == region).any():
+                above = is_above(view, picture, inside, up)
+                white[region], blue[region] = above and is_white, above and not is_white
+    return blue, white
+
+
+def is_above(view: View, picture: Picture, inside: IntArray, up: FloatArray) -> bool:
+    """Whether pixels (n,) of a flattened picture lie above the horizon."""
+    rays = rays_of(view, picture, inside)
+    sines = rays[np.isfinite(rays).all(axis=1)] @ up
+    return bool(len(sines)) and bool(
+        np.quantile(sines, LOWEST) > np.sin(np.radians(MIN_ELEVATION_DEG))
+    )
+
+
+class Colors(NamedTuple):
+    """Colours of structure in a picture.
+
+    Attributes:
+        levels: (n,) sorted levels of blue.
+        blues: (n,) sorted ratios of blue to red.
+    """
+
+    levels: ByteArray
+    blues: FloatArray
+
+    @classmethod
+    def of(cls, pixels: ByteArray) -> Colors:
+        """The colours of (n, 3) BGR pixels."""
+        return cls(np.sort(pixels[:, 0]), np.sort(blue_of(pixels)))
+
+    def below_white(self, color: FloatArray) -> bool:
+        """Whether a colour (3,) is overexposed, and brighter than most of the structure."""
+        darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
+        return bool(color.min() >= CLIPPED and darker >= CLIPPED_BRIGHTER)
+
+    def below_blue(self, color: FloatArray) -> bool:
+        """Whether a colour (3,) is between blue and white, and bluer than the structure."""
+        blue = float(blue_of(color[None])[0])
+        darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
+        less_blue = np.searchsorted(self.blues, blue) / len(self.blues)
+        is_blue = blue >= BLUE and color[0] >= MIN_LEVEL and (np.diff(color) <= 1).all()
+        is_deep = blue >= DEEP_BLUE and less_blue >= BLUER
+        return bool(is_blue and (is_deep or darker + less_blue >= BRIGHT_AND_BLUE))
+
+
+def blue_of(pixels: NDArray[Any]) -> FloatArray:
+    """(n,) ratios of blue to red of (n, 3) BGR pixels."""
+    return np.asarray((pixels[:, 0] + 1.0) / (pixels[:, 2] + 1.0))

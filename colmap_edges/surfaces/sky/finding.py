@@ -1,0 +1,73 @@
+"""Detection of the sky: its viewing rays pass through free space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import BoolArray, Picture, parts_of
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.images.background import (
+    NO_BACKGROUND_MASK,
+    BackgroundMask,
+    background_rays,
+    masked_background,
+)
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Background
+from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
+from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
+from colmap_edges.surfaces.sky.regions import Regions, find_regions
+
+# Minimum share of the images that show blue sky: 0.5 to 1 of facades, below 0.1 of rooms.
+MIN_VIEWS_SHARE = 1 / 4
+
+
+def find_sky(
+    model: Model, edges: Edges3D, pictures: Mapping[int, Picture]
+) -> tuple[Background, list[BackgroundMask]] | None:
+    """Find the sky, and haze or hills at infinity next to it; None if too few images show it.
+
+    Args:
+        model: the V views and the SfM points.
+        edges: its 3D edges.
+        pictures: small pictures of the views by their index; views without one show nothing.
+
+    Returns:
+        Its rays, and the sky of each view as a background mask.
+    """
+    num_views = len(model.views)
+    evidence = gather_evidence(model, edges)
+    offsets, rows = observed_points(evidence, num_views)
+    observed = parts_of(rows, offsets)
+    for up in upward(model.views):
+        regions = find_regions(model.views, pictures, evidence.points, observed, up)
+        blue, white = looks_like_sky(model.views, regions, up)
+        if len(np.unique(regions.views[blue])) >= max(MIN_VIEWS_SHARE * len(pictures), 2):
+            break
+    else:
+        return None
+    neighbor_offsets, neighbors = _kernels.neighbors_of(
+        evidence.offsets, evidence.views, offsets, rows, NUM_NEIGHBORS
+    )
+    compared = parts_of(neighbors, neighbor_offsets)
+    matches = match_regions(model.views, regions, evidence.points, observed, compared)
+    is_sky = blue | (white & confirmed(matches, blue | white))
+    if not moves_as_sky(matches, is_sky):
+        return None
+    masks = masks_of(regions, spread(matches, regions, is_sky))
+    rays = background_rays(model.views, masks, True)
+    return None if rays is None else (Background(rays, NO_POINTS, is_sky=True), masks)
+
+
+def masks_of(regions: Regions, chosen: BoolArray) -> list[BackgroundMask]:
+    """Background masks of all views that show some (R,) regions."""
+    shown = np.append(chosen, False)  # the last one stands for pixels of no region
+    return [
+        masked_background(~shown[labels]) if shown[labels].any() else NO_BACKGROUND_MASK
+        for labels in regions.labels
+    ]
