@@ -17,6 +17,7 @@ from colmap_edges.export.edges import y_up_from
 from colmap_edges.export.precision import needs_double
 from colmap_edges.export.units import metres
 from colmap_edges.runtime.output import write_whole
+from colmap_edges.surfaces.mesh import Mesh, Texture
 
 HEAD = struct.Struct("<4sII")  # magic, version, total length
 CHUNK = struct.Struct("<I4s")  # length, kind
@@ -26,6 +27,19 @@ VERTICES, INDICES = 34962, 34963  # targets of buffer views
 ASSET = {"version": "2.0", "generator": "colmap-edges"}
 ROOT = "y up from model"  # name of the node that turns the scene
 PLAIN = {"baseColorFactor": [1, 1, 1, 1], "metallicFactor": 0, "roughnessFactor": 0}
+
+TEXTURED = {  # with the texture of the only image, unlit
+    "extensionsUsed": ["KHR_materials_unlit"],
+    "materials": [
+        {
+            "pbrMetallicRoughness": PLAIN | {"baseColorTexture": {"index": 0}},
+            "extensions": {"KHR_materials_unlit": {}},
+            "doubleSided": True,
+        }
+    ],
+    "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+    "textures": [{"sampler": 0, "source": 0}],
+}
 
 
 @checked
@@ -122,13 +136,43 @@ def as_glb(
     return packed([root, node], primitive, arrays)
 
 
+def as_textured_glb(mesh: Mesh, texture: Texture, root: dict[str, Any], far: bool) -> bytes:
+    """A binary glTF of a mesh with its texture, in a root node.
+
+    Viewers show the photographs' colours as they are, since these hold the scene's light already.
+
+    Args:
+        mesh: the mesh.
+        texture: its texture.
+        root: the root node, of `root_node`.
+        far: write the points relative to their centre, as in `as_glb`.
+    """
+    if not len(mesh.faces):
+        return chunks({"asset": ASSET})
+    points = mesh.vertices
+    offset = (points.min(axis=0) + points.max(axis=0)) / 2 if far else np.zeros(3)
+    vertices, places, corners = texture.joined(mesh.faces)
+    arrays: list[NDArray[Any]] = [
+        (points[vertices] - offset).astype("<f4"),
+        texture.points[places].astype("<f4"),
+        corners.astype("<u4").reshape(-1, 1),
+    ]
+    attributes = {"POSITION": 0, "TEXCOORD_0": 1}
+    primitive = {"attributes": attributes, "indices": 2, "mode": TRIANGLES, "material": 0}
+    node = {"name": "mesh", "mesh": 0} | ({"translation": offset.tolist()} if far else {})
+    return packed([root, node], primitive, arrays, texture.jpeg)
+
+
 def packed(
-    nodes: list[dict[str, Any]], primitive: dict[str, Any], arrays: list[NDArray[Any]]
+    nodes: list[dict[str, Any]],
+    primitive: dict[str, Any],
+    arrays: list[NDArray[Any]],
+    jpeg: bytes = b"",
 ) -> bytes:
     """A binary glTF of nodes and their mesh's primitive; its arrays in the order of accessors."""
     starts = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
     targets = [VERTICES] * (len(arrays) - 1) + [INDICES]
-    document = {
+    document: dict[str, Any] = {
         "asset": ASSET,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -143,7 +187,14 @@ def packed(
     }
     if "material" in primitive:
         document["materials"] = [{"pbrMetallicRoughness": PLAIN}]
-    return chunks(document, b"".join(array.tobytes() for array in arrays))
+    if jpeg:
+        document |= TEXTURED
+        document["images"] = [{"bufferView": len(arrays), "mimeType": "image/jpeg"}]
+        place = {"buffer": 0, "byteOffset": starts[-1], "byteLength": len(jpeg)}
+        document["bufferViews"].append(place)
+        jpeg += b"\0" * (-len(jpeg) % 4)
+        document["buffers"][0]["byteLength"] += len(jpeg)
+    return chunks(document, b"".join(array.tobytes() for array in arrays) + jpeg)
 
 
 def chunks(document: dict[str, Any], body: bytes = b"") -> bytes:
@@ -157,11 +208,11 @@ def chunks(document: dict[str, Any], body: bytes = b"") -> bytes:
 
 
 def accessor(array: NDArray[Any], view: int) -> dict[str, Any]:
-    """The accessor of an array (N, 1), (N, 3) or (N, 4) that fills a buffer view."""
+    """The accessor of an array (N, 1) to (N, 4) that fills a buffer view."""
     found = {
         "bufferView": view,
         "componentType": TYPES[array.dtype.str],
-        "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1]],
+        "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[array.shape[1]],
         "count": len(array),
     }
     if array.dtype == np.uint8:

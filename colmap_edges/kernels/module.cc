@@ -12,4 +12,5 @@ NB_MODULE(_kernels, m) {
   colmap_edges::BindPaper(m);
   colmap_edges::BindPatches(m);
   colmap_edges::BindPoses(m);
+  colmap_edges::BindTexture(m);
 }

@@ -74,6 +74,13 @@ class PipelineOptions(Options):
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )
+    texture_size: int = option(
+        8192,
+        "Largest width and height of the texture of OBJ and GLB meshes, pixels; 0 writes colours "
+        "of vertices instead",
+        within=(0, 32_768),
+        stage="mesh",
+    )
     report: bool = option(True, "Write report.html, a page with a 3D viewer", stage="write")
     refine_poses: bool = option(
         False,

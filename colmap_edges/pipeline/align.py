@@ -101,10 +101,9 @@ def write_exports(run: Path, alignment: Alignment, folder: Path) -> None:
         if (run / place).exists() and written.edges.num_edges:
             write(written, folder / place, True, up, unit)
     meshes = [run / f"mesh{suffix}" for suffix in MESH_FORMATS]
-    meshes = [path for path in meshes if path.is_file()]
-    for mesh in map(read_mesh, meshes[:1]):  # all hold the same
-        mesh = moved_mesh(mesh, alignment.aligned_from_model)
-        for path in meshes:
+    for path in meshes:
+        if path.is_file():  # each by itself, since not all formats hold a texture
+            mesh = moved_mesh(read_mesh(path), alignment.aligned_from_model)
             write_mesh(mesh, folder / path.name, up=up, unit=unit)
 
 

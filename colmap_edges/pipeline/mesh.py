@@ -1,4 +1,4 @@
-"""The stages of face detection and meshing."""
+"""The stages of face detection, meshing and texturing."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, Picture
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.meshes import write_mesh
+from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
 from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection
+from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.extension import load_extension
@@ -26,6 +27,8 @@ from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
 from colmap_edges.surfaces.sky.finding import find_sky
+from colmap_edges.texture.pictures import Images
+from colmap_edges.texture.texturing import textured
 
 
 def check_mesher(options: PipelineOptions) -> None:
@@ -115,24 +118,20 @@ def mesh_stage(
     model: Model,
     traced: TracedEdges | None,
     extended: Model,
-    folder: Path,
     options: PipelineOptions,
     stages: Stages,
-    up: FloatArray,
     background: Background | None = None,
     faces: Faces = NO_FACES,
     patches: Patches = NO_PATCHES,
 ) -> Mesh:
-    """Mesh a model's points and what was found, and write the mesh.
+    """Mesh a model's points and what was found.
 
     Args:
         model: the model.
         traced: the edges, if there are any.
         extended: the model with the edges' points.
-        folder: output folder.
         options: options of all stages.
         stages: the stages of the run.
-        up: (3,) upward direction, for files with a convention of it.
         background: background rays.
         faces: planar faces.
         patches: points where images have texture.
@@ -158,8 +157,41 @@ def mesh_stage(
             options.refine_mesh,
         )
         mesh = finished(mesh, extended, options.meshing)
-        is_far = write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}", up=up)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-        stage.counts |= {"far_from_origin": 1} if is_far else {}
+        stage.counts |= {"far_from_origin": 1} if is_far_from_origin(mesh) else {}
         stage.counts["details"] = plain_counts(mesh.stats)
+    return mesh
+
+
+def write_mesh_stage(
+    model: Model,
+    mesh: Mesh,
+    paths: Paths,
+    folder: Path,
+    formats: Sequence[str],
+    options: PipelineOptions,
+    stages: Stages,
+    up: FloatArray,
+) -> Mesh:
+    """Write a mesh, with a texture if a format holds it and there are images.
+
+    Args:
+        model: the model, whose views see the mesh.
+        mesh: the mesh.
+        paths: the paths of the run.
+        folder: output folder.
+        formats: further formats in which the mesh will be written.
+        options: options of all stages.
+        stages: the stages of the run.
+        up: (3,) upward direction, for files with a convention of it.
+
+    Returns:
+        The mesh with its texture.
+    """
+    held = any(name.upper() in TEXTURED for name in (options.mesh_type, *formats))
+    if held and paths.image_path and options.texture_size and len(mesh.faces):
+        with stages.stage("texture") as stage:
+            images, size = Images(paths.image_path, paths.mask_path), options.texture_size
+            mesh, stage.counts = textured(mesh, model.views, images, size, thread_count(options))
+    write_mesh(mesh, folder / f"mesh.{options.mesh_type.lower()}", up=up)
     return mesh

@@ -17,7 +17,7 @@ from colmap_edges.export.upright import upward
 from colmap_edges.options import PipelineOptions, resolved
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
 from colmap_edges.pipeline.found import find_edges
-from colmap_edges.pipeline.mesh import check_mesher, mesh_stage
+from colmap_edges.pipeline.mesh import check_mesher, mesh_stage, write_mesh_stage
 from colmap_edges.pipeline.paths import Paths, absolute, check_paths, image_folder
 from colmap_edges.pipeline.read import check_pictures, read_stage
 from colmap_edges.pipeline.write import export_stage, make_report, report_stage, write_stage
@@ -76,13 +76,16 @@ def run(
         viewer.show_model(model)
         if not uses_images:
             up = upward(model.views)
-            mesh = mesh_stage(model, None, model, folder, options, stages, up)
+            mesh = mesh_stage(model, None, model, options, stages)
+            mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
             viewer.show_mesh(mesh)
             contents = Contents(model=model, mesh=mesh, up=up)
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
-            contents = run_edges(command, model, paths, folder, settings, stages, workers, viewer)
+            contents = run_edges(
+                command, model, paths, folder, settings, stages, workers, viewer, exports
+            )
         export_stage(folder, contents.mesh, exports, stages, contents.up)
         report = make_report(command, paths, options, settings, stages)
         if options.report and command != "detect":
@@ -130,6 +133,7 @@ def run_edges(
     stages: Stages,
     workers: Workers,
     viewer: Viewer,
+    exports: Sequence[str],
 ) -> Contents:
     """Run the stages of `command` that need images, with resolved settings."""
     if command == "detect":
@@ -157,8 +161,9 @@ def run_edges(
             in_mesh = bool(len(faces.points.points)) and not is_bounded
             write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
         patches = found.patches if options.use_patches else NO_PATCHES
-        given = (found.traced, extended, folder, options, stages, up, found.background)
+        given = (found.traced, extended, options, stages, found.background)
         mesh = mesh_stage(model, *given, faces, patches)
+        mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
         viewer.show_mesh(mesh)
     return Contents(
         model=model,

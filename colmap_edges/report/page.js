@@ -239,13 +239,33 @@ function fatLines(segments, width, options) {
   return new THREE.LineSegments2(geometry, new THREE.LineMaterial({linewidth: width, ...options}));
 }
 
-function surface(layer, Material, options) {
+function triangles(layer) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(positions(layer), 3));
-  geometry.setAttribute("color", new THREE.BufferAttribute(layer.rgb, 3, true));
   const count = layer.corners.length / 3;
   const corner = (_, i) => layer.corners[(i % 3) * count + Math.floor(i / 3)];
   geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(layer.corners, corner), 1));
+  return geometry;
+}
+
+// Triangles with the colours of photographs, which hold the scene's light already.
+function textured(layer) {
+  const geometry = triangles(layer);
+  const {x, y} = layer.texture_points;
+  const uv = Float32Array.from({length: 2 * x.length}, (_, i) => (i % 2 ? y : x)[i >> 1]);
+  geometry.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+  const map = new THREE.Texture(new Image());
+  map.colorSpace = THREE.SRGBColorSpace;
+  map.flipY = false;
+  map.image.onload = () => { map.needsUpdate = true; view.draw(); };
+  map.image.src = layer.texture;
+  const options = {map, side: THREE.DoubleSide, ...BEHIND};
+  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(options));
+}
+
+function surface(layer, Material, options) {
+  const geometry = triangles(layer);
+  geometry.setAttribute("color", new THREE.BufferAttribute(layer.rgb, 3, true));
   geometry.computeVertexNormals();
   const made = new Material({vertexColors: true, side: THREE.DoubleSide, ...options});
   return new THREE.Mesh(geometry, made);
@@ -255,7 +275,10 @@ function surface(layer, Material, options) {
 const BEHIND = {polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 8};
 
 const MAKERS = {
-  mesh: (layer) => [surface(layer, THREE.MeshLambertMaterial, {flatShading: true, ...BEHIND})],
+  mesh: (layer) => [
+    layer.texture ? textured(layer)
+      : surface(layer, THREE.MeshLambertMaterial, {flatShading: true, ...BEHIND}),
+  ],
   faces: (layer) => [
     surface(layer, THREE.MeshBasicMaterial, {transparent: true, opacity: 0.5, depthWrite: false}),
     fatLines(segmentsOf(positions(layer.outlines))[0], 1.5, {color: "#ffffff"}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -12,16 +13,20 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View
 from colmap_edges.errors import counted
+from colmap_edges.images.files import encoded
 from colmap_edges.report.contents import Contents, Packed, evenly_spread, xyz
 from colmap_edges.report.faces3d import closed_rings, largest, triangulated
+from colmap_edges.report.packing import coordinates, data_uri
 from colmap_edges.report.viewpoint import bounds, viewpoint
 from colmap_edges.surfaces.faces.outlines import Face
-from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.mesh import Mesh, Texture
 
 # Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
 MAX_EDGE_POINTS = 120_000
 MAX_TRIANGLES = 150_000
+MAX_TEXTURED_TRIANGLES = 300_000  # merging of vertices would tear textures
+MAX_TEXTURE_PX = 2048
 ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
 
 
@@ -118,7 +123,9 @@ def pyramid(view: View, depth: float) -> FloatArray:
 
 
 def mesh_layer(mesh: Mesh, low: FloatArray, high: FloatArray) -> Packed:
-    """The mesh, simplified if it has too many faces for a browser."""
+    """The mesh with its texture, or in one colour a vertex, simplified for a browser."""
+    if mesh.texture is not None and len(mesh.faces) <= MAX_TEXTURED_TRIANGLES:
+        return textured_layer(mesh, mesh.texture, low, high)
     vertices, faces, colors = coarser(mesh, MAX_TRIANGLES)
     return {
         "label": f"mesh of {counted(len(mesh.faces), 'triangle')}",
@@ -126,6 +133,24 @@ def mesh_layer(mesh: Mesh, low: FloatArray, high: FloatArray) -> Packed:
         "rgb": rgb(colors),
         "corners": faces.astype(np.int32).T.ravel(),
         **xyz(near(vertices, low, high)),
+    }
+
+
+def textured_layer(mesh: Mesh, texture: Texture, low: FloatArray, high: FloatArray) -> Packed:
+    """The mesh with its texture, reduced to `MAX_TEXTURE_PX`."""
+    vertices, points, corners = texture.joined(mesh.faces)
+    height, width = texture.picture.shape[:2]
+    factor = min(MAX_TEXTURE_PX / max(height, width), 1.0)
+    size = (max(round(factor * width), 1), max(round(factor * height), 1))
+    reduced = cv2.resize(texture.picture[:, :, ::-1], size, interpolation=cv2.INTER_AREA)
+    places = texture.points[points]
+    return {
+        "label": f"mesh of {counted(len(mesh.faces), 'triangle')}",
+        "shown": True,
+        "texture": data_uri("jpeg", encoded(".jpg", reduced)),
+        "texture_points": {"x": coordinates(places[:, 0]), "y": coordinates(places[:, 1])},
+        "corners": corners.T.ravel(),
+        **xyz(near(mesh.vertices[vertices], low, high)),
     }
 
 

@@ -4,15 +4,59 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, Picture
 from colmap_edges.core.checks import check_arrays, check_points, check_values
+from colmap_edges.errors import check_type
+from colmap_edges.images.files import decode
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """A picture on a mesh.
+
+    Attributes:
+        jpeg: the picture as JPEG, as files hold it.
+        points: (N, 2) float64 places in the picture, from 0 at its left and upper border to 1.
+        corners: (F, 3) int32 indices into `points`, of the corners of the mesh's triangles.
+    """
+
+    jpeg: bytes
+    points: Annotated[FloatArray, "N", 2]
+    corners: Annotated[Int32Array, "F", 3]
+
+    @cached_property
+    def picture(self) -> Picture:
+        """(H, W, 3) uint8 RGB."""
+        return np.ascontiguousarray(
+            decode(np.frombuffer(self.jpeg, np.uint8), Path("texture.jpg"))[:, :, ::-1]
+        )
+
+    def joined(self, faces: Int32Array) -> tuple[IntArray, IntArray, Int32Array]:
+        """Pairs of a vertex and a point that triangles (F, 3) have at their corners.
+
+        Returns:
+            (M,) vertices and (M,) points of the pairs, and (F, 3) indices of the pairs.
+        """
+        keys = faces.astype(np.int64) * len(self.points) + self.corners
+        pairs, corners = np.unique(keys, return_inverse=True)
+        vertices, points = np.divmod(pairs, len(self.points))
+        return vertices, points, corners.reshape(-1, 3).astype(np.int32)
+
+    def colors(self) -> ByteArray:
+        """(N, 3) uint8 colours of the picture at its points."""
+        height, width = self.picture.shape[:2]
+        places = np.clip(self.points * [width, height], 0, np.array([width, height]) - 1)
+        columns, rows = places.astype(np.int64).T
+        return np.asarray(self.picture[rows, columns])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +70,7 @@ class Mesh:
         colors: (V, 3) uint8.
         creases: (C, 2) int32 pairs of vertices: edges of the mesh that lie on 3D edges.
         stats: numbers of inputs, kept and dropped items, and seconds per step.
+        texture: its texture, or None.
     """
 
     vertices: Annotated[FloatArray, "V", 3]
@@ -36,6 +81,7 @@ class Mesh:
         default_factory=lambda: np.zeros((0, 2), np.int32)
     )
     stats: Mapping[str, float] = field(default_factory=dict)
+    texture: Texture | None = None
 
     def __repr__(self) -> str:
         """The numbers of triangles and vertices, in one line."""
@@ -51,6 +97,11 @@ class Mesh:
         check_points(f"{name}.vertices", self.vertices)
         check_values(f"{name}.faces", self.faces, 0, len(self.vertices) - 1)
         check_values(f"{name}.creases", self.creases, 0, len(self.vertices) - 1)
+        if self.texture is not None:
+            texture = self.texture
+            check_type(f"{name}.texture.jpeg", texture.jpeg, (bytes,))
+            check_arrays(f"{name}.texture", texture, F=len(self.faces))
+            check_values(f"{name}.texture.corners", texture.corners, 0, len(texture.points) - 1)
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:

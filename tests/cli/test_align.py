@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import cv2
 import ezdxf
 import numpy as np
 import pycolmap
@@ -26,6 +27,7 @@ from colmap_edges.export.faces import write_faces
 from colmap_edges.export.meshes import read_mesh, write_mesh
 from colmap_edges.export.ply import read_ply, write_ply
 from colmap_edges.surfaces.faces.outlines import Face
+from colmap_edges.surfaces.mesh import Texture
 
 # The frame of the run: an upright scene turned over, as that of a first camera, and far away.
 GIVEN = Similarity(
@@ -135,6 +137,25 @@ def check_files(out, edges):
     assert np.ptp(meshes[0][:, 2]) == pytest.approx(5, rel=1e-5)
     scene = trimesh.load(out / "mesh.glb")  # in metres
     np.testing.assert_allclose(np.ptp(scene.bounds, axis=0)[1], 0.05, rtol=1e-4)
+
+
+def test_textures_are_kept(run, tmp_path):
+    shutil.copytree(run, tmp_path / "run")
+    mesh = read_mesh(run / "mesh.ply")
+    jpeg = cv2.imencode(".jpg", np.full((8, 8, 3), 90, np.uint8))[1].tobytes()
+    corners = np.arange(3 * len(mesh.faces), dtype=np.int32).reshape(-1, 3)
+    points = np.random.default_rng(0).uniform(0, 1, (corners.size, 2))
+    texture = Texture(jpeg=jpeg, points=points, corners=corners)
+    for name in ("mesh.glb", "mesh.obj"):
+        write_mesh(replace(mesh, texture=texture), tmp_path / "run" / name)
+    done = align(tmp_path / "run", tmp_path / "out", "--scale", "2")
+    assert done.exit_code == 0, done.output
+    for name in ("mesh.glb", "mesh.obj"):
+        found = read_mesh(tmp_path / "out" / name)
+        assert found.texture.jpeg == jpeg
+        at = found.texture.points[found.texture.corners]
+        np.testing.assert_allclose(at, points[corners], atol=1e-6)
+    assert read_mesh(tmp_path / "out" / "mesh.ply").texture is None
 
 
 def test_the_ground_is_the_plane_with_most_area(ground):

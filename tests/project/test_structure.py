@@ -17,7 +17,7 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text()
 # The folders in which these libraries may be imported.
 LIBRARIES = {
     "pycolmap": {"colmap", "evaluation"},
-    "cv2": {"edges2d", "evaluation", "images", "report", "surfaces"},
+    "cv2": {"edges2d", "evaluation", "images", "report", "surfaces", "texture"},
     "filelock": {"runtime"},
     "jinja2": {"report"},
     "networkx": {"export"},

@@ -14,5 +14,6 @@ void BindFaintLines(nanobind::module_& m);
 void BindPaper(nanobind::module_& m);
 void BindPatches(nanobind::module_& m);
 void BindPoses(nanobind::module_& m);
+void BindTexture(nanobind::module_& m);
 
 }  // namespace colmap_edges
