@@ -75,11 +75,8 @@ def run(
         model, settings = read_stage(paths.input_path, stages, images), options
         viewer.show_model(model)
         if not uses_images:
-            up = upward(model.views)
-            mesh = mesh_stage(model, None, model, options, stages)
-            mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
-            viewer.show_mesh(mesh)
-            contents = Contents(model=model, mesh=mesh, up=up)
+            given = (folder, options, stages, viewer, exports)
+            contents = mesh_points_only(model, paths, *given)
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
@@ -93,6 +90,23 @@ def run(
             report["stages"] = stages.records()
         write_record(folder, report)
     return report
+
+
+def mesh_points_only(
+    model: Model,
+    paths: Paths,
+    folder: Path,
+    options: PipelineOptions,
+    stages: Stages,
+    viewer: Viewer,
+    exports: Sequence[str],
+) -> Contents:
+    """Run the stages of `mesh` without edges."""
+    up = upward(model.views)
+    mesh = mesh_stage(model, None, model, options, stages)
+    mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
+    viewer.show_mesh(mesh)
+    return Contents(model=model, mesh=mesh, up=up)
 
 
 def check_needs(command: str, paths: Paths, options: PipelineOptions, scheduler: str) -> None:
