@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,9 @@ from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
-from colmap_edges.options import MeshingOptions
+from colmap_edges.options import DenseOptions, MeshingOptions
+from colmap_edges.surfaces.dense.cloud import DenseCloud, with_cloud
+from colmap_edges.surfaces.dense.given import given_cloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.information import Tracks
@@ -66,8 +68,11 @@ def mesh(
     faces: Faces | None = None,
     patches: Patches | None = None,
     refine: bool = True,
+    points: Any = None,
+    visibility: Any = None,
+    dense: DenseOptions | None = None,
 ) -> Mesh:
-    """Mesh the points of a COLMAP model, with or without 3D edges.
+    """Mesh the points of a COLMAP model, or a dense cloud, with or without 3D edges.
 
     Args:
         reconstruction_or_path: a model folder, a pycolmap.Reconstruction or a `Model`.
@@ -80,18 +85,29 @@ def mesh(
         faces: planar faces between the edges, as found by `reconstruct`.
         patches: points where images have texture, as found by `reconstruct`.
         refine: move vertices within their noise until faces between edges are smooth.
+        points: a dense cloud in the model's coordinates, which takes the place of patches, and of
+            the model's points where it is not empty: a PLY file of COLMAP (fused.ply), OpenMVS or
+            another program, or (N, 3) float64 points.
+        visibility: which images see the points: COLMAP's file of it (fused.ply.vis), or the
+            `SeenRows` of an array; indices of images count the model's, in its order. Without it,
+            that of OpenMVS's PLY is used, or else the views that see a point by a depth test.
+        dense: options of the dense cloud.
 
     Raises:
-        ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
-            its points span no volume, or the mesher is not built.
+        ColmapEdgesError: if an argument is invalid or of another model, a file cannot be read,
+            the points span no volume, or the mesher is not built.
     """
     model = as_model(reconstruction_or_path)
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
-    points = faces.points if faces else NO_POINTS
-    given = (background, points, patches or NO_PATCHES, refine)
+    dense = dense or DenseOptions()
+    cloud = given_cloud(points, visibility, model, dense, num_threads)
+    plain = faces.points if faces else NO_POINTS
+    if cloud:
+        cloud = cloud.away_from((edges, contours), plain.points, dense.edge_dist)
+    given = (background, plain, patches or NO_PATCHES, refine, cloud)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 
@@ -105,17 +121,24 @@ def mesh_with_curves(
     faces: SeenPoints = NO_POINTS,
     patches: Patches = NO_PATCHES,
     refine: bool = True,
+    cloud: DenseCloud | None = None,
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
     Silhouettes already bound bodies before a background other than the sky, so that no points of
     faces are added.
     Of patches those are added that the mesh without them lacks: where it is right, they would add
-    their noise only.
+    their noise only. A cloud takes their place, and that of the model's points but where it is
+    empty.
 
-    `point3D_ids` of the result are indices of the points in this order.
+    `point3D_ids` of the result are indices of the points of model and curves; -1, or larger, for
+    others.
     """
     edges, contours = edges_and_contours
+    all_points = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
+    rows = cloud.where_empty(all_points, model) if cloud else np.arange(len(all_points.points))
+    if cloud:
+        model = model.selected(np.isin(np.arange(len(all_points.points)), rows))
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     if not num_seen and len(model.far_point3D_ids):
@@ -137,19 +160,49 @@ def mesh_with_curves(
             background.rays if background else None,
         )
 
+    if cloud:
+        found, sigmas = meshed(cloud.points), cloud.sigmas
+    else:
+        given = (num_seen + len(others.points), meshed, num_threads)
+        found, sigmas = mesh_with_patches(patches, model, *given)
+    if refine:
+        sfm = Tracks(
+            model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D
+        )
+        measured = Measured(model.views, sfm, edges, contours, sigmas)
+        other_sigma = 1.0 if is_bounded else FACE_SIGMA
+        found = refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+    if cloud:
+        found = with_cloud(found, cloud, rows, len(all_points.points), num_seen)
+    return found
+
+
+def mesh_with_patches(
+    patches: Patches,
+    model: Model,
+    num_points: int,
+    meshed: Callable[[SeenPoints], Mesh],
+    num_threads: int,
+) -> tuple[Mesh, FloatArray]:
+    """Mesh with the patches that the mesh of other points lacks.
+
+    Args:
+        patches: the patches.
+        model: the model.
+        num_points: number of other points.
+        meshed: makes the mesh of given and other points.
+        num_threads: threads.
+
+    Returns:
+        The mesh, and the deviations of the added patches.
+    """
     found = meshed(NO_POINTS)
     lacking = what_they_add(patches, model, found.vertices, found.faces, num_threads)
-    if len(lacking) > MIN_LACKING * (num_seen + len(others.points)):
-        found = meshed(patches.points.chosen(lacking))
-        found = replace(found, stats={**found.stats, "patches_added": len(lacking)})
-    else:
-        lacking = lacking[:0]
-    if not refine:
-        return found
-    sfm = Tracks(model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D)
-    measured = Measured(model.views, sfm, edges, contours, patches.sigmas[lacking])
-    other_sigma = 1.0 if is_bounded else FACE_SIGMA
-    return refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+    if len(lacking) <= MIN_LACKING * num_points:
+        return found, patches.sigmas[:0]
+    found = meshed(patches.points.chosen(lacking))
+    found = replace(found, stats={**found.stats, "patches_added": len(lacking)})
+    return found, patches.sigmas[lacking]
 
 
 def joined_points(model: Model, curves: list[Edges3D], *more: SeenPoints) -> SeenPoints:
