@@ -69,19 +69,9 @@ def export_flag() -> click.Option:
 def cloud_flags() -> list[click.Option]:
     """Make the flags that name a dense cloud."""
     return [
-        path_flag(
-            "dense_path",
-            "COLMAP's dense workspace with fused.ply and fused.ply.vis, whose points are meshed",
-        ),
-        path_flag(
-            "points",
-            "Point cloud to mesh, as PLY: of OpenMVS with view_indices, of a laser scanner, or of "
-            "another program, in the coordinates of the model",
-        ),
-        path_flag(
-            "visibility",
-            "Visibility of --points as in COLMAP's fused.ply.vis [found by a depth test]",
-        ),
+        path_flag("dense_path", "COLMAP's dense workspace, whose fused.ply is meshed"),
+        path_flag("points", "Dense cloud to mesh, as PLY (OpenMVS, laser scanners, ...)"),
+        path_flag("visibility", "fused.ply.vis of --points [found by a depth test]"),
     ]
 
 

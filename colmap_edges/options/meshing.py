@@ -35,14 +35,12 @@ class DenseOptions(Options):
         "Keep one point of a dense cloud per cube of this size in the images, in pixels; 0 keeps "
         "all",
         within=(0, 1000),
-        basic=True,
     )
     edge_dist: float = option(
         16.0,
         "Leave out points of a dense cloud within this distance of 3D edges, in pixels: dense "
         "stereo smears edges over half its window",
         within=(0, 1000),
-        basic=True,
     )
 
 

@@ -48,9 +48,7 @@ class PipelineOptions(Options):
     bundle_adjustment: BundleAdjustmentOptions = group(BundleAdjustmentOptions, "refine")
     meshing: MeshingOptions = group(MeshingOptions, "mesh")
     dense: DenseOptions = group(DenseOptions, "mesh")
-    use_edges: bool = option(
-        True, "Mesh SfM points and edges; 0 meshes SfM points only", stage="mesh"
-    )
+    use_edges: bool = option(True, "Mesh points and edges; 0 meshes points only", stage="mesh")
     use_faces: bool = option(
         True,
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",

@@ -45,13 +45,13 @@ def planes_at(groups: FloatArray) -> Planes:
         spread = (offsets * weights[..., None]).transpose(0, 2, 1) @ offsets
         variances, axes = np.linalg.eigh(spread)
         residuals = (offsets @ axes[:, :, :1])[..., 0]
-        scale = ROBUST_SIGMAS * 1.4826 * np.median(np.abs(residuals), axis=1, keepdims=True)
-        weights = 1 / (1 + (residuals / np.maximum(scale, 1e-300)) ** 2) ** 2
+        sigmas = 1.4826 * np.median(np.abs(residuals), axis=1, keepdims=True)
+        weights = 1 / (1 + (residuals / np.maximum(ROBUST_SIGMAS * sigmas, 1e-300)) ** 2) ** 2
     variances = np.maximum(variances, 0)
     return Planes(
         centers=centers,
         normals=axes[:, :, 0],
-        sigmas=np.sqrt(variances[:, 0] * (count / max(count - 3, 1))),
+        sigmas=sigmas[:, 0] * np.sqrt(count / max(count - 3, 1)),
         radii=np.sqrt(variances[:, 2]),
         are_flat=variances[:, 0] < MAX_SPREAD**2 * variances[:, 1],
     )

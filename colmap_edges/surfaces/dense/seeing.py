@@ -9,16 +9,24 @@ import numpy as np
 
 from colmap_edges.colmap.clouds import SeenRows
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, order_of, owners_of
+from colmap_edges.core.arrays import (
+    FloatArray,
+    IntArray,
+    offsets_of,
+    order_of,
+    owners_of,
+    row_numbers,
+)
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
 # Least share of observations that lie in their images; in another order of images, fewer do.
 MIN_INSIDE = 0.9
-# Depth test: number of points per cell of a view's depth map, cells around a point in which a
-# nearer one hides it, and the relative difference of depths of points that hide each other.
-POINTS_PER_CELL, REACH_CELLS, MIN_DIFFERENCE = 4, 1, 0.02
+# Depth test: number of points per cell of a view's depth map; cells around a point in which a
+# nearer one hides it; and the slope of depth against width up to which neighbours are of one
+# surface, which is seen at 80 degrees.
+POINTS_PER_CELL, REACH_CELLS, MAX_SLOPE = 4, 1, 5.7
 
 
 def seen_by(
@@ -83,9 +91,19 @@ def visible_in(view: View, points: FloatArray) -> IntArray:
     pixels, depths = view.project(points)
     rows = np.flatnonzero(view.holds(pixels, depths))
     pixels, depths = pixels[rows], depths[rows].astype(np.float32)
-    side = np.sqrt(POINTS_PER_CELL * view.width * view.height / max(len(rows), 1))
-    columns, lines = (pixels / max(side, 1.0)).astype(np.int64).T
+    side = cell_side(pixels, view.width * view.height)
+    columns, lines = (pixels / side).astype(np.int64).T
     nearest = np.full((lines.max(initial=0) + 1, columns.max(initial=0) + 1), np.inf, np.float32)
     np.minimum.at(nearest, (lines, columns), depths)
     around = cv2.erode(nearest, np.ones((2 * REACH_CELLS + 1,) * 2, np.uint8))
-    return np.asarray(rows[depths * (1 - MIN_DIFFERENCE) <= around[lines, columns]])
+    reach_px = (REACH_CELLS + 0.5) * side
+    margin = MAX_SLOPE * reach_px / (view.focal_px / view.scale)
+    return np.asarray(rows[depths * (1 - margin) <= around[lines, columns]])
+
+
+def cell_side(pixels: FloatArray, area: float) -> float:
+    """Side of cells with `POINTS_PER_CELL` of (N, 2) projections on average, at least a pixel."""
+    for _ in range(2):  # the second time with the area where points are
+        side = max(float(np.sqrt(POINTS_PER_CELL * area / max(len(pixels), 1))), 1.0)
+        area = len(np.unique(row_numbers((pixels / side).astype(np.int64)))) * side**2
+    return side
