@@ -30,6 +30,7 @@ from colmap_edges.options.meshing import DenseOptions
 from colmap_edges.surfaces.dense.displacement import measured_shift, movements
 from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
 from colmap_edges.surfaces.dense.seeing import seen_by
+from colmap_edges.surfaces.information import MIN_NOISE_PX
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
@@ -149,7 +150,7 @@ def dense_cloud(
     return DenseCloud(
         points=cloud.chosen(kept)._replace(points=moved),
         colors=file.colors[finite][kept],
-        sigmas=sigmas,
+        sigmas=np.maximum(sigmas, MIN_NOISE_PX * pixels[kept]),
         pixels=pixels[kept],
         num_read=len(file.points),
         shift_px=shift,
