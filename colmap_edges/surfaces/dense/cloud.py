@@ -39,6 +39,7 @@ ROWS_AT_ONCE = 50_000  # points whose neighbours are in memory
 # Steps between samples of edges, relative to the distance within which points yield to them.
 SAMPLE_STEP = 0.5
 FACE_FACTOR = 2.0
+SCAN_DIST = 2.0
 EMPTY_PX = 8.0  # distance from the nearest point of the cloud beyond which it is empty
 
 
@@ -53,6 +54,7 @@ class DenseCloud:
         pixels: (P,) size of a pixel at each point in the nearest view that sees it, world units.
         num_read: number of points in the file.
         shift_px: (2,) shift of the cloud's images against the model's; 0 without.
+        is_scan: whether its files name no views, so that it is none of stereo.
     """
 
     points: SeenPoints
@@ -61,6 +63,7 @@ class DenseCloud:
     pixels: Annotated[FloatArray, "P"]
     num_read: int
     shift_px: Annotated[FloatArray, 2]
+    is_scan: bool = False
 
     @property
     def noise_px(self) -> float:
@@ -88,8 +91,9 @@ class DenseCloud:
             curves: edges and contours.
             faces: (F, 3) points of faces.
             edge_dist: distance from curves, in pixels; that from faces is `FACE_FACTOR` as much.
+                Scans are not smeared, and have at most `SCAN_DIST`.
         """
-        reach = edge_dist * self.pixels
+        reach = (min(edge_dist, SCAN_DIST) if self.is_scan else edge_dist) * self.pixels
         step = SAMPLE_STEP * float(np.median(reach)) if len(reach) else 0.0
         if not step:
             return self
@@ -154,6 +158,7 @@ def dense_cloud(
         pixels=pixels[kept],
         num_read=len(file.points),
         shift_px=shift,
+        is_scan=file.seen is None,
     )
 
 
