@@ -21,6 +21,7 @@ from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
 # Minimum length of split segments, in median lengths; intersecting ones would be split forever.
 FINEST = 0.01
-# Largest median distance of edges' projections from their observations, in image sides. Those of
-# edges of this model are below a hundredth of it, those of another are anywhere.
-MAX_MISS = 0.01
 # Least number of patches that a mesh lacks for which it is made again, relative to its points.
 MIN_LACKING = 0.005
 
@@ -231,49 +229,6 @@ def polylines_of(curves: list[Edges3D], first: int, num_edges: int) -> Polylines
         np.concatenate([each.closed for each in curves]),
         num_edges,
     )
-
-
-def check_of_model(
-    model: Model,
-    curves: Mapping[str, Edges3D | None],
-    background: Background | None,
-    faces: Faces | None,
-    patches: Patches | None,
-) -> None:
-    """Check that all that a mesh follows was found in this model.
-
-    Raises:
-        ColmapEdgesError: naming the argument that was not.
-    """
-    num_views = len(model.views)
-    sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
-    sfm.check("model", num_views)
-    others = {"background": background, "faces": faces, "patches": patches}
-    for name, given in {**curves, **others}.items():
-        if given is not None:
-            given.check(name, num_views)
-    for name, edges in curves.items():
-        if edges is not None and len(edges.observations.views):
-            check_projections(model, name, edges)
-
-
-def check_projections(model: Model, name: str, edges: Edges3D) -> None:
-    """Check that edges project to where the images of a model observe them.
-
-    Raises:
-        ColmapEdgesError: if they do not.
-    """
-    from colmap_edges.colmap.model import observation_residuals
-
-    sides = np.array([max(view.width, view.height) for view in model.views])
-    misses = observation_residuals(model, edges)
-    misses = np.where(np.isnan(misses), np.inf, misses) / sides[edges.observations.views]
-    if np.median(misses) > MAX_MISS:
-        raise ColmapEdgesError(
-            f"{name} are not of this model: most points project more than "
-            f"{MAX_MISS * sides.max():.0f} pixels away from their observations; give the model "
-            "that they were found in"
-        )
 
 
 def as_model(source: Any) -> Model:
