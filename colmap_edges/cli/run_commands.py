@@ -66,6 +66,15 @@ def export_flag() -> click.Option:
     )
 
 
+def cloud_flags() -> list[click.Option]:
+    """Make the flags that name a dense cloud."""
+    return [
+        path_flag("dense_path", "COLMAP's dense workspace, whose fused.ply is meshed"),
+        path_flag("points", "Dense cloud to mesh, as PLY (OpenMVS, laser scanners, ...)"),
+        path_flag("visibility", "fused.ply.vis of --points [found by a depth test]"),
+    ]
+
+
 def recording_target(value: str) -> str:
     """Check the value of --rerun: 0, 1 or the name of a recording."""
     if value in ("0", "1") or value.lower().endswith(".rrd"):
@@ -103,6 +112,7 @@ def run_flags(stages: Sequence[str]) -> list[click.Parameter]:
             metavar="ADDRESS",
             help="dask cluster, such as tcp://host:8786; needs --cache_path",
         ),
+        *(cloud_flags() if "mesh" in stages else []),
         *([*preset_flags(), export_flag()] if "trace" in stages else []),
         click.Option(
             ["--config"],
@@ -169,7 +179,8 @@ def run_stages(
         from colmap_edges.pipeline.run import run
         from colmap_edges.report.rerun_viewer import open_viewer
 
-    optional = {name: values[name] for name in ("mask_path", "edge_path", "cache_path")}
+    names = ("mask_path", "edge_path", "cache_path", "dense_path", "points", "visibility")
+    optional: dict[str, Any] = {name: values.get(name) for name in names}
     paths, overwrite = Paths(**paths_of_flags, **optional), values["overwrite"]
     exports = formats_of(values.get("export", ""))
     with open_viewer(values["rerun"], paths.output_path, overwrite, paths.inputs) as viewer:

@@ -6,7 +6,7 @@ only Python sets; the comment above each says where its value comes from.
 """
 
 from colmap_edges.options.detecting import DetectionOptions, EdgeGraphOptions
-from colmap_edges.options.meshing import BundleAdjustmentOptions, MeshingOptions
+from colmap_edges.options.meshing import BundleAdjustmentOptions, DenseOptions, MeshingOptions
 from colmap_edges.options.paper import (
     CorrespondenceOptions,
     FollowingOptions,
@@ -34,6 +34,7 @@ __all__ = [
     "ChainDepthOptions",
     "CorrespondenceOptions",
     "CurvesOptions",
+    "DenseOptions",
     "DetectionOptions",
     "EdgeGraphOptions",
     "FollowingOptions",

@@ -27,6 +27,24 @@ class BundleAdjustmentOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DenseOptions(Options):
+    """Use of a dense point cloud by the mesher."""
+
+    max_proj_dist: float = option(
+        6.0,
+        "Keep one point of a dense cloud per cube of this size in the images, in pixels; 0 keeps "
+        "all",
+        within=(0, 1000),
+    )
+    edge_dist: float = option(
+        16.0,
+        "Leave out points of a dense cloud within this distance of 3D edges, in pixels: dense "
+        "stereo smears edges over half its window",
+        within=(0, 1000),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class MeshingOptions(Options):
     """Meshing of points and viewing rays; no option depends on the model's unit."""
 

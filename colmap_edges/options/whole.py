@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from colmap_edges.declared_options import Options, group, option
 from colmap_edges.errors import OptionError
 from colmap_edges.options.detecting import DetectionOptions, EdgeGraphOptions
-from colmap_edges.options.meshing import BundleAdjustmentOptions, MeshingOptions
+from colmap_edges.options.meshing import BundleAdjustmentOptions, DenseOptions, MeshingOptions
 from colmap_edges.options.paper import (
     CorrespondenceOptions,
     FollowingOptions,
@@ -47,9 +47,8 @@ class PipelineOptions(Options):
     sampling: SamplingOptions = group(SamplingOptions, "trace")
     bundle_adjustment: BundleAdjustmentOptions = group(BundleAdjustmentOptions, "refine")
     meshing: MeshingOptions = group(MeshingOptions, "mesh")
-    use_edges: bool = option(
-        True, "Mesh SfM points and edges; 0 meshes SfM points only", stage="mesh"
-    )
+    dense: DenseOptions = group(DenseOptions, "mesh")
+    use_edges: bool = option(True, "Mesh points and edges; 0 meshes points only", stage="mesh")
     use_faces: bool = option(
         True,
         "Find planar faces between edges, write faces.json, and mesh them in plain scenes",

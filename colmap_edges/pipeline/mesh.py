@@ -18,6 +18,7 @@ from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
@@ -123,6 +124,7 @@ def mesh_stage(
     background: Background | None = None,
     faces: Faces = NO_FACES,
     patches: Patches = NO_PATCHES,
+    cloud: DenseCloud | None = None,
 ) -> Mesh:
     """Mesh a model's points and what was found.
 
@@ -135,17 +137,20 @@ def mesh_stage(
         background: background rays.
         faces: planar faces.
         patches: points where images have texture.
+        cloud: a dense cloud.
 
     Raises:
         ColmapEdgesError: if no image observes a point.
     """
-    if not len(extended.track_views):
+    if not len(extended.track_views) and cloud is None:
         raise ColmapEdgesError(
             f"nothing to mesh: none of the {len(extended.point3D_ids):,} points has a track; run "
             "`colmap point_triangulator` on the model first"
         )
     with stages.stage("mesh") as stage:
         curves = (traced.edges, traced.contours) if traced else (None, None)
+        if cloud:
+            cloud = cloud.away_from(curves, faces.points.points, options.dense.edge_dist)
         mesh = mesh_with_curves(
             model,
             curves,
@@ -155,6 +160,7 @@ def mesh_stage(
             faces.points,
             patches,
             options.refine_mesh,
+            cloud,
         )
         mesh = finished(mesh, extended, options.meshing)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

@@ -21,6 +21,9 @@ class Paths:
         mask_path: folder of masks named as in COLMAP, or one mask for all images; or None.
         edge_path: folder of edge images of another detector, used instead of EdgeDrawing; or None.
         cache_path: folder of cached results for later runs; or None.
+        dense_path: COLMAP's dense workspace with fused.ply, which is meshed; or None.
+        points: PLY file of a dense cloud, which is meshed; or None.
+        visibility: COLMAP's visibility of these points (fused.ply.vis); or None.
     """
 
     image_path: Path | None = None
@@ -29,6 +32,9 @@ class Paths:
     mask_path: Path | None = None
     edge_path: Path | None = None
     cache_path: Path | None = None
+    dense_path: Path | None = None
+    points: Path | None = None
+    visibility: Path | None = None
 
     @property
     def inputs(self) -> list[Path]:
@@ -39,7 +45,8 @@ class Paths:
     def sources(self) -> list[Path]:
         """The input paths that are only read, which must not contain the cache."""
         given = (self.image_path, self.input_path, self.mask_path, self.edge_path)
-        return [path for path in given if path is not None]
+        clouds = (self.dense_path, self.points, self.visibility)
+        return [path for path in (*given, *clouds) if path is not None]
 
 
 def absolute(paths: Paths) -> Paths:
@@ -53,10 +60,18 @@ def absolute(paths: Paths) -> Paths:
 
 def check_paths(paths: Paths, overwrite: bool) -> None:
     """Check that the inputs are folders and that the output can be written."""
-    for name in ("image_path", "input_path"):
+    for name in ("image_path", "input_path", "dense_path"):
         path = getattr(paths, name)
         if path and not path.is_dir():
             raise ColmapEdgesError(f"{name} {path} is not a folder; give an existing folder")
+    for name in ("points", "visibility"):
+        path = getattr(paths, name)
+        if path and not path.is_file():
+            raise ColmapEdgesError(f"{name} {path} is not a file; give an existing file")
+    if paths.dense_path and (paths.points or paths.visibility):
+        raise OptionError("dense_path and points are both given; give one of them")
+    if paths.visibility and not paths.points:
+        raise OptionError("visibility is given without points; give the cloud, too")
     if paths.cache_path:
         check_apart("cache_path", paths.cache_path, paths.sources)
     check_output_path(paths.output_path, paths.inputs, overwrite)

@@ -15,6 +15,7 @@ from colmap_edges.export.faces import write_faces
 from colmap_edges.export.formats import check_formats
 from colmap_edges.export.upright import upward
 from colmap_edges.options import PipelineOptions, resolved
+from colmap_edges.pipeline.dense import dense_stage
 from colmap_edges.pipeline.detect import GraphWriter, check_file_names, detect_stage
 from colmap_edges.pipeline.found import find_edges
 from colmap_edges.pipeline.mesh import check_mesher, mesh_stage, write_mesh_stage
@@ -27,6 +28,7 @@ from colmap_edges.runtime.executors import Workers, open_workers
 from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import OUTPUT, file_sizes
 from colmap_edges.runtime.stages import Progress, Stages, no_progress
+from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.patches.finding import NO_PATCHES
 
 
@@ -74,15 +76,15 @@ def run(
         stages = Stages(progress)
         model, settings = read_stage(paths.input_path, stages, images), options
         viewer.show_model(model)
+        cloud = dense_stage(model, paths, options, stages)
         if not uses_images:
-            given = (folder, options, stages, viewer, exports)
+            given = (folder, options, stages, viewer, exports, cloud)
             contents = mesh_points_only(model, paths, *given)
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
-            contents = run_edges(
-                command, model, paths, folder, settings, stages, workers, viewer, exports
-            )
+            given = (folder, settings, stages, workers, viewer, exports, cloud)
+            contents = run_edges(command, model, paths, *given)
         export_stage(folder, contents.mesh, exports, stages, contents.up)
         report = make_report(command, paths, options, settings, stages)
         if options.report and command != "detect":
@@ -100,10 +102,11 @@ def mesh_points_only(
     stages: Stages,
     viewer: Viewer,
     exports: Sequence[str],
+    cloud: DenseCloud | None,
 ) -> Contents:
     """Run the stages of `mesh` without edges."""
     up = upward(model.views)
-    mesh = mesh_stage(model, None, model, options, stages)
+    mesh = mesh_stage(model, None, model, options, stages, cloud=cloud)
     mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
     viewer.show_mesh(mesh)
     return Contents(model=model, mesh=mesh, up=up)
@@ -148,6 +151,7 @@ def run_edges(
     workers: Workers,
     viewer: Viewer,
     exports: Sequence[str],
+    cloud: DenseCloud | None = None,
 ) -> Contents:
     """Run the stages of `command` that need images, with resolved settings."""
     if command == "detect":
@@ -176,7 +180,7 @@ def run_edges(
             write_faces(faces.faces, model, folder / "faces.json", in_mesh=in_mesh)
         patches = found.patches if options.use_patches else NO_PATCHES
         given = (found.traced, extended, options, stages, found.background)
-        mesh = mesh_stage(model, *given, faces, patches)
+        mesh = mesh_stage(model, *given, faces, patches, cloud)
         mesh = write_mesh_stage(model, mesh, paths, folder, exports, options, stages, up)
         viewer.show_mesh(mesh)
     return Contents(

@@ -105,14 +105,17 @@ class Mesh:
 
 
 def with_model_attributes(mesh_of_indices: Mesh, model: Model) -> Mesh:
-    """Replace the point indices in `point3D_ids` by the model's ids, and add colours."""
+    """Replace the point indices in `point3D_ids` by the model's ids, and add colours.
+
+    Vertices that have a colour keep it.
+    """
     sources = mesh_of_indices.point3D_ids
     is_sfm = (sources >= 0) & (sources < len(model.point3D_ids))
     ids = np.full(len(sources), -1, np.int64)
     ids[is_sfm] = model.point3D_ids[sources[is_sfm]]
-    colors = np.zeros((len(sources), 3), np.uint8)
+    colors = mesh_of_indices.colors.copy()
     colors[is_sfm] = model.points3D_rgb[sources[is_sfm]]
-    colors = spread_colors(colors, is_sfm, mesh_of_indices.faces)
+    colors = spread_colors(colors, is_sfm | colors.any(axis=1), mesh_of_indices.faces)
     return replace(mesh_of_indices, point3D_ids=ids, colors=colors)
 
 

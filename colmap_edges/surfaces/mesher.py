@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,11 +14,14 @@ from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
-from colmap_edges.options import MeshingOptions
+from colmap_edges.options import DenseOptions, MeshingOptions
+from colmap_edges.surfaces.dense.cloud import DenseCloud, with_cloud
+from colmap_edges.surfaces.dense.given import given_cloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
+from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
@@ -31,9 +34,6 @@ if TYPE_CHECKING:
 NO_BACKGROUND = BackgroundRays(np.zeros(0, np.int32), np.zeros((0, 3)))
 # Minimum length of split segments, in median lengths; intersecting ones would be split forever.
 FINEST = 0.01
-# Largest median distance of edges' projections from their observations, in image sides. Those of
-# edges of this model are below a hundredth of it, those of another are anywhere.
-MAX_MISS = 0.01
 # Least number of patches that a mesh lacks for which it is made again, relative to its points.
 MIN_LACKING = 0.005
 
@@ -66,8 +66,11 @@ def mesh(
     faces: Faces | None = None,
     patches: Patches | None = None,
     refine: bool = True,
+    points: Any = None,
+    visibility: Any = None,
+    dense: DenseOptions | None = None,
 ) -> Mesh:
-    """Mesh the points of a COLMAP model, with or without 3D edges.
+    """Mesh the points of a COLMAP model, or a dense cloud, with or without 3D edges.
 
     Args:
         reconstruction_or_path: a model folder, a pycolmap.Reconstruction or a `Model`.
@@ -80,18 +83,29 @@ def mesh(
         faces: planar faces between the edges, as found by `reconstruct`.
         patches: points where images have texture, as found by `reconstruct`.
         refine: move vertices within their noise until faces between edges are smooth.
+        points: a dense cloud in the model's coordinates, which takes the place of patches, and of
+            the model's points where it is not empty: a PLY file of COLMAP (fused.ply), OpenMVS or
+            another program, or (N, 3) float64 points.
+        visibility: which images see the points: COLMAP's file of it (fused.ply.vis), or the
+            `SeenRows` of an array; indices of images count the model's, in its order. Without it,
+            that of OpenMVS's PLY is used, or else the views that see a point by a depth test.
+        dense: options of the dense cloud.
 
     Raises:
-        ColmapEdgesError: if an argument is invalid or of another model, the model cannot be read,
-            its points span no volume, or the mesher is not built.
+        ColmapEdgesError: if an argument is invalid or of another model, a file cannot be read,
+            the points span no volume, or the mesher is not built.
     """
     model = as_model(reconstruction_or_path)
     options = options or MeshingOptions()
     if method is not None:
         options = replace(options, method=method)
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
-    points = faces.points if faces else NO_POINTS
-    given = (background, points, patches or NO_PATCHES, refine)
+    dense = dense or DenseOptions()
+    cloud = given_cloud(points, visibility, model, dense, num_threads)
+    plain = faces.points if faces else NO_POINTS
+    if cloud:
+        cloud = cloud.away_from((edges, contours), plain.points, dense.edge_dist)
+    given = (background, plain, patches or NO_PATCHES, refine, cloud)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 
@@ -105,17 +119,24 @@ def mesh_with_curves(
     faces: SeenPoints = NO_POINTS,
     patches: Patches = NO_PATCHES,
     refine: bool = True,
+    cloud: DenseCloud | None = None,
 ) -> Mesh:
     """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
 
     Silhouettes already bound bodies before a background other than the sky, so that no points of
     faces are added.
     Of patches those are added that the mesh without them lacks: where it is right, they would add
-    their noise only.
+    their noise only. A cloud takes their place, and that of the model's points but where it is
+    empty.
 
-    `point3D_ids` of the result are indices of the points in this order.
+    `point3D_ids` of the result are indices of the points of model and curves; -1, or larger, for
+    others.
     """
     edges, contours = edges_and_contours
+    all_points = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
+    rows = cloud.where_empty(all_points, model) if cloud else np.arange(len(all_points.points))
+    if cloud:
+        model = model.selected(np.isin(np.arange(len(all_points.points)), rows))
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     if not num_seen and len(model.far_point3D_ids):
@@ -137,19 +158,49 @@ def mesh_with_curves(
             background.rays if background else None,
         )
 
+    if cloud:
+        found, sigmas = meshed(cloud.points), cloud.sigmas
+    else:
+        given = (num_seen + len(others.points), meshed, num_threads)
+        found, sigmas = mesh_with_patches(patches, model, *given)
+    if refine:
+        sfm = Tracks(
+            model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D
+        )
+        measured = Measured(model.views, sfm, edges, contours, sigmas)
+        other_sigma = 1.0 if is_bounded else FACE_SIGMA
+        found = refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+    if cloud:
+        found = with_cloud(found, cloud, rows, len(all_points.points), num_seen)
+    return found
+
+
+def mesh_with_patches(
+    patches: Patches,
+    model: Model,
+    num_points: int,
+    meshed: Callable[[SeenPoints], Mesh],
+    num_threads: int,
+) -> tuple[Mesh, FloatArray]:
+    """Mesh with the patches that the mesh of other points lacks.
+
+    Args:
+        patches: the patches.
+        model: the model.
+        num_points: number of other points.
+        meshed: makes the mesh of given and other points.
+        num_threads: threads.
+
+    Returns:
+        The mesh, and the deviations of the added patches.
+    """
     found = meshed(NO_POINTS)
     lacking = what_they_add(patches, model, found.vertices, found.faces, num_threads)
-    if len(lacking) > MIN_LACKING * (num_seen + len(others.points)):
-        found = meshed(patches.points.chosen(lacking))
-        found = replace(found, stats={**found.stats, "patches_added": len(lacking)})
-    else:
-        lacking = lacking[:0]
-    if not refine:
-        return found
-    sfm = Tracks(model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D)
-    measured = Measured(model.views, sfm, edges, contours, patches.sigmas[lacking])
-    other_sigma = 1.0 if is_bounded else FACE_SIGMA
-    return refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+    if len(lacking) <= MIN_LACKING * num_points:
+        return found, patches.sigmas[:0]
+    found = meshed(patches.points.chosen(lacking))
+    found = replace(found, stats={**found.stats, "patches_added": len(lacking)})
+    return found, patches.sigmas[lacking]
 
 
 def joined_points(model: Model, curves: list[Edges3D], *more: SeenPoints) -> SeenPoints:
@@ -178,49 +229,6 @@ def polylines_of(curves: list[Edges3D], first: int, num_edges: int) -> Polylines
         np.concatenate([each.closed for each in curves]),
         num_edges,
     )
-
-
-def check_of_model(
-    model: Model,
-    curves: Mapping[str, Edges3D | None],
-    background: Background | None,
-    faces: Faces | None,
-    patches: Patches | None,
-) -> None:
-    """Check that all that a mesh follows was found in this model.
-
-    Raises:
-        ColmapEdgesError: naming the argument that was not.
-    """
-    num_views = len(model.views)
-    sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
-    sfm.check("model", num_views)
-    others = {"background": background, "faces": faces, "patches": patches}
-    for name, given in {**curves, **others}.items():
-        if given is not None:
-            given.check(name, num_views)
-    for name, edges in curves.items():
-        if edges is not None and len(edges.observations.views):
-            check_projections(model, name, edges)
-
-
-def check_projections(model: Model, name: str, edges: Edges3D) -> None:
-    """Check that edges project to where the images of a model observe them.
-
-    Raises:
-        ColmapEdgesError: if they do not.
-    """
-    from colmap_edges.colmap.model import observation_residuals
-
-    sides = np.array([max(view.width, view.height) for view in model.views])
-    misses = observation_residuals(model, edges)
-    misses = np.where(np.isnan(misses), np.inf, misses) / sides[edges.observations.views]
-    if np.median(misses) > MAX_MISS:
-        raise ColmapEdgesError(
-            f"{name} are not of this model: most points project more than "
-            f"{MAX_MISS * sides.max():.0f} pixels away from their observations; give the model "
-            "that they were found in"
-        )
 
 
 def as_model(source: Any) -> Model:

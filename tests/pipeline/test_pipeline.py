@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
+import dense_clouds
 import numpy as np
 import pytest
 import scenes
@@ -14,6 +15,7 @@ from scipy.spatial import cKDTree
 
 import colmap_edges
 from colmap_edges.cli.info import describe
+from colmap_edges.colmap.clouds import image_names
 from colmap_edges.colmap.model import load_model
 from colmap_edges.declared_options import derived
 from colmap_edges.edges3d.curves.fitting import fit_curves
@@ -492,3 +494,48 @@ def test_meshing_works_when_threads_cannot_be_started():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "True True\n", done.stderr
+
+
+@pytest.fixture(scope="module")
+def dense_paths(scene_paths, scene_model, tmp_path_factory):
+    """A dense workspace of the scene, with a cloud on its solids."""
+    folder = tmp_path_factory.mktemp("dense")
+    points, _, tracks = dense_clouds.on_solids(scene_model)
+    order = {name: at for at, name in enumerate(image_names(scene_model.reconstruction))}
+    numbers = [order[view.name] for view in scene_model.views]
+    (folder / "fused.ply").write_bytes(dense_clouds.fused_ply(points))
+    named = [[numbers[view] for view in track] for track in tracks]
+    (folder / "fused.ply.vis").write_bytes(dense_clouds.fused_vis(named))
+    (folder / "sparse").mkdir()
+    scene_model.reconstruction.write(str(folder / "sparse"))
+    return folder
+
+
+def test_dense_workspaces_are_meshed_alone_and_with_edges(scene_paths, dense_paths, tmp_path):
+    paths = replace(paths_of(scene_paths, tmp_path / "alone"), dense_path=dense_paths)
+    options = PipelineOptions(use_edges=False, report=False)
+    found = {stage["name"]: stage["counts"] for stage in run("mesh", paths, options)["stages"]}
+    assert list(found) == ["read", "dense", "mesh"]
+    assert found["dense"]["points_kept"] > 1000
+    assert found["mesh"]["faces"] > 1000
+    sharp = run("mesh", replace(paths, output_path=tmp_path / "sharp"), PipelineOptions())
+    assert [stage["name"] for stage in sharp["stages"]][:3] == ["read", "dense", "detect"]
+    given = replace(paths_of(scene_paths, tmp_path / "given"), points=dense_paths / "fused.ply")
+    given = replace(given, visibility=dense_paths / "fused.ply.vis")
+    run("mesh", given, options)
+    meshes = [(tmp_path / name / "mesh.ply").read_bytes() for name in ("alone", "given")]
+    assert meshes[0] == meshes[1]
+
+
+def test_paths_of_clouds_that_do_not_fit_are_refused(scene_paths, dense_paths, tmp_path):
+    paths = paths_of(scene_paths, tmp_path / "out")
+    cloud, none = dense_paths / "fused.ply", tmp_path / "none.ply"
+    for wrong, message in (
+        ({"points": none}, "is not a file"),
+        ({"visibility": cloud}, "visibility is given without points"),
+        ({"dense_path": dense_paths, "points": cloud}, "give one of them"),
+        ({"dense_path": scene_paths[0]}, r"has no fused\.ply"),
+    ):
+        with pytest.raises(ColmapEdgesError, match=message):
+            run("mesh", replace(paths, **wrong), PipelineOptions(use_edges=False))
+        assert not (tmp_path / "out").exists()

@@ -1,0 +1,255 @@
+"""A dense cloud made ready for the mesher: thinned, moved onto its planes, away from edges."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from colmap_edges.colmap.clouds import CloudFile, SeenRows
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    IntArray,
+    entries_of,
+    offsets_of,
+    owners_of,
+    row_numbers,
+)
+from colmap_edges.core.checks import check_arrays
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import views_with_rows
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.options.meshing import DenseOptions
+from colmap_edges.surfaces.dense.displacement import measured_shift, movements
+from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
+from colmap_edges.surfaces.dense.seeing import seen_by
+from colmap_edges.surfaces.information import MIN_NOISE_PX
+from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.silhouettes import SeenPoints
+
+MIN_POINTS = NUM_NEIGHBORS + 1
+ROWS_AT_ONCE = 50_000  # points whose neighbours are in memory
+# Steps between samples of edges, relative to the distance within which points yield to them.
+SAMPLE_STEP = 0.5
+FACE_FACTOR = 2.0
+SCAN_DIST = 2.0
+EMPTY_PX = 8.0  # distance from the nearest point of the cloud beyond which it is empty
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseCloud:
+    """A thinned cloud with the views that see its points.
+
+    Attributes:
+        points: the points with their views.
+        colors: (P, 3) uint8.
+        sigmas: (P,) standard deviations of the cloud's points along its normals, world units.
+        pixels: (P,) size of a pixel at each point in the nearest view that sees it, world units.
+        num_read: number of points in the file.
+        shift_px: (2,) shift of the cloud's images against the model's; 0 without.
+        is_scan: whether its files name no views, so that it is none of stereo.
+    """
+
+    points: SeenPoints
+    colors: Annotated[ByteArray, "P", 3]
+    sigmas: Annotated[FloatArray, "P"]
+    pixels: Annotated[FloatArray, "P"]
+    num_read: int
+    shift_px: Annotated[FloatArray, 2]
+    is_scan: bool = False
+
+    @property
+    def noise_px(self) -> float:
+        """Median standard deviation of the points, in pixels."""
+        return float(np.median(self.sigmas / self.pixels))
+
+    def check(self, name: str = "points", num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values, as all functions of the Python interface do.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        self.points.check(f"{name}.points", num_views)
+        check_arrays(name, self, P=len(self.points.points))
+
+    def away_from(
+        self, curves: Sequence[Edges3D | None], faces: FloatArray, edge_dist: float
+    ) -> DenseCloud:
+        """The cloud without points near curves and planar faces, which are more precise.
+
+        Near edges, the windows of dense stereo show two surfaces, and points of one are smeared
+        over the other. Faces have points in plain scenes only, where dense stereo guesses.
+
+        Args:
+            curves: edges and contours.
+            faces: (F, 3) points of faces.
+            edge_dist: distance from curves, in pixels; that from faces is `FACE_FACTOR` as much.
+                Scans are not smeared, and have at most `SCAN_DIST`.
+        """
+        reach = (min(edge_dist, SCAN_DIST) if self.is_scan else edge_dist) * self.pixels
+        step = SAMPLE_STEP * float(np.median(reach)) if len(reach) else 0.0
+        if not step:
+            return self
+        samples = [np.zeros((0, 3)), *(sampled(of, step) for of in curves if of)]
+        on_curve = are_near(self.points.points, np.concatenate(samples), reach)
+        on_face = are_near(self.points.points, faces, FACE_FACTOR * reach)
+        kept = np.flatnonzero(~(on_curve | on_face))
+        return replace(
+            self,
+            points=self.points.chosen(kept),
+            colors=self.colors[kept],
+            sigmas=self.sigmas[kept],
+            pixels=self.pixels[kept],
+        )
+
+    def where_empty(self, seen: SeenPoints, model: Model) -> IntArray:
+        """Indices of the points of `seen` that have no point of the cloud near them."""
+        reach = EMPTY_PX * pixel_sizes(seen, model)
+        return np.flatnonzero(~are_near(seen.points, self.points.points, reach))
+
+
+def dense_cloud(
+    file: CloudFile,
+    model: Model,
+    image_names: Sequence[str],
+    options: DenseOptions,
+    num_threads: int = 0,
+) -> DenseCloud:
+    """Make a cloud ready: find its views, thin it, and average its noise.
+
+    Args:
+        file: what was read.
+        model: the model in whose frame it is.
+        image_names: names of the images that the visibility counts.
+        options: options of dense clouds.
+        num_threads: threads, 0 for all cores; the result does not depend on it.
+
+    Raises:
+        ColmapEdgesError: if no image sees a point, or the visibility is of another model.
+    """
+    finite = np.flatnonzero(np.isfinite(file.points).all(axis=1))
+    points, seen = file.points[finite], file.seen
+    if seen is not None:
+        images = seen.images[entries_of(seen.offsets, finite)]
+        seen = SeenRows(offsets_of(np.diff(seen.offsets)[finite]), images)
+    cloud = seen_by(points, seen, model, image_names)
+    if len(cloud.points) < MIN_POINTS or not len(cloud.track_views):
+        raise ColmapEdgesError(
+            f"no image sees the cloud of {len(file.points):,} points; give the model in whose "
+            "coordinates it is"
+        )
+    pixels = pixel_sizes(cloud, model)
+    kept = thinned(cloud, pixels, options.max_proj_dist)
+    tree = cKDTree(cloud.points)
+    shift = measured_shift(cloud, tree, model).shift_px
+    moves = movements(cloud, model) @ shift if shift.any() else np.zeros_like(cloud.points)
+    moved, sigmas = averaged(cloud.points, moves, kept, tree, num_threads or os.cpu_count() or 1)
+    return DenseCloud(
+        points=cloud.chosen(kept)._replace(points=moved),
+        colors=file.colors[finite][kept],
+        sigmas=np.maximum(sigmas, MIN_NOISE_PX * pixels[kept]),
+        pixels=pixels[kept],
+        num_read=len(file.points),
+        shift_px=shift,
+        is_scan=file.seen is None,
+    )
+
+
+def pixel_sizes(seen: SeenPoints, model: Model) -> FloatArray:
+    """(N,) size of a pixel at points, in the nearest view that sees them; infinite without any."""
+    sizes, owners = np.full(len(seen.points), np.inf), owners_of(seen.track_offsets)
+    for view, rows in views_with_rows(model.views, seen.track_views):
+        own = owners[rows]
+        depths = view.cam_from_world(seen.points[own])[:, 2]
+        size = np.where(depths > 0, depths, np.inf) / (view.focal_px / view.scale)
+        sizes[own] = np.minimum(sizes[own], size)
+    return sizes
+
+
+def thinned(cloud: SeenPoints, pixels: FloatArray, max_proj_dist: float) -> IntArray:
+    """Ascending indices of points, one of each cube whose side is a distance in the images.
+
+    The one with the most views is kept, the first of equal ones. Sides are powers of two, so that
+    cubes of points at similar distances are the same.
+    """
+    seen = np.flatnonzero(np.isfinite(pixels))
+    if not max_proj_dist:
+        return seen
+    level = np.floor(np.log2(np.maximum(pixels[seen] * max_proj_dist, 1e-300))).astype(np.int64)
+    low = cloud.points.min(axis=0)
+    cubes = np.floor(np.ldexp(cloud.points[seen] - low, -level[:, None])).astype(np.int64)
+    order = np.argsort(-np.diff(cloud.track_offsets)[seen], kind="stable")
+    numbers = row_numbers(np.column_stack([level, cubes])[order])
+    return np.asarray(np.sort(seen[order[np.unique(numbers, return_index=True)[1]]]))
+
+
+def averaged(
+    points: FloatArray, moves: FloatArray, kept: IntArray, tree: cKDTree, num_threads: int
+) -> tuple[FloatArray, FloatArray]:
+    """Positions of kept points on the planes of their neighbours, and deviations from these.
+
+    Args:
+        points: (N, 3) all points.
+        moves: (N, 3) corrections, of which the median around a point is added to it.
+        kept: (K,) indices of points.
+        tree: of all points.
+        num_threads: threads.
+    """
+    moved, sigmas = np.empty((len(kept), 3)), np.empty(len(kept))
+    for first in range(0, len(kept), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        own = points[kept[rows]]
+        near = tree.query(own, NUM_NEIGHBORS, workers=num_threads)[1]
+        planes = planes_at(points[near])
+        off = np.einsum("ni,ni->n", own - planes.centers, planes.normals)
+        moved[rows] = own - off[:, None] * planes.normals
+        if moves.any():
+            moved[rows] += np.median(moves[near], axis=1)
+        sigmas[rows] = planes.sigmas
+    return moved, sigmas
+
+
+def are_near(points: FloatArray, others: FloatArray, reach: FloatArray) -> BoolArray:
+    """(N,) whether any of (M, 3) other points is within (N,) distances of (N, 3) points."""
+    if not len(points) or not len(others):
+        return np.zeros(len(points), bool)
+    return np.asarray(cKDTree(others).query(points)[0] <= reach)
+
+
+def sampled(curves: Edges3D, step: float) -> FloatArray:
+    """(S, 3) points along polylines, at most a step apart."""
+    starts, ends = (curves.points[column] for column in curves.segments.T)
+    counts = np.ceil(np.linalg.norm(ends - starts, axis=1) / step).astype(np.int64).clip(1)
+    owners = np.repeat(np.arange(len(counts)), counts)
+    share = (np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts))[:, None]
+    along = starts[owners] + share / counts[owners][:, None] * (ends - starts)[owners]
+    return np.concatenate([curves.points, along])
+
+
+def with_cloud(
+    mesh: Mesh, cloud: DenseCloud, rows: IntArray, num_sfm: int, num_others: int
+) -> Mesh:
+    """A mesh of chosen SfM points, curves and then a cloud, with sources as without the cloud.
+
+    Args:
+        mesh: the mesh, whose `point3D_ids` are indices of the meshed points.
+        cloud: the cloud, whose vertices get its colours and no source.
+        rows: (K,) the SfM points that were meshed.
+        num_sfm: number of all SfM points.
+        num_others: number of meshed points before the cloud.
+    """
+    sources, colors = mesh.point3D_ids, mesh.colors.copy()
+    numbers = np.append(rows, np.arange(num_sfm, num_sfm + num_others - len(rows)))
+    dense = (sources >= num_others) & (sources < num_others + len(cloud.colors))
+    colors[dense] = cloud.colors[sources[dense] - num_others]
+    known = (sources >= 0) & (sources < num_others)
+    ids = np.full(len(sources), -1, np.int64)
+    ids[known] = numbers[sources[known]]
+    return replace(mesh, point3D_ids=ids, colors=colors)

@@ -1,0 +1,98 @@
+"""Displacement of a cloud whose images were shifted against those of the model.
+
+Programs differ in where a pixel has its centre, and in how images are cropped and reduced. A cloud
+made from images that are shifted by a pixel against the model's is displaced by about a pixel, in
+a direction that depends on the views. The shift is measured at points of the model.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import FloatArray, owners_of
+from colmap_edges.core.view import views_with_rows
+from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
+from colmap_edges.surfaces.silhouettes import SeenPoints
+
+MIN_POINTS = 100  # of the model on planes of the cloud
+MIN_SIGMAS = 5.0  # shift that is no chance, in its standard deviations
+NUM_ROUNDS = 10  # of reweighting
+# Scale of the weights of residuals, in robust standard deviations.
+ROBUST_SIGMAS = 2.0
+# Of the normal equations, relative to their trace: what the views of a point do not determine,
+# such as its depth in a single view, is not moved.
+REGULAR = 1e-6
+
+
+class Shift(NamedTuple):
+    """The shift of a cloud's images against the model's.
+
+    Attributes:
+        shift_px: (2,) pixels, 0 if there is none.
+        residual: median distance of the model's points from planes of the cloud, without it.
+        residual_after: the same, with it; both in world units.
+    """
+
+    shift_px: FloatArray
+    residual: float
+    residual_after: float
+
+
+NO_SHIFT = Shift(np.zeros(2), 0.0, 0.0)
+
+
+def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> Shift:
+    """Measure the shift of the images from which a cloud was made, robustly.
+
+    Args:
+        cloud: the points with their views.
+        tree: of the points.
+        model: the model; its points must not come from the cloud.
+    """
+    points = model.points3D_xyz
+    if len(cloud.points) < NUM_NEIGHBORS or len(points) < MIN_POINTS:
+        return NO_SHIFT
+    near = tree.query(points, NUM_NEIGHBORS)[1]
+    planes = planes_at(cloud.points[near])
+    away = np.linalg.norm(points - planes.centers, axis=1)
+    on_plane = planes.are_flat & (away < planes.radii)
+    if np.count_nonzero(on_plane) < MIN_POINTS:
+        return NO_SHIFT
+    near, normals = near[on_plane], planes.normals[on_plane]
+    residuals = np.einsum("ni,ni->n", normals, points[on_plane] - planes.centers[on_plane])
+    used, places = np.unique(near, return_inverse=True)
+    moves = movements(cloud.chosen(used), model)[places.reshape(near.shape)].mean(axis=1)
+    design = np.einsum("ni,nij->nj", normals, moves)
+    weights = np.ones(len(design))
+    for _ in range(NUM_ROUNDS):
+        information = (design * weights[:, None]).T @ design
+        shift = np.linalg.lstsq(information, design.T @ (weights * residuals), rcond=None)[0]
+        left = residuals - design @ shift
+        sigma = 1.4826 * float(np.median(np.abs(left))) or 1.0
+        weights = 1 / (1 + (left / (ROBUST_SIGMAS * sigma)) ** 2) ** 2
+    if shift @ information @ shift < (MIN_SIGMAS * sigma) ** 2:
+        return NO_SHIFT
+    return Shift(shift, float(np.median(np.abs(residuals))), float(np.median(np.abs(left))))
+
+
+def movements(cloud: SeenPoints, model: Model) -> FloatArray:
+    """(N, 3, 2) movements of triangulated points per pixel of shift of all their images."""
+    owners = owners_of(cloud.track_offsets)
+    matrix, right = np.zeros((len(cloud.points), 3, 3)), np.zeros((len(cloud.points), 3, 2))
+    for view, rows in views_with_rows(model.views, cloud.track_views):
+        own = owners[rows]
+        local = view.cam_from_world(cloud.points[own])
+        per_depth = view.focal_px / view.scale / np.where(local[:, 2] > 0, local[:, 2], np.inf)
+        slopes = np.zeros((len(own), 2, 3))  # of pixels by camera coordinates
+        slopes[:, [0, 1], [0, 1]] = per_depth[:, None]
+        slopes[:, :, 2] = -per_depth[:, None] * local[:, :2] / local[:, 2:]
+        slopes = slopes @ view.rotation
+        matrix[own] += slopes.transpose(0, 2, 1) @ slopes
+        right[own] += slopes.transpose(0, 2, 1)
+    trace = np.trace(matrix, axis1=1, axis2=2)
+    matrix += (REGULAR * np.where(trace > 0, trace, 1))[:, None, None] * np.eye(3)
+    return np.asarray(np.linalg.solve(matrix, right))

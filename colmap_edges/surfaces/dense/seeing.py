@@ -1,0 +1,109 @@
+"""The views that see the points of a cloud: those of its files, or by a depth test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from colmap_edges.colmap.clouds import SeenRows
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    FloatArray,
+    IntArray,
+    offsets_of,
+    order_of,
+    owners_of,
+    row_numbers,
+)
+from colmap_edges.core.view import View, views_with_rows
+from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.surfaces.silhouettes import SeenPoints
+
+# Least share of observations that lie in their images; in another order of images, fewer do.
+MIN_INSIDE = 0.9
+# Depth test: number of points per cell of a view's depth map; cells around a point in which a
+# nearer one hides it; and the slope of depth against width up to which neighbours are of one
+# surface, which is seen at 80 degrees.
+POINTS_PER_CELL, REACH_CELLS, MAX_SLOPE = 4, 1, 5.7
+
+
+def seen_by(
+    points: FloatArray, seen: SeenRows | None, model: Model, image_names: Sequence[str]
+) -> SeenPoints:
+    """Points of a cloud with their views, each view once a point.
+
+    Args:
+        points: (N, 3) finite points.
+        seen: the images that see each point; None to find the views by a depth test.
+        model: the model; images that it lacks see nothing.
+        image_names: names of the images that `seen` counts.
+
+    Raises:
+        ColmapEdgesError: if `seen` names other images, or points lie outside of them.
+    """
+    if seen is None:
+        return by_depth_test(points, model)
+    most = int(seen.images.max(initial=-1))
+    if most >= len(image_names) or seen.images.min(initial=0) < 0:
+        raise ColmapEdgesError(
+            f"the visibility of the cloud names image {most}, but its model has "
+            f"{len(image_names)} images with poses; give the model that the cloud was made from"
+        )
+    numbers = {view.name: index for index, view in enumerate(model.views)}
+    views = np.array([numbers.get(name, -1) for name in image_names], np.int64)[seen.images]
+    owners = owners_of(seen.offsets)
+    pairs = np.unique((owners * len(model.views) + views)[views >= 0])
+    owners, views = np.divmod(pairs, len(model.views))
+    check_inside(model, points, owners, views)
+    offsets = offsets_of(np.bincount(owners, minlength=len(points)))
+    return SeenPoints(points, offsets, views.astype(np.int32))
+
+
+def check_inside(model: Model, points: FloatArray, owners: IntArray, views: IntArray) -> None:
+    """Check that points lie in the images that see them.
+
+    Raises:
+        ColmapEdgesError: if many do not.
+    """
+    inside = 0
+    for view, rows in views_with_rows(model.views, views.astype(np.int32)):
+        inside += int(np.count_nonzero(view.holds(*view.project(points[owners[rows]]))))
+    if inside < MIN_INSIDE * len(views):
+        raise ColmapEdgesError(
+            f"only {inside / len(views):.0%} of the cloud's observations lie in the images that "
+            "its visibility names; give the model that the cloud was made from"
+        )
+
+
+def by_depth_test(points: FloatArray, model: Model) -> SeenPoints:
+    """Points with the views in whose images they are, with no other point before them."""
+    found = [visible_in(view, points) for view in model.views]
+    owners = np.concatenate([np.zeros(0, np.int64), *found])
+    views = np.repeat(np.arange(len(found), dtype=np.int32), [len(rows) for rows in found])
+    order = order_of(owners, len(points))
+    return SeenPoints(points, offsets_of(np.bincount(owners, minlength=len(points))), views[order])
+
+
+def visible_in(view: View, points: FloatArray) -> IntArray:
+    """Ascending indices of the points that a view sees, by a coarse map of nearest depths."""
+    pixels, depths = view.project(points)
+    rows = np.flatnonzero(view.holds(pixels, depths))
+    pixels, depths = pixels[rows], depths[rows].astype(np.float32)
+    side = cell_side(pixels, view.width * view.height)
+    columns, lines = (pixels / side).astype(np.int64).T
+    nearest = np.full((lines.max(initial=0) + 1, columns.max(initial=0) + 1), np.inf, np.float32)
+    np.minimum.at(nearest, (lines, columns), depths)
+    around = cv2.erode(nearest, np.ones((2 * REACH_CELLS + 1,) * 2, np.uint8))
+    reach_px = (REACH_CELLS + 0.5) * side
+    margin = MAX_SLOPE * reach_px / (view.focal_px / view.scale)
+    return np.asarray(rows[depths * (1 - margin) <= around[lines, columns]])
+
+
+def cell_side(pixels: FloatArray, area: float) -> float:
+    """Side of cells with `POINTS_PER_CELL` of (N, 2) projections on average, at least a pixel."""
+    for _ in range(2):  # the second time with the area where points are
+        side = max(float(np.sqrt(POINTS_PER_CELL * area / max(len(pixels), 1))), 1.0)
+        area = len(np.unique(row_numbers((pixels / side).astype(np.int64)))) * side**2
+    return side
