@@ -56,7 +56,6 @@ class EdgeGraphOptions(Options):
     filter_regular_length: bool = option(
         False,
         "Drop connected edges in an image if none of them has a long enough stretch without turns",
-        basic=True,
     )
     max_gap_points: float = option(
         4.0,

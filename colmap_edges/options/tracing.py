@@ -47,7 +47,6 @@ class ChainDepthOptions(Options):
         "Maximum spacing of the samples on a chain at which depths are estimated, in pixels of the "
         "upsampled images",
         within=(1, 1000),
-        basic=True,
     )
     max_disagreement_px: float = option(
         1.2,
@@ -147,7 +146,6 @@ class TracingOptions(Options):
         4,
         "Spacing of the points of a 3D edge along its chain, in pixels of the upsampled images",
         within=(1, 100),
-        basic=True,
     )
     min_curve_points: int = option(
         3, "Minimum number of edge points in a 3D edge", within=(2, 1000)

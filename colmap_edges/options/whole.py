@@ -51,7 +51,7 @@ class PipelineOptions(Options):
     use_edges: bool = option(True, "Mesh points and edges; 0 meshes points only", stage="mesh")
     use_faces: bool = option(
         True,
-        "Find planar faces between edges, write faces.json, and mesh them in plain scenes",
+        "Find planar faces between edges, and mesh them in plain scenes",
         stage="mesh",
     )
     use_sky: bool = option(
@@ -66,17 +66,14 @@ class PipelineOptions(Options):
         False, "Write points found where images have texture, too", stage="write"
     )
     refine_mesh: bool = option(
-        True,
-        "Move vertices of the mesh within their noise until faces between edges are smooth",
-        stage="mesh",
+        True, "Smooth the mesh between edges, within the noise of its points", stage="mesh"
     )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"
     )
     texture_size: int = option(
         8192,
-        "Largest width and height of the texture of OBJ and GLB meshes, pixels; 0 writes colours "
-        "of vertices instead",
+        "Largest side of the texture of OBJ and GLB meshes, pixels; 0 writes none",
         within=(0, 32_768),
         stage="mesh",
     )

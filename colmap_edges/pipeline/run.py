@@ -78,8 +78,8 @@ def run(
         viewer.show_model(model)
         cloud = dense_stage(model, paths, options, stages)
         if not uses_images:
-            given = (folder, options, stages, viewer, exports, cloud)
-            contents = mesh_points_only(model, paths, *given)
+            rest = (folder, options, stages, viewer, exports, cloud)
+            contents = mesh_points_only(model, paths, *rest)
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)

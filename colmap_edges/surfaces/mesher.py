@@ -139,11 +139,7 @@ def mesh_with_curves(
         model = model.selected(np.isin(np.arange(len(all_points.points)), rows))
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
-    if not num_seen and len(model.far_point3D_ids):
-        raise ColmapEdgesError(
-            f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
-            "with the distances between cameras; check the units of points and poses"
-        )
+    check_not_all_far(model, num_seen)
     is_bounded = bool(background and background.bounds_bodies and options.background_weight)
     others = background.silhouettes if background and is_bounded else faces
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
@@ -173,6 +169,19 @@ def mesh_with_curves(
     if cloud:
         found = with_cloud(found, cloud, rows, len(all_points.points), num_seen)
     return found
+
+
+def check_not_all_far(model: Model, num_seen: int) -> None:
+    """Check that there are points to mesh, if the model has only some at infinity.
+
+    Raises:
+        ColmapEdgesError: if there are none.
+    """
+    if not num_seen and len(model.far_point3D_ids):
+        raise ColmapEdgesError(
+            f"all {len(model.far_point3D_ids)} SfM points of the model are at infinity, compared "
+            "with the distances between cameras; check the units of points and poses"
+        )
 
 
 def mesh_with_patches(
