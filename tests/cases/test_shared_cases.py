@@ -146,7 +146,9 @@ def deleted_images(text, runs):
 def far_from_origin(text, runs):
     found = re.findall(r"(\d+) vertices, (\d+) distinct; ([\d.e-]+) of triangles", text)
     assert len(found) == len(runs) == 3, text
-    exact = [int(d) > 0.99 * int(n) and float(share) < 0.01 for n, d, share in found]
+    # Meshes with a texture repeat vertices at the borders of its charts.
+    count = min(int(n) for n, _, _ in found)
+    exact = [int(d) > 0.99 * count and float(share) < 0.01 for _, d, share in found]
     noted = [re.search(r"offset|precision", words) for words, _ in runs]
     return all(map(any, zip(exact, noted, strict=True)))
 

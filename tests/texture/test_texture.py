@@ -252,6 +252,7 @@ def test_the_report_has_the_texture(tmp_path):
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])
 def test_programs_read_the_texture(tmp_path, suffix):
     """Colours at known points of the wall, as trimesh and MeshLab find them, and read_mesh."""
+    pytest.importorskip("PIL", reason="trimesh reads textures by Pillow")
     views = [make_view(i) for i in range(4)]
     images = write_images(tmp_path, views, [1] * 4)
     mesh, _ = textured(wall(16), views, images, 512, 1)
