@@ -157,17 +157,20 @@ def test_names_of_images_and_folders_cannot_steer_the_terminal(small, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("typed", "told"),
+    ("typed", "meant"),
     [
-        ("--Meshing.max_fces", "'--Meshing.max_fces'. (Did you mean one of: '--Meshing.max_faces'"),
-        ("--edgegraph.max-gap=2", "'--edgegraph.max-gap'. Did you mean '--EdgeGraph.max_gap_poi"),
+        ("--Meshing.max_fces", "--Meshing.max_faces"),
+        ("--edgegraph.max-gap=2", "--EdgeGraph.max_gap_points"),
     ],
 )
-def test_unknown_flags_are_named_as_typed_and_suggestions_as_in_the_help(capsys, typed, told):
+def test_unknown_flags_are_named_as_typed_and_suggestions_as_in_the_help(capsys, typed, meant):
+    """Versions of click differ in the words around them."""
     with pytest.raises(SystemExit) as end:
         main(["mesh", typed])
     assert end.value.code == 2
-    assert told.replace("(", "") in capsys.readouterr().err.replace("(", "")
+    before, after = capsys.readouterr().err.split(typed.split("=")[0], 1)
+    assert "No such option" in before
+    assert meant in after
 
 
 @pytest.mark.parametrize("width", [30, 80])
