@@ -167,6 +167,31 @@ def views_with_rows(
     return zip(views, rows_by_view(track_views, len(views)), strict=True)
 
 
+def nearest_pixel_sizes(
+    views: Sequence[View],
+    points: FloatArray,
+    owners: IntArray,
+    track_views: NDArray[np.integer[Any]],
+) -> FloatArray:
+    """(N,) length of an image pixel at points, in the nearest view that observes each.
+
+    Infinite where no view observes a point from its front.
+
+    Args:
+        views: the views.
+        points: (N, 3) world units.
+        owners: (T,) observed points.
+        track_views: (T,) views that observe them.
+    """
+    sizes = np.full(len(points), np.inf)
+    for view, rows in views_with_rows(views, track_views):
+        own = owners[rows]
+        depths = view.cam_from_world(points[own])[:, 2]
+        size = np.where(depths > 0, depths, np.inf) / (view.focal_px / view.scale)
+        sizes[own] = np.minimum(sizes[own], size)
+    return sizes
+
+
 def track_residuals(
     views: Sequence[View],
     points: FloatArray,

@@ -10,6 +10,7 @@ import numpy as np
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.view import nearest_pixel_sizes
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation import pictures
 from colmap_edges.evaluation.metrics import (
@@ -155,7 +156,8 @@ def twins(found: Curves, run: Edges3D | None, model: Model) -> list[Record]:
     if run is None:
         _, sizes = curves.visibility(found.points, model.views, None)
     else:
-        sizes = edge_graphs.observed_pixel_sizes(run, model.views)
+        seen = run.observations
+        sizes = nearest_pixel_sizes(model.views, run.points, seen.points, seen.views)
     sizes = np.where(np.isfinite(sizes), sizes, np.median(sizes[np.isfinite(sizes)], axis=0))
     return edge_graphs.twin_shares(found, sizes)
 

@@ -149,8 +149,6 @@ def mesh_stage(
         )
     with stages.stage("mesh") as stage:
         curves = (traced.edges, traced.contours) if traced else (None, None)
-        if cloud:
-            cloud = cloud.away_from(curves, faces.points.points, options.dense.edge_dist)
         mesh = mesh_with_curves(
             model,
             curves,

@@ -100,11 +100,8 @@ def mesh(
     if method is not None:
         options = replace(options, method=method)
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
-    dense = dense or DenseOptions()
-    cloud = given_cloud(points, visibility, model, dense, num_threads)
+    cloud = given_cloud(points, visibility, model, dense or DenseOptions(), num_threads)
     plain = faces.points if faces else NO_POINTS
-    if cloud:
-        cloud = cloud.away_from((edges, contours), plain.points, dense.edge_dist)
     given = (background, plain, patches or NO_PATCHES, refine, cloud)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
@@ -133,10 +130,12 @@ def mesh_with_curves(
     others.
     """
     edges, contours = edges_and_contours
-    all_points = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
-    rows = cloud.where_empty(all_points, model) if cloud else np.arange(len(all_points.points))
+    num_sfm = len(model.points3D_xyz)
+    rows = np.arange(num_sfm)
     if cloud:
-        model = model.selected(np.isin(np.arange(len(all_points.points)), rows))
+        cloud = cloud.away_from(edges_and_contours, faces.points)
+        rows = cloud.where_empty(SeenPoints.of_model(model), model)
+        model = model.selected(np.isin(np.arange(num_sfm), rows))
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     check_not_all_far(model, num_seen)
@@ -167,7 +166,7 @@ def mesh_with_curves(
         other_sigma = 1.0 if is_bounded else FACE_SIGMA
         found = refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
     if cloud:
-        found = with_cloud(found, cloud, rows, len(all_points.points), num_seen)
+        found = with_cloud(found, cloud, rows, num_sfm, num_seen)
     return found
 
 
@@ -214,12 +213,7 @@ def mesh_with_patches(
 
 def joined_points(model: Model, curves: list[Edges3D], *more: SeenPoints) -> SeenPoints:
     """Points of a model, of curves, and more, one after the other."""
-    parts = [SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)]
-    parts += [
-        SeenPoints(each.points, each.observations.offsets, each.observations.views)
-        for each in curves
-    ]
-    parts += more
+    parts = [SeenPoints.of_model(model), *map(SeenPoints.of_edges, curves), *more]
     return SeenPoints(
         np.concatenate([part.points for part in parts]),
         joined_offsets([part.track_offsets for part in parts]),

@@ -34,8 +34,7 @@ def check_of_model(
         ColmapEdgesError: naming the argument that was not.
     """
     num_views = len(model.views)
-    sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
-    sfm.check("model", num_views)
+    SeenPoints.of_model(model).check("model", num_views)
     others = {"background": background, "faces": faces, "patches": patches}
     for name, given in {**curves, **others}.items():
         if given is not None:

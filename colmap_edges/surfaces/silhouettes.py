@@ -72,6 +72,16 @@ class SeenPoints(NamedTuple):
     track_offsets: Annotated[IntArray, "P+1"]
     track_views: Annotated[Int32Array, "T"]
 
+    @classmethod
+    def of_model(cls, model: Model) -> SeenPoints:
+        """The SfM points."""
+        return cls(model.points3D_xyz, model.track_offsets, model.track_views)
+
+    @classmethod
+    def of_edges(cls, edges: Edges3D) -> SeenPoints:
+        """The edge points."""
+        return cls(edges.points, edges.observations.offsets, edges.observations.views)
+
     def check(self, name: str, num_views: int | None = None) -> None:
         """Check shapes, dtypes and values.
 

@@ -85,7 +85,7 @@ def seen_by(
     factor = columns / view.width
     pixels, inverses = projected(view, local, factor)
     points, triangles = cut_in_front(local, mesh.faces)
-    nearest = _kernels.mesh_depths(*projected(view, points, factor), triangles, rows, columns)
+    nearest = _kernels.draw_depths(*projected(view, points, factor), triangles, rows, columns)
     around = cv2.dilate(nearest, square(RIM_PX))
     areas, shares, means = _kernels.tally_faces(
         *(pixels, inverses, mesh.faces, nearest, around, with_slope(image)),

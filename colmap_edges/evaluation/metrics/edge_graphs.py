@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, end_points, unit
-from colmap_edges.core.view import View
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
 from colmap_edges.evaluation.metrics.curves import sample, sample_segments
 from colmap_edges.evaluation.metrics.statistics import Record
@@ -142,21 +141,6 @@ def nearest_twins(
         across = np.linalg.norm(offset - beside[:, None] * tangents[b], axis=1)
         np.minimum.at(nearest, a[keep], (across / sizes[a])[keep])
     return nearest
-
-
-def observed_pixel_sizes(edges: Edges3D, views: Sequence[View]) -> FloatArray:
-    """(N,) length of a pixel of the given images at each edge point, in the nearest observing view.
-
-    Infinite where no view observes the point.
-    """
-    sizes = np.full(edges.num_points, np.inf)
-    observed = edges.observations
-    for index, rows in observed.by_view():
-        view, points = views[index], observed.points[rows]
-        depths = view.cam_from_world(edges.points[points])[:, 2]
-        size = np.where(depths > 0, depths * view.scale / view.focal_px, np.inf)
-        np.minimum.at(sizes, points, size)
-    return sizes
 
 
 def true_corners(reference: Curves) -> FloatArray:

@@ -209,16 +209,10 @@ class PatchSearch {
     const float sx = float(relative.shift.x), sy = float(relative.shift.y),
                 sz = float(relative.shift.z);
     for (int i = 0; i < kWindowCount; ++i) {
-      const int32_t column = int32_t(at.x[i]), row = int32_t(at.y[i]);
-      const float s = at.x[i] - column, t = at.y[i] - row;
-      const uint8_t* above = other.gray + size_t(row) * other.width + column;
-      const uint8_t* below = above + other.width;
-      const float upper = above[0] + s * (above[1] - above[0]);
-      const float lower = below[0] + s * (below[1] - below[0]);
-      const float right = (1 - t) * (above[1] - above[0]) + t * (below[1] - below[0]);
-      gray[i] = upper + t * (lower - upper);
+      const GrayAt there(other, at.x[i], at.y[i]);
+      gray[i] = there.gray;
       change[i] =
-          (right * (sx - at.x[i] * sz) + (lower - upper) * (sy - at.y[i] * sz)) * at.scale[i];
+          (there.right * (sx - at.x[i] * sz) + there.down * (sy - at.y[i] * sz)) * at.scale[i];
       sum += gray[i], sum_change += change[i], sum_squares += gray[i] * gray[i];
       products += window.gray[i] * gray[i];
     }

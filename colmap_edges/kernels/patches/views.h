@@ -134,6 +134,23 @@ struct WindowPlaces {
   }
 };
 
+// Gray between the middles of four pixels of a picture, and its change to the right and downwards.
+struct GrayAt {
+  float gray, right, down;
+
+  GrayAt(const PatchView& view, float x, float y) {
+    const int32_t column = int32_t(x), row = int32_t(y);
+    const float s = x - column, t = y - row;
+    const uint8_t* above = view.gray + int64_t(row) * view.width + column;
+    const uint8_t* below = above + view.width;
+    const float upper = above[0] + s * (above[1] - above[0]);
+    const float lower = below[0] + s * (below[1] - below[0]);
+    gray = upper + t * (lower - upper);
+    right = (1 - t) * (above[1] - above[0]) + t * (below[1] - below[0]);
+    down = lower - upper;
+  }
+};
+
 // The gray of a window of a view, less the means of the first pixels and of all.
 struct Window {
   std::array<float, kHalfCount> half;
@@ -156,13 +173,7 @@ struct Window {
     const float own_squares = kCount == kHalfCount ? half_squares : squares;
     std::array<float, kCount> theirs;
     for (int i = 0; i < kCount; ++i) {
-      const int32_t column = int32_t(at.x[i]), row = int32_t(at.y[i]);
-      const float s = at.x[i] - column, t = at.y[i] - row;
-      const uint8_t* above = other.gray + int64_t(row) * other.width + column;
-      const uint8_t* below = above + other.width;
-      const float upper = above[0] + s * (above[1] - above[0]);
-      const float lower = below[0] + s * (below[1] - below[0]);
-      theirs[i] = upper + t * (lower - upper);
+      theirs[i] = GrayAt(other, at.x[i], at.y[i]).gray;
     }
     float sum = 0, sum_squares = 0, products = 0;
     for (int i = 0; i < kCount; ++i)

@@ -110,7 +110,7 @@ OutArray<int32_t> LabelsArray(Longs offsets, Ints labels, Doubles costs,
 }  // namespace
 
 void BindTexture(nb::module_& m) {
-  m.def("mesh_depths", &DepthsArray, "pixels"_a, "inverses"_a, "faces"_a, "rows"_a, "columns"_a,
+  m.def("draw_depths", &DepthsArray, "pixels"_a, "inverses"_a, "faces"_a, "rows"_a, "columns"_a,
         "Inverse depths of the nearest triangle at each pixel; 0 without one.");
   m.def("tally_faces", &TallyArrays, "pixels"_a, "inverses"_a, "faces"_a, "nearest"_a, "around"_a,
         "picture"_a, "usable"_a, "tolerance"_a, "reach"_a,

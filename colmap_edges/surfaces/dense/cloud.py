@@ -24,7 +24,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.checks import check_arrays
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.view import views_with_rows
+from colmap_edges.core.view import nearest_pixel_sizes
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options.meshing import DenseOptions
 from colmap_edges.surfaces.dense.displacement import measured_shift, movements
@@ -54,6 +54,7 @@ class DenseCloud:
         pixels: (P,) size of a pixel at each point in the nearest view that sees it, world units.
         num_read: number of points in the file.
         shift_px: (2,) shift of the cloud's images against the model's; 0 without.
+        edge_dist: distance from curves within which points yield to them, in pixels.
         is_scan: whether its files name no views, so that it is none of stereo.
     """
 
@@ -63,6 +64,7 @@ class DenseCloud:
     pixels: Annotated[FloatArray, "P"]
     num_read: int
     shift_px: Annotated[FloatArray, 2]
+    edge_dist: float
     is_scan: bool = False
 
     @property
@@ -79,21 +81,19 @@ class DenseCloud:
         self.points.check(f"{name}.points", num_views)
         check_arrays(name, self, P=len(self.points.points))
 
-    def away_from(
-        self, curves: Sequence[Edges3D | None], faces: FloatArray, edge_dist: float
-    ) -> DenseCloud:
+    def away_from(self, curves: Sequence[Edges3D | None], faces: FloatArray) -> DenseCloud:
         """The cloud without points near curves and planar faces, which are more precise.
 
         Near edges, the windows of dense stereo show two surfaces, and points of one are smeared
-        over the other. Faces have points in plain scenes only, where dense stereo guesses.
+        over the other; scans are not smeared, and yield within `SCAN_DIST`. Faces have points in
+        plain scenes only, where dense stereo guesses: the distance is `FACE_FACTOR` as much.
 
         Args:
             curves: edges and contours.
             faces: (F, 3) points of faces.
-            edge_dist: distance from curves, in pixels; that from faces is `FACE_FACTOR` as much.
-                Scans are not smeared, and have at most `SCAN_DIST`.
         """
-        reach = (min(edge_dist, SCAN_DIST) if self.is_scan else edge_dist) * self.pixels
+        reach_px = min(self.edge_dist, SCAN_DIST) if self.is_scan else self.edge_dist
+        reach = reach_px * self.pixels
         step = SAMPLE_STEP * float(np.median(reach)) if len(reach) else 0.0
         if not step:
             return self
@@ -158,19 +158,15 @@ def dense_cloud(
         pixels=pixels[kept],
         num_read=len(file.points),
         shift_px=shift,
+        edge_dist=options.edge_dist,
         is_scan=file.seen is None,
     )
 
 
 def pixel_sizes(seen: SeenPoints, model: Model) -> FloatArray:
     """(N,) size of a pixel at points, in the nearest view that sees them; infinite without any."""
-    sizes, owners = np.full(len(seen.points), np.inf), owners_of(seen.track_offsets)
-    for view, rows in views_with_rows(model.views, seen.track_views):
-        own = owners[rows]
-        depths = view.cam_from_world(seen.points[own])[:, 2]
-        size = np.where(depths > 0, depths, np.inf) / (view.focal_px / view.scale)
-        sizes[own] = np.minimum(sizes[own], size)
-    return sizes
+    owners = owners_of(seen.track_offsets)
+    return nearest_pixel_sizes(model.views, seen.points, owners, seen.track_views)
 
 
 def thinned(cloud: SeenPoints, pixels: FloatArray, max_proj_dist: float) -> IntArray:

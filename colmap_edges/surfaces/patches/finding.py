@@ -136,7 +136,8 @@ def find_patches(
     """
     grids = [pictures.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
     neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=MAX_ANGLE_DEG))
-    sfm, on_edges = (places_in(model, grids, of) for of in known_points(model, edges))
+    known = SeenPoints.of_model(model), SeenPoints.of_edges(edges)
+    sfm, on_edges = (places_in(model, grids, of) for of in known)
     active = [textured_sites(grid, at) for grid, (at, _) in zip(grids, on_edges, strict=True)]
     hypotheses = [
         hypotheses_at(sites, *(np.concatenate(of) for of in zip(points, edge, strict=True)))
@@ -211,13 +212,6 @@ def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntA
         tolerances=np.hypot(sigmas, single) * lengths,
         grays=grays,
     )
-
-
-def known_points(model: Model, edges: Edges3D) -> tuple[SeenPoints, SeenPoints]:
-    """The SfM points and the edge points, with the views that observe them."""
-    sfm = SeenPoints(model.points3D_xyz, model.track_offsets, model.track_views)
-    seen = edges.observations
-    return sfm, SeenPoints(edges.points, seen.offsets, seen.views)
 
 
 def make_scene(model: Model, grids: Sequence[Grid], neighborhood: Neighborhood) -> Any:

@@ -30,7 +30,7 @@ def triangles():
 def test_depths_are_those_of_the_nearest_triangle(triangles):
     pixels, inverses, faces = triangles
     inverses[faces[0, 0]] = np.nan  # not drawn
-    found = _kernels.mesh_depths(pixels, inverses, faces, 24, 30)
+    found = _kernels.draw_depths(pixels, inverses, faces, 24, 30)
     at, expected = pixel_centers(24, 30), np.zeros(24 * 30)
     for face in faces[1:]:
         weights = weights_at(pixels[face], at)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import dense_clouds as clouds
 import numpy as np
 import pytest
@@ -87,13 +89,14 @@ def test_thinned_points_are_as_far_apart_as_wanted(scene_model, solid):
 def test_points_near_edges_and_faces_yield(scene, scene_model, solid):
     seen, _ = solid
     cloud, edges = prepared(scene_model, seen, seen.points), true_edges(scene_model, scene)
-    left = cloud.away_from([edges], np.zeros((0, 3)), 5.0)
+    cloud = replace(cloud, edge_dist=5.0)
+    left = cloud.away_from([edges], np.zeros((0, 3)))
     distances = scene.distances(left.points.points)
     assert (distances > 4.5 * left.pixels).all()
     assert 0 < len(distances) < len(seen.points)
     far = scene.distances(seen.points) > 6 * cloud.pixels
     assert len(distances) >= np.count_nonzero(far)
-    assert not len(cloud.away_from([], seen.points, 5.0).points.points)
+    assert not len(cloud.away_from([], seen.points).points.points)
 
 
 def test_the_depth_test_finds_the_views_that_see_a_point(scene_model, solid):
