@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,8 @@ def run(
         else:
             model = model_to_trace(command, model, paths, options)
             settings = resolved(options, model.scale)
+            if cloud:  # it takes the place of patches
+                settings = replace(settings, use_patches=False)
             given = (folder, settings, stages, workers, viewer, exports, cloud)
             contents = run_edges(command, model, paths, *given)
         export_stage(folder, contents.mesh, exports, stages, contents.up)

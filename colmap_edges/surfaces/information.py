@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Float32Array, FloatArray, Int32Array, IntArray, owners_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import View, track_residuals, views_with_rows
@@ -38,6 +39,11 @@ class Tracks(NamedTuple):
     views: Int32Array
     pixels: FloatArray
     normals: Float32Array | None = None
+
+    @classmethod
+    def of_model(cls, model: Model) -> Tracks:
+        """The tracks of SfM points."""
+        return cls(model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D)
 
     @classmethod
     def of_edges(cls, edges: Edges3D) -> Tracks:

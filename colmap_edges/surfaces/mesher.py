@@ -159,10 +159,7 @@ def mesh_with_curves(
         given = (num_seen + len(others.points), meshed, num_threads)
         found, sigmas = mesh_with_patches(patches, model, *given)
     if refine:
-        sfm = Tracks(
-            model.points3D_xyz, model.track_offsets, model.track_views, model.track_points2D
-        )
-        measured = Measured(model.views, sfm, edges, contours, sigmas)
+        measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
         other_sigma = 1.0 if is_bounded else FACE_SIGMA
         found = refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
     if cloud:
