@@ -83,9 +83,7 @@ def run(
             contents = mesh_points_only(model, paths, *rest)
         else:
             model = model_to_trace(command, model, paths, options)
-            settings = resolved(options, model.scale)
-            if cloud:  # it takes the place of patches
-                settings = replace(settings, use_patches=False)
+            settings = settings_of(options, model, cloud)
             given = (folder, settings, stages, workers, viewer, exports, cloud)
             contents = run_edges(command, model, paths, *given)
         export_stage(folder, contents.mesh, exports, stages, contents.up)
@@ -95,6 +93,14 @@ def run(
             report["stages"] = stages.records()
         write_record(folder, report)
     return report
+
+
+def settings_of(
+    options: PipelineOptions, model: Model, cloud: DenseCloud | None
+) -> PipelineOptions:
+    """The options for the model's scale; a dense cloud takes the place of patches."""
+    settings = resolved(options, model.scale)
+    return replace(settings, use_patches=False) if cloud else settings
 
 
 def mesh_points_only(
