@@ -50,7 +50,7 @@ class Measured:
             # A contour moves over the body from view to view: no direction is better known.
             found = information_of(views, Tracks.of_edges(contours))
             parts.append(isotropic(mean_of(found)))
-        parts.append(isotropic(patch_sigmas**-2.0))
+        parts.append(isotropic(1 / patch_sigmas**2))
         self.information = np.concatenate([*parts, np.zeros((0, 6))])
 
     def of_vertices(self, mesh: Mesh, other_sigma: float) -> tuple[FloatArray, BoolArray]:

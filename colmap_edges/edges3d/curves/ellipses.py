@@ -129,7 +129,8 @@ def algebraic_ellipses(points: PointSequences, plane: FloatArray) -> tuple[Float
     values, axes = np.linalg.eigh(form / np.where(found, constant, 1)[:, None, None])
     found &= (values > 0).all(axis=1)
     radii = 1 / np.sqrt(np.where(found[:, None], values, 1))
-    turn = np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
+    # Copies: functions of strided arrays may differ between runs in their last bits (NumPy 1.26).
+    turn = np.arctan2(axes[:, 1, 0].copy(), axes[:, 0, 0].copy())
     shapes = np.column_stack([center * size[:, None], radii * size[:, None], turn])
     shapes[~found] = (0, 0, 1, 1, 0)
     return shapes, found

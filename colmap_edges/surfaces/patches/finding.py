@@ -266,7 +266,7 @@ def in_world(
     points, normals, lengths = (
         np.zeros((len(rows), 3)),
         np.zeros((len(rows), 3)),
-        planes[:, 0] ** -2,
+        1 / planes[:, 0] ** 2,
     )
     for v, own in enumerate(rows_by_view(rows[:, 0], len(grids))):
         view, grid = model.views[v], grids[v]

@@ -81,7 +81,7 @@ def fitted_planes(values: FloatArray, own: IntArray) -> PlaneFits:
     sums = [np.bincount(own, axis, count) for axis in values[:, :2].T]
     mean = np.column_stack(sums) / np.maximum(size, 1)[:, None]
     design = np.column_stack([np.ones(len(own)), values[:, :2] - mean[own]])
-    weights = values[:, 5] ** -2
+    weights = 1 / values[:, 5] ** 2
     matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
     for i in range(3):
         right[:, i] = np.bincount(own, weights * design[:, i] * values[:, 2], count)
