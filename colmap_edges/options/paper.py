@@ -11,16 +11,12 @@ from colmap_edges.declared_options import Options, constant, option
 class MatchingOptions(Options):
     """Polyline similarity and PECs (paper: Edge Matching and PEC generation)."""
 
-    max_point_distance_px: float = option(
-        10.0,
-        "Maximum distance of an SfM point that counts as close to a polyline (d_s), in pixels of "
-        "the given images",
-        within=(0.1, 100),
-        given_px=True,
-    )
-    min_similarity: float = option(
-        0.3, "Minimum similarity of polylines linked in the similarity graph", within=(0, 1)
-    )
+    # Maximum distance of an SfM point that counts as close to a polyline (the paper's d_s), in
+    # pixels of the given images.
+    max_point_distance_px: float = constant(10.0, given_px=True)
+    # Minimum similarity of polylines linked in the similarity graph (the paper
+    # has none, and --method paper sets 0).
+    min_similarity: float = 0.3
     # Resolution of the Louvain communities; larger values give smaller PECs (the standard
     # modularity).
     resolution: float = 1.0
@@ -32,20 +28,12 @@ class CorrespondenceOptions(Options):
 
     # Source of PEPCs: SfM points, PECs or both (the paper uses both).
     strategy: str = "both"
-    inner_radius_px: float = option(
-        10.0,
-        "Radius around an SfM point in which starting points are searched (r_I), in pixels of the "
-        "sharpest of the given images",
-        within=(0.1, 100),
-        given_px=True,
-    )
-    outer_radius_px: float = option(
-        30.0,
-        "Radius around an SfM point in which correspondences are searched (r_O), in pixels of the "
-        "sharpest of the given images",
-        within=(0.1, 200),
-        given_px=True,
-    )
+    # Radius around an SfM point in which starting points are searched (the paper's r_I), in
+    # pixels of the sharpest of the given images.
+    inner_radius_px: float = constant(10.0, given_px=True)
+    # Radius around an SfM point in which correspondences are searched (the paper's r_O), in
+    # pixels of the sharpest of the given images.
+    outer_radius_px: float = constant(30.0, given_px=True)
     # Spacing of starting points along the polylines of a PEC, in pixels of the upsampled images
     # (set by trial).
     sample_spacing_px: float = 20.0
@@ -87,13 +75,9 @@ class FollowingOptions(Options):
 class VisibilityOptions(Options):
     """Visibility refinement and outlier filter (paper: Visibility refinement)."""
 
-    max_distance_px: float = option(
-        4.0,
-        "Radius in which the polyline of a further view is searched (d_v), in pixels of the given "
-        "images",
-        within=(0.1, 100),
-        given_px=True,
-    )
+    # Radius in which the polyline of a further view is searched (the paper's d_v), in pixels
+    # of the given images.
+    max_distance_px: float = constant(4.0, given_px=True)
     # Maximum reprojection error including the new observation, in pixels of the given images (that
     # of a valid triangulation).
     max_error_px: float = constant(2.0, given_px=True)

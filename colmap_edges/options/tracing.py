@@ -147,9 +147,8 @@ class TracingOptions(Options):
         "Spacing of the points of a 3D edge along its chain, in pixels of the upsampled images",
         within=(1, 100),
     )
-    min_curve_points: int = option(
-        3, "Minimum number of edge points in a 3D edge", within=(2, 1000)
-    )
+    # Minimum number of edge points in a 3D edge (the fewest that show whether an edge is straight).
+    min_curve_points: int = 3
     min_observations: int = option(
         3,
         "Minimum number of views that must observe an edge point (paper: k_v)",
@@ -183,20 +182,14 @@ class TracingOptions(Options):
 class LinkingOptions(Options):
     """Joining of 3D edge pieces to whole edges with nodes."""
 
-    max_gap_spacings: float = option(
-        8.0,
-        "Maximum gap across which 3D edges are joined if views observe an edge in the gap, in "
-        "distances between edge points",
-        within=(0, 50),
-    )
+    # Maximum gap across which 3D edges are joined if views observe an edge in the gap, in distances
+    # between edge points (set by trial).
+    max_gap_spacings: float = 8.0
     # Maximum turn between two joined 3D edges, in degrees (that of chains in images).
     max_join_angle_deg: float = 30.0
-    max_corner_spacings: float = option(
-        8.0,
-        "Maximum length by which the end of a 3D edge is extended to a corner with other edges, in "
-        "distances between edge points; 0 extends none",
-        within=(0, 50),
-    )
+    # Maximum length by which the end of a 3D edge is extended to a corner with other edges, in
+    # distances between edge points; 0 extends none (that of gaps).
+    max_corner_spacings: float = 8.0
     # Maximum distance of edge ends that share a node, in distances between edge points (set by
     # trial).
     node_radius_spacings: float = 2.5

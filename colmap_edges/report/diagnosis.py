@@ -165,8 +165,7 @@ def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Itera
     if total == 0:
         yield Finding(
             "no 2D edge is near an SfM point, so no correspondence was found",
-            "widen --Correspondence.inner_radius_px and --Matching.max_point_distance_px, "
-            "or use --method chains, which needs no SfM points near edges",
+            "use --method chains, which needs no SfM points near edges",
         )
         return
     known = starts.get("on_covered_stretch", 0) + starts.get("on_known_edge", 0)
@@ -177,8 +176,7 @@ def paper_findings(trace: Counts, options: PipelineOptions, fits: bool) -> Itera
         remedies = {
             "too_few_views": "take more overlapping images, or use --method chains",
             "no_valid_selection": "raise --Following.max_error_px",
-            "ambiguous_selection": "lower --Following.max_error_px or "
-            "--Correspondence.outer_radius_px",
+            "ambiguous_selection": "lower --Following.max_error_px",
         }
         worst = max(reasons, key=lambda name: reasons[name])
         yield Finding(
@@ -207,7 +205,7 @@ def no_edges(options: PipelineOptions, is_meshed: bool, has_reason: bool) -> Fin
     return Finding(
         f"{text}: no candidate has {counted(options.tracing.min_curve_points, 'point')} seen "
         f"in {needed_views(options)[1]} views",
-        f"lower --Tracing.min_curve_points or {needed_views(options)[0]}",
+        f"lower {needed_views(options)[0]}",
     )
 
 

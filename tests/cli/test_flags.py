@@ -152,10 +152,10 @@ def test_mistakes_in_a_file_are_one_line_errors(tmp_path, text, message):
 
 
 def test_messages_about_options_name_flags():
-    command = click.Command("test", params=flags.make_flags({"random_seed", "matching"}))
+    command = click.Command("test", params=flags.make_flags({"random_seed", "visibility"}))
     for message, expected in (
         ("random_seed is -1; it must be more", "--random_seed is -1; it must be more"),
-        ("Matching.min_similarity is 0", "--Matching.min_similarity is 0"),
+        ("Visibility.min_views is 0", "--Visibility.min_views is 0"),
         ("give mask_path, or random_seed", "give mask_path, or --random_seed"),
     ):
         assert flags.with_dashes(message, command) == expected

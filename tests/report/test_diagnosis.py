@@ -121,7 +121,7 @@ def test_good_run_has_no_findings(options, details):
             "90 % of 300 edge points have uncertain depths",
             "--Tracing.max_false_edges (now 1)",
         ),
-        ({"edges": 0}, "no 3D edge was found", "--Tracing.min_curve_points"),
+        ({"edges": 0}, "no 3D edge was found", "--Tracing.min_observations"),
         (
             {"write": {"median_residual_px": 1.4}},
             "median reprojection error of edges is 1.40 px",
@@ -220,7 +220,7 @@ def test_dropped_by_regular_length():
 @pytest.mark.parametrize(
     ("trace", "text", "remedy"),
     [
-        ({"pepcs": {}}, "no 2D edge is near an SfM point", "--Matching.max_point_distance_px"),
+        ({"pepcs": {}}, "no 2D edge is near an SfM point", "--method chains"),
         (
             {"starts": {"accepted": 1, "no_valid_selection": 900, "too_few_views": 50}},
             "no valid selection",
