@@ -20,8 +20,6 @@ TYPES = {
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
-VIEWS = "view_indices"  # OpenMVS's list property
-HEADER_BYTES = 100_000
 
 
 class SeenRows(NamedTuple):
@@ -131,7 +129,7 @@ def read_header(path: Path, data: bytes) -> tuple[str, int, list[Property], int]
     Raises:
         ColmapEdgesError: if it is no PLY, or other elements come before the vertices.
     """
-    end = re.search(rb"end_header\r?\n", data[:HEADER_BYTES])
+    end = re.search(rb"end_header\r?\n", data[:100_000])
     if not data.startswith(b"ply") or not end:
         raise ColmapEdgesError(f"{path} is not a PLY file; convert the cloud to PLY")
     lines = data[: end.start()].decode("ascii", "replace").splitlines()
@@ -197,7 +195,8 @@ def binary_columns(
         places = starts[:, at, None] + np.arange(dtype.itemsize)
         table = content[places.ravel()].view(dtype) if dtype.itemsize else None
         columns |= {name: table[name] for name in dtype.names or ()} if table is not None else {}
-        if listed and listed.name == VIEWS:
+        # OpenMVS's list property.
+        if listed and listed.name == "view_indices":
             head, kind = np.dtype(order + listed.length), np.dtype(order + listed.kind)
             first = starts[:, at] + dtype.itemsize
             numbers = content[(first[:, None] + np.arange(head.itemsize)).ravel()].view(head)

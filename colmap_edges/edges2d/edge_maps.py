@@ -15,7 +15,6 @@ from colmap_edges.images.edge_maps import EdgeMap
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 BRANCH_PX = 6  # length over which directions of the branches of a junction are measured
-GRAYS = 255  # bins of the histogram for Otsu's threshold
 
 
 def pixel_chains_of(
@@ -70,11 +69,11 @@ def crests_of(strengths: Float32Array) -> BoolArray:
 
 def linked_crests(heights: Float32Array) -> BoolArray:
     """(H, W) mask of crests above Otsu's threshold, and of crests connected to them."""
-    grays = np.rint(GRAYS * heights / max(float(heights.max()), 1e-12)).astype(np.uint8)
+    grays = np.rint(255 * heights / max(float(heights.max()), 1e-12)).astype(np.uint8)
     found = grays[grays > 0]
     if len(found) == 0:
         return np.zeros(heights.shape, bool)
-    threshold, _ = cv2.threshold(found, 0, GRAYS, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    threshold, _ = cv2.threshold(found, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     # Hysteresis; Canny: 1/2 to 1/3 of the upper threshold.
     above = (grays > 0.5 * threshold).astype(np.uint8)
     count, labels = cv2.connectedComponents(above, connectivity=8)

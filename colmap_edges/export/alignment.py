@@ -20,8 +20,6 @@ from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
 RECORD = "alignment.json"
-GROUND_DEG = 10.0  # maximum angle of the ground to the horizontal
-Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +83,7 @@ def alignment_of(written: WrittenEdges, wanted: Wanted, unit: str = "") -> Align
         up = ground.normal
     rotation, translation = np.eye(3), np.zeros(3)
     if wanted.up is not None or wanted.ground:
-        rotation, up = to_z_up(up), Z
+        rotation, up = to_z_up(up), np.array([0.0, 0.0, 1.0])
     if ground:
         height = float((rotation @ ground.outline.T)[2].mean()) if is_given else ground.offset
         translation = np.array([0.0, 0.0, -scale * height])
@@ -122,7 +120,7 @@ def ground_of(faces: Sequence[Face], up: FloatArray) -> Face:
     Raises:
         ColmapEdgesError: if there is none.
     """
-    level = [face for face in faces if face.normal @ up > np.cos(np.radians(GROUND_DEG))]
+    level = [face for face in faces if face.normal @ up > np.cos(np.radians(10.0))]
     if not level:
         raise ColmapEdgesError(
             "ground needs a horizontal face, and the output folder has none; run mesh with "

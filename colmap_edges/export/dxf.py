@@ -28,9 +28,7 @@ from colmap_edges.runtime.output import write_whole
 
 PROGRAM = "COLMAP_EDGES"  # of the extended data
 POLYLINES = "EDGES"  # layer of polylines
-EXTENT_STEPS = 64  # pieces of a curve whose ends determine the extents
 VIEW, ASPECT = 1.1, 1.6  # height of the first view to that of the scene; its width to its height
-VERSION = "R2000"  # the oldest with ellipses and splines
 LAYERS = [kind.upper() for kind in KINDS]
 
 
@@ -51,7 +49,7 @@ def write_dxf(
     Raises:
         ColmapEdgesError: if the file cannot be written, or exists and `overwrite` is false.
     """
-    points = curves.sampled_evenly(EXTENT_STEPS)[0]
+    points = curves.sampled_evenly(64)[0]
     with new_drawing(points, unit, LAYERS) as drawing:
         space = drawing.modelspace()
         for curve in range(curves.num_curves):
@@ -95,7 +93,8 @@ def new_drawing(points: FloatArray, unit: str, layers: Sequence[str]) -> Iterato
 
     metres(unit)
     with fixed_dates(ezdxf.options):
-        drawing = ezdxf.new(VERSION, units=INSUNITS[unit])
+        # The oldest version with ellipses and splines.
+        drawing = ezdxf.new("R2000", units=INSUNITS[unit])
         drawing.header["$MEASUREMENT"] = 0 if unit in IMPERIAL else 1
         drawing.appids.new(PROGRAM)
         for number, name in enumerate(layers):

@@ -23,7 +23,6 @@ from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import PROGRAM, STRUCTURES
 
 CHORD_DEG = 10.0  # turn of a curve per chord
-NO_SCORE = 1.0  # LIMAP's score of 2D segments of detectors without scores
 
 
 @checked
@@ -57,7 +56,8 @@ def write_structures(
         content.append(struct.pack("<Q6dQ", index, *line.segments.ravel(), len(line.image_ids)))
         for image_id, ends in zip(line.image_ids.tolist(), line.ends2D, strict=True):
             content.append(struct.pack("<2I", image_id, len(detections[image_id])))
-            detections[image_id].append(struct.pack("<5dQ", *ends.ravel(), NO_SCORE, index))
+            # LIMAP's score of 2D segments of detectors without scores is 1.
+            detections[image_id].append(struct.pack("<5dQ", *ends.ravel(), 1.0, index))
         content.append(struct.pack("<d", line.sigma if np.isfinite(line.sigma) else 0.0))
     files = {"lines3D.bin": b"".join(content)}
     content = [struct.pack("<Q", len(detections))]

@@ -26,9 +26,6 @@ from colmap_edges.images.files import path_of_image
 from colmap_edges.runtime.output import write_whole
 
 COLORS = ("#1f4e9c", "#b8431c", "#b8431c", "#1c7d4c", "#1c7d4c", "#7a3fa0")  # by kind
-STEPS = 128  # segments of a drawn curve
-STEPS_OF_LINES = 32  # segments of a line, which distortion bends
-MAX_UNSEEN = 3  # maximum number of points between observed ones that count as observed, too
 HEAD = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"
  viewBox="0 0 {width} {height}">
 <title>{title}</title>
@@ -78,7 +75,8 @@ def write_svg(
             styles=styles,
         )
     ]
-    steps = np.where(curves.kinds == LINE, STEPS_OF_LINES, STEPS)
+    # Segments of a drawn curve; distortion bends lines, too.
+    steps = np.where(curves.kinds == LINE, 32, 128)
     offsets = offsets_of(steps + 1)
     owners = owners_of(offsets)
     pixels, depths = view.project(curves.at(owners, ranks_of(steps + 1) / steps[owners]))
@@ -116,7 +114,8 @@ def points_seen(edges: Edges3D, index: int) -> BoolArray:
     after = np.minimum.accumulate(np.where(observed, where, 2 * edges.num_points)[::-1])[::-1]
     first = edges.edge_offsets[:-1][edges.edge_ids]
     last = edges.edge_offsets[1:][edges.edge_ids] - 1
-    between = (before >= first) & (after <= last) & (after - before <= MAX_UNSEEN + 1)
+    # Up to three points between observed ones count as observed, too.
+    between = (before >= first) & (after <= last) & (after - before <= 4)
     return np.asarray(observed | between)
 
 

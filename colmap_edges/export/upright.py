@@ -15,11 +15,7 @@ from colmap_edges.errors import OptionError
 from colmap_edges.export.units import AXES
 
 LEVEL = 0.1  # weight of the images' upward directions against that of their level rows
-ROLLED = 0.5  # images whose upward directions agree less than this share of where they look
-NEAR_DEG = 30.0  # the images' estimate is that precise
-LINE_DEG = 1.5  # lines this close to vertical or horizontal count as such
 AXIS_DEG = 5.0  # an axis of the model this close is taken itself: the model has been aligned
-MAX_LINES = 200  # the longest ones
 
 
 def direction(up: Any) -> FloatArray:
@@ -49,7 +45,8 @@ def up_direction(views: Sequence[View]) -> FloatArray:
     rotations = np.array([view.rotation for view in views])
     right, up, forward = rotations[:, 0], -rotations[:, 1], rotations[:, 2].mean(axis=0)
     mean = up.mean(axis=0)
-    if np.linalg.norm(mean) < ROLLED * np.linalg.norm(forward):
+    # Upward directions of rolled images agree less than half as much as where they look.
+    if np.linalg.norm(mean) < 0.5 * np.linalg.norm(forward):
         return np.asarray(-forward / np.linalg.norm(forward))
     # The least squares of right . v and of LEVEL * |v - up|.
     level = right.T @ right / len(views) + LEVEL * np.eye(3)
@@ -72,7 +69,7 @@ def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:
     if curves is not None:
         lines = curves.frames[curves.kinds == LINE, 1]
         lengths = np.linalg.norm(lines, axis=1)
-        longest = np.argsort(-lengths, kind="stable")[:MAX_LINES]
+        longest = np.argsort(-lengths, kind="stable")[:200]
         longest = longest[lengths[longest] > 0]
         if len(longest):
             found = along_lines(found, lines[longest])
@@ -91,9 +88,11 @@ def along_lines(prior: FloatArray, lines: FloatArray) -> FloatArray:
     crossing = normals[sizes > 0.5] / sizes[sizes > 0.5, None]
     tried = np.concatenate([prior[None], ways, crossing])
     tried *= np.where(tried @ prior < 0, -1.0, 1.0)[:, None]
-    tried = tried[tried @ prior > np.cos(np.radians(NEAR_DEG))]
+    # The images' estimate is that precise.
+    tried = tried[tried @ prior > np.cos(np.radians(30.0))]
     dots = np.abs(tried @ ways.T)
-    tolerance = np.radians(LINE_DEG)
+    # Lines this close to vertical or horizontal count as such.
+    tolerance = np.radians(1.5)
     fit = (dots < np.sin(tolerance)) | (dots > np.cos(tolerance))
     # Of directions that fit equally well, the images' choice.
     best = int((fit @ lengths + 0.01 * lengths.sum() * (tried @ prior)).argmax())

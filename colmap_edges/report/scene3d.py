@@ -23,9 +23,6 @@ from colmap_edges.surfaces.mesh import Mesh, Texture
 
 # Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
-MAX_EDGE_POINTS = 120_000
-MAX_TRIANGLES = 150_000
-MAX_TEXTURED_TRIANGLES = 300_000  # merging of vertices would tear textures
 MAX_TEXTURE_PX = 2048
 ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
 
@@ -42,7 +39,7 @@ def scene_data(contents: Contents) -> tuple[Packed, IntArray]:
     """
     model, edges = contents.model, contents.edges
     low, high = bounds(model, edges)
-    rows, starts = plotted_rows(edges, MAX_EDGE_POINTS)
+    rows, starts = plotted_rows(edges, 120_000)
     size = float(np.linalg.norm(high - low))
     layers = {"points": sfm_layer(model, low, high), "cameras": cameras_layer(model, size)}
     # Points would clutter the mesh, and one camera is at the first viewpoint.
@@ -124,9 +121,10 @@ def pyramid(view: View, depth: float) -> FloatArray:
 
 def mesh_layer(mesh: Mesh, low: FloatArray, high: FloatArray) -> Packed:
     """The mesh with its texture, or in one colour a vertex, simplified for a browser."""
-    if mesh.texture is not None and len(mesh.faces) <= MAX_TEXTURED_TRIANGLES:
+    # Merging of vertices would tear textures.
+    if mesh.texture is not None and len(mesh.faces) <= 300_000:
         return textured_layer(mesh, mesh.texture, low, high)
-    vertices, faces, colors = coarser(mesh, MAX_TRIANGLES)
+    vertices, faces, colors = coarser(mesh, 150_000)
     return {
         "label": f"mesh of {counted(len(mesh.faces), 'triangle')}",
         "shown": True,

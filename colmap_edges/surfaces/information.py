@@ -18,8 +18,6 @@ DIAGONAL = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 # Standard deviation of an observation where no track is long enough to tell it, and the least one:
 # pixels are rounded, and models made by hand have no residuals.
 UNKNOWN_NOISE_PX, MIN_NOISE_PX = 1.0, 0.05
-# Information along an edge, relative to the mean of all directions: views do not measure it.
-ALONG_EDGE = 0.1
 
 
 class Tracks(NamedTuple):
@@ -67,7 +65,8 @@ def information_of(views: Sequence[View], tracks: Tracks) -> FloatArray:
             found[owners[rows]] += measured_by(view, tracks.points[owners[rows]], normals)
     found /= noise_px(views, tracks) ** 2
     if tracks.normals is not None:
-        found += ALONG_EDGE * mean_of(found)[:, None] * DIAGONAL
+        # Views do not measure the direction along an edge.
+        found += 0.1 * mean_of(found)[:, None] * DIAGONAL
     return found
 
 

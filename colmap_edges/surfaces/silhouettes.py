@@ -41,21 +41,9 @@ from colmap_edges.images.files import square
 
 logger = logging.getLogger(__name__)
 
-# Maximum share of edge points that project onto the background: 0.03 to 0.3 % for true backdrops,
-# 1.7 % and more for black frames around photographs and fisheye images.
-MAX_CONTRADICTED = 0.01
-NUM_CHECKED = 5000  # number of edge points checked
-NUM_LINES = 4000  # number of viewing rays tried, over all views
 NUM_VIEWS = 100  # number of views with silhouettes, spread around
-NUM_TESTED = 40  # number of views that test for foreground, spread around
 NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
-MAX_STRETCH = 0.25  # maximum length of the interval, relative to that sphere's diameter
-NUM_SEEING = 8  # maximum number of views of a point, the most frontal ones
-# minimum cosine of the angle between the surface normal and the direction to a view
-MIN_COSINE = 0.5
 NUM_SIGHT_STEPS = 40  # steps from the point to the view, all of which must be free
-EDGE_PX = 10  # distance from a projected edge within which a silhouette belongs to the edge
-DIRECTION_PX = 2.5  # standard deviation of the blur for the silhouette's direction
 
 
 class SeenPoints(NamedTuple):
@@ -189,7 +177,9 @@ def find_background(
     known = edges.points if edges.num_points else model.points3D_xyz
     bodies = spread_bodies(model.views, background_masks, known)
     contradicted = contradicted_share(list(bodies.values()), known)
-    if contradicted > MAX_CONTRADICTED:
+    # 0.03 to 0.3 % for true backdrops, 1.7 % and more for black frames around photographs and
+    # fisheye images.
+    if contradicted > 0.01:
         if not are_masks:
             return None  # probably a frame around the images
         logger.warning(
@@ -218,7 +208,7 @@ def spread_bodies(
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
     """Share of the projections of (N, 3) points of bodies that lie on the background."""
-    points = known[:: max(1, len(known) // NUM_CHECKED)]
+    points = known[:: max(1, len(known) // 5000)]
     hidden = total = 0
     for body in bodies:
         _, is_body = body.dilated(1).at(points)
@@ -240,9 +230,11 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
     center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
     indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
     centers = np.array([body.view.center for body in seen])
-    tested = [seen[i] for i in spread(centers - center, NUM_TESTED)]
+    # The views that test for foreground, spread around.
+    tested = [seen[i] for i in spread(centers - center, 40)]
     around = [body.dilated(1) for body in tested]
-    count = -(-NUM_LINES // len(bodies))
+    # Viewing rays tried, over all views.
+    count = -(-4000 // len(bodies))
     found = [touched(body, around, known, (center, radius), count) for body in seen]
     points = np.concatenate([points for points, _ in found])
     normals = np.concatenate([normals for _, normals in found])
@@ -299,7 +291,8 @@ def touched(
     length = last - first + 1
     is_one = inside.any(axis=1) & (inside.sum(axis=1) == length)
     bounded = (first > 0) & (last < NUM_STEPS - 1)
-    kept = np.flatnonzero(is_one & bounded & (length <= MAX_STRETCH * NUM_STEPS))
+    # Up to a quarter of that sphere's diameter.
+    kept = np.flatnonzero(is_one & bounded & (length <= 0.25 * NUM_STEPS))
     middle = (depths[kept, first[kept]] + depths[kept, last[kept]]) / 2
     return view.center + middle[:, None] * directions[kept], normals[kept]
 
@@ -317,11 +310,12 @@ def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, Floa
     columns, rows = (pixels[body.view.holds(pixels, depths)] / scale).astype(np.int64).T
     near = np.zeros_like(mask)
     near[rows, columns] = 1
-    edge[cv2.dilate(near, square(EDGE_PX)) > 0] = 0
+    # Silhouettes within 10 pixels of a projected edge belong to the edge.
+    edge[cv2.dilate(near, square(10)) > 0] = 0
     rows, columns = np.nonzero(edge)
     chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(np.int64)
     rows, columns = rows[chosen], columns[chosen]
-    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), DIRECTION_PX)
+    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.5)
     slope = [cv2.Sobel(blurred, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]
     outward = -np.column_stack([each[rows, columns] for each in slope]).astype(np.float64)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300
@@ -360,8 +354,9 @@ def seeing(
     away = centers - points[:, None]
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     cosines = np.einsum("pvi,pi->pv", away, normals)
-    straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :NUM_SEEING]
-    rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= MIN_COSINE)
+    # The most frontal views of a point.
+    straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :8]
+    rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= 0.5)
     columns = straightest[rows, ranks]
     steps = radius * np.linspace(0.03, 1.5, NUM_SIGHT_STEPS)
     way = points[rows][:, None] + steps[:, None] * away[rows, columns][:, None]

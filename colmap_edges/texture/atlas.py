@@ -17,9 +17,6 @@ from colmap_edges.texture.gains import gained
 from colmap_edges.texture.packing import MARGIN_PX, Packing, packed
 from colmap_edges.texture.pictures import Images, resized, scaled_pixels
 
-# Pixels of the texture by which a side of a triangle may bend in the image, by perspective or
-# distortion, before its pixels are projected one by one.
-MAX_BEND_PX = 1.0
 BORDER_PX = MARGIN_PX + 2  # by which charts may reach beyond their image; rounding adds to it
 
 
@@ -101,7 +98,8 @@ class Atlas:
             there = scaled_pixels(posed, posed.project(middles)[0], self.packing.scale) + moves
             away = there - (corners[:, a] + corners[:, b]) / 2
             bends = np.maximum(bends, np.linalg.norm(away, axis=1))
-        bent = bends > MAX_BEND_PX
+        # A side bends by more than a pixel, by perspective or distortion.
+        bent = bends > 1.0
         places, owners, weights = _kernels.pixels_of_triangles(
             corners[bent], *self.packing.shape, MARGIN_PX - 1.0
         )

@@ -10,8 +10,6 @@ from colmap_edges.core.arrays import FloatArray, Int32Array
 from colmap_edges.texture.seen_faces import SeenFaces
 
 USABLE_LEVELS = (8.0, 247.0)  # range of mean colours that are neither dark nor saturated
-NUM_ROUNDS = 10  # rounds of reweighted least squares
-MAX_PAIRS = 200_000  # pairs of views of a triangle that suffice
 ANCHOR = 1e-3  # weight of a gain of 1 for each view, relative to what compares it with others
 
 
@@ -26,13 +24,14 @@ def find_gains(seen: SeenFaces, num_views: int) -> FloatArray:
     faces = seen.faces[usable]
     views, logs = seen.views[usable], np.log(seen.colors[usable])
     rows = np.flatnonzero(faces[1:] == faces[:-1])  # each view of a triangle with its next one
-    rows = rows[:: len(rows) // MAX_PAIRS + 1]
+    # That many pairs of views suffice.
+    rows = rows[:: len(rows) // 200_000 + 1]
     gains = np.zeros((num_views, 3))
     if not len(rows):
         return gains
     first, second = views[rows], views[rows + 1]
     differences = logs[rows] - logs[rows + 1]
-    for _ in range(NUM_ROUNDS):
+    for _ in range(10):
         residuals = np.abs(differences - gains[first] + gains[second]).max(axis=1)
         scale = max(1.4826 * float(np.median(residuals)), 1e-3)
         weights = 1 / (1 + (residuals / scale) ** 2)

@@ -14,11 +14,7 @@ from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.atlas import Atlas
 
-STIFFNESS = 1.0  # weight of equal corrections along a chart's sides, relative to a seam's
-ANCHOR = 0.01  # weight of no correction at each point
-MIN_SCALE = 2.0  # least typical difference at seams, gray levels
 BLOCK = 64  # rows that are blanked at once
-NUM_SAMPLES = 9  # of colours along a side
 TOLERANCE, MAX_STEPS = 1e-3, 1000  # of conjugate gradients
 
 
@@ -64,10 +60,12 @@ def solved(atlas: Atlas, ends: IntArray) -> FloatArray:
     inner = np.unique(np.sort(charts.corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     rows = np.concatenate([seams, inner])
     trusted = trust(differences)
-    weights = np.concatenate([trusted, np.full(len(inner), STIFFNESS)])
+    # Corrections equal along a chart's sides weigh as much as equal colours at a seam.
+    weights = np.concatenate([trusted, np.ones(len(inner))])
     between = coo_array((weights, rows.T), (count, count)).tocsr()
     between = between + between.T
-    degrees = np.asarray(between.sum(axis=1)).ravel() + ANCHOR
+    # Each point has a small weight of no correction.
+    degrees = np.asarray(between.sum(axis=1)).ravel() + 0.01
     system, scale = (diags_array(degrees) - between).tocsr(), diags_array(1 / degrees)
     found = np.zeros((count, 3))
     for channel, wanted in enumerate(differences.T):
@@ -80,13 +78,13 @@ def solved(atlas: Atlas, ends: IntArray) -> FloatArray:
 def trust(differences: FloatArray) -> FloatArray:
     """(S,) weights of seams: small where the views show different things and not another light."""
     sizes = np.abs(differences).max(axis=1)
-    scale = max(1.4826 * float(np.median(sizes)), MIN_SCALE)
+    scale = max(1.4826 * float(np.median(sizes)), 2.0)
     return np.asarray(1 / (1 + (sizes / scale) ** 2))
 
 
 def seam_differences(atlas: Atlas, ends: IntArray) -> tuple[FloatArray, FloatArray]:
     """(S, 3) by how much more the second chart has than the first, at both ends of each seam."""
-    weights = np.linspace(1, 0, NUM_SAMPLES)
+    weights = np.linspace(1, 0, 9)
     sums = [np.zeros((len(ends), 3)), np.zeros((len(ends), 3))]
     for share in weights.tolist():
         first, second = (sampled(atlas, ends[:, side], share) for side in range(2))

@@ -10,8 +10,6 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.errors import ColmapEdgesError
 
 MARGIN_PX = 2  # pixels around a chart, so that filtering does not mix it with the next one
-SMALLEST = 256  # side of the smallest texture, pixels
-NUM_HALVINGS = 8  # of the range in which the scale is searched
 
 
 class Packing(NamedTuple):
@@ -42,12 +40,12 @@ def packed(boxes: FloatArray, max_side: int) -> Packing:
     Raises:
         ColmapEdgesError: if the charts are too many for it.
     """
-    sides = 2 ** np.arange(int(np.log2(SMALLEST)), int(np.log2(max_side)) + 1)
+    sides = 2 ** np.arange(8, int(np.log2(max_side)) + 1)
     for side in (*sides[sides < max_side].tolist(), max_side):
         if found := at_scale(boxes, 1.0, side):
             return found
     best, low, high = None, 0.0, 1.0
-    for _ in range(NUM_HALVINGS):
+    for _ in range(8):
         scale = (low + high) / 2
         found = at_scale(boxes, scale, max_side)
         best, low, high = (found, scale, high) if found else (best, low, scale)

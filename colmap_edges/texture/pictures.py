@@ -19,9 +19,6 @@ from colmap_edges.images.files import (
 )
 from colmap_edges.images.masks import decode_mask, read_mask
 
-# Least length of the longer side of images that are reduced two, four or eight times to compare
-# views; JPEG files are then decoded in part only.
-COMPARED_PX = 700
 REDUCED = {
     2: cv2.IMREAD_REDUCED_COLOR_2,
     4: cv2.IMREAD_REDUCED_COLOR_4,
@@ -78,7 +75,8 @@ class Images(NamedTuple):
 def reduction(view: View) -> int:
     """By which factor the image of a view is reduced when views are compared."""
     longest = max(view.width, view.height)
-    return next((factor for factor in (8, 4, 2) if longest / factor >= COMPARED_PX), 1)
+    # JPEG files are decoded in part only if they are reduced two, four or eight times.
+    return next((factor for factor in (8, 4, 2) if longest / factor >= 700), 1)
 
 
 def resized(image: Picture, scale: float) -> Picture:

@@ -19,8 +19,6 @@ from colmap_edges.texture.pictures import Images
 from colmap_edges.texture.seen_faces import find_seen_faces
 from colmap_edges.texture.view_choice import choose_views, neighbours
 
-JPEG_QUALITY = 90
-
 
 def textured(
     mesh: Mesh, views: Sequence[View], images: Images, texture_size: int, num_threads: int
@@ -61,7 +59,7 @@ def made(
     level(atlas, pairs, sides)
     height, width = atlas.packing.shape
     texture = Texture(
-        jpeg=encoded(".jpg", atlas.picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)),
+        jpeg=encoded(".jpg", atlas.picture, (cv2.IMWRITE_JPEG_QUALITY, 90)),
         points=atlas.pixels / [width, height],
         corners=charts.corners,
     )

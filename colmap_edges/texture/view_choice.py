@@ -17,10 +17,7 @@ HIDDEN = 20.0  # cost of a hidden triangle, multiplied by its hidden share
 NEAR = 3.0  # cost of one beside a body that hides what is behind it, multiplied by the share
 SATURATED = 2.0  # cost of a mean colour with a saturated channel, which gains cannot correct
 STRANGE = 5.0  # cost of a colour unlike that in other views, which shows something else
-STRANGE_SIGMAS = 1.0  # deviation that counts as unlike, in standard deviations
-MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
 MAX_CANDIDATES = 12  # most views that are compared for a triangle, the cheapest
-NUM_SWEEPS = 8  # sweeps of message passing, there and back
 
 
 def choose_views(seen: SeenFaces, gains: FloatArray, pairs: Int32Array) -> IntArray:
@@ -37,7 +34,7 @@ def choose_views(seen: SeenFaces, gains: FloatArray, pairs: Int32Array) -> IntAr
     costs = costs_of(seen, gains)
     rows = cheapest(seen, costs)
     offsets = offsets_of(np.bincount(seen.faces[rows], minlength=len(seen.offsets) - 1))
-    chosen = _kernels.label_views(offsets, seen.views[rows], costs[rows], pairs, SEAM, NUM_SWEEPS)
+    chosen = _kernels.label_views(offsets, seen.views[rows], costs[rows], pairs, SEAM, 8)
     if not len(rows):
         return np.full(len(chosen), -1)
     return np.where(chosen >= 0, rows[np.minimum(offsets[:-1] + chosen, len(rows) - 1)], -1)
@@ -76,8 +73,8 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
         lower = np.clip(seen.offsets[:-1] + (counts - 1) // 2, 0, len(order) - 1)
         medians = (channel[order[middle]] + channel[order[lower]]) / 2
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
-    sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
-    unlike = np.log(np.maximum(residuals / (STRANGE_SIGMAS * sigma), 1))
+    sigma = max(1.4826 * float(np.median(residuals)), 0.03)
+    unlike = np.log(np.maximum(residuals / sigma, 1))
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 
 

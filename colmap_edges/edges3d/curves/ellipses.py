@@ -7,9 +7,6 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 
-MAX_STEP = 0.3  # maximum change per step, relative to the smaller radius
-MAX_ASPECT = 20.0  # maximum ratio of the radii; flatter ellipses are double lines
-
 
 def fit_ellipses(points: PointSequences) -> Fits:
     """Fit an ellipse to every sequence, by distances in its plane and across it."""
@@ -25,10 +22,12 @@ def fit_ellipses(points: PointSequences) -> Fits:
         distances, jacobian = residuals(shapes[owners], local[:, :2])
         weights = points.robust_weights(distances**2 + height**2)
         moves, inverse = points.least_squares(weights, jacobian, distances)
-        limit = MAX_STEP * np.abs(shapes[:, 2:4]).min(axis=1, keepdims=True)
+        # A step changes the radii by at most 0.3 of the smaller one.
+        limit = 0.3 * np.abs(shapes[:, 2:4]).min(axis=1, keepdims=True)
         shapes = shapes + np.clip(moves, -limit, limit)
         radii = np.sort(np.abs(shapes[:, 2:4]), axis=1)
-        found &= np.isfinite(shapes).all(axis=1) & (radii[:, 1] < MAX_ASPECT * radii[:, 0])
+        # Flatter ellipses are double lines.
+        found &= np.isfinite(shapes).all(axis=1) & (radii[:, 1] < 20.0 * radii[:, 0])
         shapes[~found] = (0, 0, 1, 1, 0)
     distances, _ = residuals(shapes[owners], local[:, :2])
     inside, off = (np.einsum("sii->si", each) for each in (inverse, flat_inverse))

@@ -19,7 +19,6 @@ from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits
 from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurves
 
-MIN_POINTS = 3  # minimum number of points of a fillet; fewer are what blur makes of a corner
 MIN_TURN, MAX_TURN = np.radians(20.0), np.radians(150.0)  # turn between the lines
 
 
@@ -126,7 +125,8 @@ def gaps_between(
     # Around the seam of a closed edge, where the next curve begins with the edge's first point.
     seam = last & closed[edges] & (curves.bounds[right, 0] == offsets[edges]) & (right != left)
     sizes = end - first
-    keep = (~last | seam) & (sizes >= MIN_POINTS) & (sizes <= MAX_POINTS_BETWEEN)
+    # Fewer than three points are what blur makes of a corner.
+    keep = (~last | seam) & (sizes >= 3) & (sizes <= MAX_POINTS_BETWEEN)
     keep &= (curves.kinds == LINE) & (curves.kinds[right] == LINE)
     return left[keep], right[keep], np.column_stack([first, end])[keep]
 

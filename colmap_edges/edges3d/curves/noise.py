@@ -16,7 +16,6 @@ from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, PointSeq
 
 # Numbers of parameters of curves; those of open ones include the end along the edge.
 NUM_PARAMETERS = {LINE: 5, ARC: 8, CIRCLE: 6, ELLIPTIC_ARC: 10, ELLIPSE: 8}
-MIN_LOG = 2.0  # minimum logarithm of the number of points in the BIC
 # Maximum number of independent points of a curve, since errors of poses and light are shared.
 MAX_INDEPENDENT = 16.0
 
@@ -62,4 +61,5 @@ class Noise:
 
     def parameter_costs(self, lengths: IntArray) -> FloatArray:
         """(E,) cost of one parameter of a curve of each edge of (E,) points."""
-        return np.log(np.maximum(lengths / self.correlation, np.exp(MIN_LOG)))
+        # The BIC of few points takes at least exp(2) of them.
+        return np.log(np.maximum(lengths / self.correlation, np.exp(2.0)))

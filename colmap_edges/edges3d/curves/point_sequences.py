@@ -14,7 +14,6 @@ import numpy as np
 from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of, owners_of, ranges_of
 
 OUTLIER_SIGMAS = 3.0  # distance from a curve, in standard deviations, of outliers
-HUBER_SIGMAS = 2.0  # threshold of Huber's weights, in standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +68,8 @@ class PointSequences:
     def robust_weights(self, squares: FloatArray) -> FloatArray:
         """(N,) weights times Huber's weights for (N,) squared distances from a curve."""
         with np.errstate(divide="ignore"):
-            return self.weights * np.minimum(1, HUBER_SIGMAS / np.sqrt(self.weights * squares))
+            # Huber's weights, with a threshold of two standard deviations.
+            return self.weights * np.minimum(1, 2.0 / np.sqrt(self.weights * squares))
 
     def least_squares(
         self, weights: FloatArray, rows: FloatArray, values: FloatArray

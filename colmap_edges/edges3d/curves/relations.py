@@ -18,8 +18,6 @@ from colmap_edges.edges3d.curves.joints import foot_points
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
-# maximum growth of a curve's mean squared residual, beyond that explained by deviations
-MAX_GROWTH = 1.5
 MAX_ANGLE = np.radians(5)  # maximum angle between directions made equal, whatever their deviations
 
 
@@ -39,7 +37,8 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
     directions, groups = shared_directions(curves, which)
     moved = with_directions(curves, which, directions)
     moved = with_shared_axes_and_planes(moved, which, groups, directions)
-    worse = residual_squares(moved, points, noise) > MAX_GROWTH * np.maximum(
+    # The mean squared residual may grow by half, beyond what deviations explain.
+    worse = residual_squares(moved, points, noise) > 1.5 * np.maximum(
         residual_squares(curves, points, noise), 1.0
     )
     frames = np.where(worse[:, None, None], curves.frames, moved.frames)

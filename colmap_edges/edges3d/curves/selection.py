@@ -22,9 +22,7 @@ from colmap_edges.edges3d.curves.segmentation import NOTHING, Segmentation
 from colmap_edges.edges3d.curves.splines import fit_splines, num_parameters
 
 MAX_ROW = 6  # maximum number of segments fitted as one curve
-# maximum turn between the chords before and after a point that is no corner
-MAX_TURN = np.radians(40)
-CHORD = 4  # length of these chords, in points
+CHORD = 4  # points of the chords before and after a corner
 MAX_RADIUS_DOUBT = 0.03  # maximum standard deviation of a radius, relative to the radius
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
@@ -200,7 +198,8 @@ def is_corner(points: FloatArray, segments: Segmentation) -> BoolArray:
     before = points[np.maximum(at - 2, start)] - points[np.maximum(at - 1 - CHORD, start)]
     after = points[np.minimum(at + CHORD, end)] - points[np.minimum(at + 1, end)]
     norms = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
-    return np.asarray(np.einsum("ij,ij->i", before, after) < np.cos(MAX_TURN) * norms)
+    # The chords before and after a corner turn by 40 degrees and more.
+    return np.asarray(np.einsum("ij,ij->i", before, after) < np.cos(np.radians(40)) * norms)
 
 
 def fit_ellipses_and_splines(

@@ -27,7 +27,6 @@ from colmap_edges.edges3d.curves.noise import NUM_PARAMETERS, Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits, PointSequences
 from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurves
 
-MAX_REPEATS = 8  # maximum number of times that groups are combined in pairs
 # maximum relative standard deviation of the radius of an arc that is compared with other arcs;
 # those of `MAX_RADIUS_DOUBT` and less are compared with all curves
 MAX_TRIAL_DOUBT = 1 / 3
@@ -52,7 +51,8 @@ def with_shared_circles(
     # The curve or the circle of each group of curves, at the index of its first curve.
     members, groups = every.copy(), curves.select(every)
     fresh = doubts_of(groups, noise) <= MAX_TRIAL_DOUBT
-    for _ in range(MAX_REPEATS):
+    # Groups are combined in pairs, again and again.
+    for _ in range(8):
         pairs = candidate_pairs(points, noise, curves, groups, members, fresh)
         if not len(pairs):
             break

@@ -11,9 +11,6 @@ from colmap_edges.core.curves3d import DEGREE
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import PointSequences
 
-GROWTH = 1.35  # ratio of consecutive candidate numbers of control points
-MIN_SPAN = 2.5  # minimum number of points per control point
-
 
 @dataclass(frozen=True, kw_only=True)
 class SplineFit:
@@ -51,7 +48,8 @@ def fit_splines(
     found: dict[int, SplineFit] = {}
     rows, size = np.arange(points.size), DEGREE + 1
     while True:
-        rows = rows[size * MIN_SPAN <= lengths[rows]]
+        # At least 2.5 points per control point.
+        rows = rows[size * 2.5 <= lengths[rows]]
         rows = rows[num_parameters(size) * prices[rows] < most[rows]]
         if not len(rows):
             return found
@@ -65,7 +63,7 @@ def fit_splines(
         going_on = costs <= before[rows]
         before[rows], most[rows] = costs, np.minimum(most[rows], costs)
         rows = rows[going_on]
-        size = max(size + 1, round(size * GROWTH))
+        size = max(size + 1, round(size * 1.35))
 
 
 def num_parameters(size: int) -> int:

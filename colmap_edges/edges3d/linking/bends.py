@@ -20,11 +20,7 @@ from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
 from colmap_edges.edges3d.linking.ends import MAX_MISS_SPACINGS, MIN_ANGLE_DEG
 
 SIDE_POINTS = (6, 5, 4)  # points fitted on each side; the largest number that the edge has
-FEWEST = 3  # minimum number of points of a piece that is joined as a smooth curve
 ROUNDED = 1  # points on each side of a corner that refinement may have displaced
-SURE = 0.95  # probability of the F test
-MAX_ASIDE_SPACINGS = 0.85  # maximum distance of that point to the edge; larger at fillets
-MIN_APART = 3  # minimum number of points between two bends
 BLOCK = 1 << 12  # number of pairs whose polynomials are in memory at once
 
 
@@ -72,7 +68,8 @@ def find_bends(edges: Edges3D) -> IntArray:
     for row in np.argsort(-ratios, kind="stable").tolist():
         apart = np.abs(places[row] - places[taken])
         apart = np.where(loops[places[row]], np.minimum(apart, sizes[places[row]] - apart), apart)
-        if (apart >= MIN_APART)[owners[places[taken]] == owners[places[row]]].all():
+        # Two bends are at least three points apart.
+        if (apart >= 3)[owners[places[taken]] == owners[places[row]]].all():
             taken.append(row)
     edge = owners[places[taken]]
     several = ~edges.closed[edge] | (np.bincount(edge, minlength=edges.num_edges)[edge] > 1)
@@ -111,7 +108,8 @@ def bend_ratios(windows: FloatArray, side: int) -> tuple[FloatArray, BoolArray]:
     near = nearest_on_lines(starts[0], ways[0], starts[1], ways[1])
     shift = (near[0] + near[1]) / 2 - middle
     meet = np.linalg.norm(near[1] - near[0], axis=1) <= 2 * MAX_MISS_SPACINGS * spacings
-    meet &= np.linalg.norm(shift, axis=1) <= MAX_ASIDE_SPACINGS * spacings
+    # It lies near the edge, but farther at fillets.
+    meet &= np.linalg.norm(shift, axis=1) <= 0.85 * spacings
     meet &= np.einsum("ni,ni->n", *ways) <= np.cos(np.radians(MIN_ANGLE_DEG))
     ratios = smooth / (rest + more + 1e-300) / by_chance(np.array(2 * side), 6)
     return np.where(meet, ratios, 0), np.einsum("ni,ni->n", shift, ways[0] + ways[1]) > 0
@@ -137,7 +135,8 @@ def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
 
     smooth = np.zeros(len(a), bool)
     for start in range(0, len(a), BLOCK):
-        left = start + np.flatnonzero(least[start : start + BLOCK] >= FEWEST)
+        # Fewer than three points are not joined as a smooth curve.
+        left = start + np.flatnonzero(least[start : start + BLOCK] >= 3)
         cubic, lines = squares(left, 1)
         left = left[by_chance(counts[left], 4) * cubic < lines]
         quintic, parabolas = squares(left, 2)
@@ -167,7 +166,7 @@ def one_and_two(
 def by_chance(num_points: IntArray, num_parameters: int) -> FloatArray:
     """(n,) quantile of the ratio of squared residuals of two equally good models (F test)."""
     freedom = 3 * np.maximum(num_points - num_parameters, 1)
-    return np.asarray(fdtri(freedom, freedom, SURE), np.float64)
+    return np.asarray(fdtri(freedom, freedom, 0.95), np.float64)
 
 
 def lengths_along(points: FloatArray) -> tuple[FloatArray, FloatArray]:

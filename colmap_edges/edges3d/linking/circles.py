@@ -43,9 +43,7 @@ from colmap_edges.edges3d.linking.gaps import observed_along
 from colmap_edges.edges3d.linking.joining import joined
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
-MIN_POINTS = (3, 8)  # minimum numbers of points of the shorter and the longer piece of a circle
 MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cover
-LONG_GAP = 2.0  # maximum gap that is observed everywhere, relative to other gaps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +114,11 @@ def join_circles(
 
 def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntArray:
     """(n, 2) ends of two open edges, one of them bent, near each other but no third edge's end."""
-    a, b, gap = near_pairs(ends, LONG_GAP * options.max_gap_spacings)
+    # Gaps that are observed everywhere may be twice as long.
+    a, b, gap = near_pairs(ends, 2.0 * options.max_gap_spacings)
     sizes = np.diff(edges.edge_offsets)[np.column_stack([a // 2, b // 2])]
-    keep = (sizes.min(axis=1) >= MIN_POINTS[0]) & (sizes.max(axis=1) >= MIN_POINTS[1])
+    # The shorter and the longer piece of a circle.
+    keep = (sizes.min(axis=1) >= 3) & (sizes.max(axis=1) >= 8)
     keep &= ~edges.closed[a // 2] & ~edges.closed[b // 2] & (a // 2 != b // 2)
     bends = sagittas(edges)
     keep &= np.maximum(bends[a // 2], bends[b // 2]) >= np.tan(MIN_TURN / 8) / 2

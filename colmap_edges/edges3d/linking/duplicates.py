@@ -37,8 +37,6 @@ from colmap_edges.options import PipelineOptions
 
 MAX_OFFSET_PX = 6.0  # maximum displacement of an edge in an image by light and blur
 MIN_COSINE = float(np.cos(np.radians(15.0)))  # minimum cosine of the angle between parallel pieces
-MAX_ALONG_SPACINGS = 0.75  # tolerance along a piece within which it overlaps another
-SAMPLES = 3  # positions along a pair of pieces at which observations are compared
 CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
 BLOCK = 1 << 11  # number of points or matches per block, which limits memory
 PAIRS = 1 << 9  # number of pairs of pieces per block, which limits memory
@@ -214,7 +212,7 @@ def find_matches(pieces: Pieces, num_threads: int) -> Matches:
     along = np.einsum("ij,ij->i", away, pieces.tangents[b])
     across = away - along[:, None] * pieces.tangents[b]
     parallel = np.abs(np.einsum("ij,ij->i", pieces.tangents[a], pieces.tangents[b])) >= MIN_COSINE
-    beside = np.abs(along) <= MAX_ALONG_SPACINGS * pieces.spacings[b]
+    beside = np.abs(along) <= 0.75 * pieces.spacings[b]
     near = np.linalg.norm(across, axis=1) <= radius[a]
     kept = parallel & beside & near
     return Matches(points=a[kept], others=b[kept], offsets=across[kept])
@@ -230,7 +228,8 @@ def log_ratios(
 ) -> FloatArray:
     """(P,) log likelihood ratio of two edges against one edge for each pair of pieces."""
     ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
-    rows = spread(pairs, SAMPLES)
+    # Observations are compared at three positions along a pair of pieces.
+    rows = spread(pairs, 3)
     chosen, of = matches.select(rows), pairs[rows]
     seen = seen_by(pieces, chosen)
     llr = view_ratios(pieces, chosen, seen, given, options, num_threads)

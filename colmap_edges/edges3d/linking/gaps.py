@@ -18,8 +18,6 @@ from colmap_edges.options import PipelineOptions
 
 # positions in a gap at which an edge must be observed, as fractions
 PLACES = np.array([0.25, 0.5, 0.75])
-# search radius relative to that of edge points, as positions in a gap are less certain
-RADIUS_RATIO = 1.5
 
 
 def observed_along(
@@ -92,7 +90,8 @@ def are_observed(
         (n,) whether an edge is observed in the gap.
     """
     asked = views_near(edges, np.column_stack([a, b]), given.num_views)
-    radius = RADIUS_RATIO * options.refinement.max_residual_px
+    # Positions in a gap are less certain than edge points.
+    radius = 1.5 * options.refinement.max_residual_px
     angles = (options.linking.max_join_angle_deg,) * len(PLACES)
     between = curves_between(ends, a, b)
     observed = observed_along(given, asked, *between, radius, angles, num_threads)

@@ -23,9 +23,6 @@ from colmap_edges.edges3d.linking.ends import (
 )
 from colmap_edges.options import LinkingOptions
 
-MAX_TURN = np.radians(60.0)  # maximum turn across a gap in a curve
-MIN_LOOP_POINTS = 8  # minimum number of points of a closed edge
-
 # From (n,) ends a and (n,) ends b: (n,) whether an edge connects each a to its b.
 GoesOn = Callable[[Ends, IntArray, IntArray], BoolArray]
 
@@ -69,13 +66,14 @@ def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: Goe
     across = np.linalg.norm(gap - along[:, None] * direction, axis=1)
     facing, bent = (
         (turn >= np.cos(angle)) & (across <= np.tan(angle) * np.maximum(along, spacing))
-        for angle in (np.radians(options.max_join_angle_deg), MAX_TURN)
+        for angle in (np.radians(options.max_join_angle_deg), np.radians(60.0))
     )
     rows = np.flatnonzero(bent & ~facing & (along > 0))
     facing[rows] = go_on_smoothly(edges, a[rows], b[rows])
     # One piece later loses the overlap, so it must be longer than it.
     allowed = facing & (along >= -(REACH - 1) * spacing)
-    allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= MIN_LOOP_POINTS)
+    # A closed edge has at least eight points.
+    allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= 8)
     rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))
     allowed[rows] = goes_on(ends, a[rows], b[rows])
     cost = lengths / spacing + 2 * across / spacing

@@ -24,8 +24,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import CorrespondenceOptions
 
 DEPTH_MARGIN = 2.0  # factor by which the depth range of a view's SfM points is extended
-# largest fraction of the way to the next point; the last may connect to the first
-NEAREST_TO_NEXT = 1 - 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,5 +209,6 @@ def sample_graph(graph: EdgeGraph, wanted: BoolArray, spacing_px: float) -> Floa
     before = np.searchsorted(arc, places, "right") - 1
     before = np.clip(before, offsets[polylines], offsets[polylines + 1] - 1)
     fractions = (places - arc[before]) / np.where(steps[before] > 0, steps[before], 1)
-    positions: FloatArray = before + np.clip(fractions, 0, NEAREST_TO_NEXT)
+    # Never quite the next point: the last may connect to the first.
+    positions: FloatArray = before + np.clip(fractions, 0, 1 - 1e-9)
     return positions

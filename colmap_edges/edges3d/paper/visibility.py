@@ -26,8 +26,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import VisibilityOptions
 
 MIN_POINT_VIEWS = 3  # minimum number of views of an edge point (paper: PEPC-selection)
-# minimum number of an edge's points in a view that observes it: a point and its neighbours
-MIN_VIEW_POINTS = 3
 
 
 def expand_visibility(
@@ -301,7 +299,8 @@ def drop_doubtful_views(
     lengths = np.diff(edges.edge_offsets)[pairs // len(chains.views)]
     rms = rms_of_groups(errors_across(edges, chains), inverse, len(pairs))
     sure = rms <= options.max_rms_ratio * options.max_error_px
-    sure &= counts >= np.minimum(MIN_VIEW_POINTS, lengths)
+    # A view that observes an edge observes a point and its neighbours.
+    sure &= counts >= np.minimum(3, lengths)
     sure &= counts >= (1 / 3) * lengths  # set by trial
     kept = replace(edges, observations=observed.keep(sure[inverse]))
     anew, _ = triangulate_observations(

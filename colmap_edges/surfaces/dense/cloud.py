@@ -36,11 +36,8 @@ from colmap_edges.surfaces.silhouettes import SeenPoints
 
 MIN_POINTS = NUM_NEIGHBORS + 1
 ROWS_AT_ONCE = 50_000  # points whose neighbours are in memory
-# Steps between samples of edges, relative to the distance within which points yield to them.
-SAMPLE_STEP = 0.5
 FACE_FACTOR = 2.0
 SCAN_DIST = 2.0
-EMPTY_PX = 8.0  # distance from the nearest point of the cloud beyond which it is empty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +91,8 @@ class DenseCloud:
         """
         reach_px = min(self.edge_dist, SCAN_DIST) if self.is_scan else self.edge_dist
         reach = reach_px * self.pixels
-        step = SAMPLE_STEP * float(np.median(reach)) if len(reach) else 0.0
+        # Half the distance within which points yield to edges.
+        step = 0.5 * float(np.median(reach)) if len(reach) else 0.0
         if not step:
             return self
         samples = [np.zeros((0, 3)), *(sampled(of, step) for of in curves if of)]
@@ -111,7 +109,8 @@ class DenseCloud:
 
     def where_empty(self, seen: SeenPoints, model: Model) -> IntArray:
         """Indices of the points of `seen` that have no point of the cloud near them."""
-        reach = EMPTY_PX * pixel_sizes(seen, model)
+        # The cloud is empty beyond 8 pixels from its nearest point.
+        reach = 8.0 * pixel_sizes(seen, model)
         return np.flatnonzero(~are_near(seen.points, self.points.points, reach))
 
 

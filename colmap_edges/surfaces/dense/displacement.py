@@ -19,13 +19,6 @@ from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
 MIN_POINTS = 100  # of the model on planes of the cloud
-MIN_SIGMAS = 5.0  # shift that is no chance, in its standard deviations
-NUM_ROUNDS = 10  # of reweighting
-# Scale of the weights of residuals, in robust standard deviations.
-ROBUST_SIGMAS = 2.0
-# Of the normal equations, relative to their trace: what the views of a point do not determine,
-# such as its depth in a single view, is not moved.
-REGULAR = 1e-6
 
 
 class Shift(NamedTuple):
@@ -68,13 +61,15 @@ def measured_shift(cloud: SeenPoints, tree: cKDTree, model: Model) -> Shift:
     moves = movements(cloud.chosen(used), model)[places.reshape(near.shape)].mean(axis=1)
     design = np.einsum("ni,nij->nj", normals, moves)
     weights = np.ones(len(design))
-    for _ in range(NUM_ROUNDS):
+    for _ in range(10):
         information = (design * weights[:, None]).T @ design
         shift = np.linalg.lstsq(information, design.T @ (weights * residuals), rcond=None)[0]
         left = residuals - design @ shift
         sigma = 1.4826 * float(np.median(np.abs(left))) or 1.0
-        weights = 1 / (1 + (left / (ROBUST_SIGMAS * sigma)) ** 2) ** 2
-    if shift @ information @ shift < (MIN_SIGMAS * sigma) ** 2:
+        # With a scale of two robust standard deviations.
+        weights = 1 / (1 + (left / (2.0 * sigma)) ** 2) ** 2
+    # A shift below five standard deviations may be chance.
+    if shift @ information @ shift < (5.0 * sigma) ** 2:
         return NO_SHIFT
     return Shift(shift, float(np.median(np.abs(residuals))), float(np.median(np.abs(left))))
 
@@ -94,5 +89,6 @@ def movements(cloud: SeenPoints, model: Model) -> FloatArray:
         matrix[own] += slopes.transpose(0, 2, 1) @ slopes
         right[own] += slopes.transpose(0, 2, 1)
     trace = np.trace(matrix, axis1=1, axis2=2)
-    matrix += (REGULAR * np.where(trace > 0, trace, 1))[:, None, None] * np.eye(3)
+    # What the views of a point do not determine, such as its depth in a single view, is not moved.
+    matrix += (1e-6 * np.where(trace > 0, trace, 1))[:, None, None] * np.eye(3)
     return np.asarray(np.linalg.solve(matrix, right))

@@ -21,8 +21,6 @@ from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
-# Least share of observations that lie in their images; in another order of images, fewer do.
-MIN_INSIDE = 0.9
 # Depth test: number of points per cell of a view's depth map; cells around a point in which a
 # nearer one hides it; and the slope of depth against width up to which neighbours are of one
 # surface, which is seen at 80 degrees.
@@ -70,7 +68,8 @@ def check_inside(model: Model, points: FloatArray, owners: IntArray, views: IntA
     inside = 0
     for view, rows in views_with_rows(model.views, views.astype(np.int32)):
         inside += int(np.count_nonzero(view.holds(*view.project(points[owners[rows]]))))
-    if inside < MIN_INSIDE * len(views):
+    # With the images in another order, fewer observations lie in their images.
+    if inside < 0.9 * len(views):
         raise ColmapEdgesError(
             f"only {inside / len(views):.0%} of the cloud's observations lie in the images that "
             "its visibility names; give the model that the cloud was made from"

@@ -41,27 +41,15 @@ from colmap_edges.surfaces.patches.sites import (
 from colmap_edges.surfaces.patches.smoothing import smoothed
 from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
-NUM_NEIGHBORS = 4  # views that windows are compared with
-MAX_ANGLE_DEG = 40.0  # between the views of a patch
 MIN_COSINE = 0.17  # of the angle between normal and ray: 80 degrees
 NUM_SWEEPS = 3  # over all sites; a fourth finds 0.5 % more
 BELIEVED = 0.75  # correlation of windows of one place
 # Maximum distance of the patches of two views that agree, in pixels of parallax and in standard
 # deviations, and minimum cosine of the angle between their normals.
 MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE = 1.0, 4.0, 0.75
-MIN_AGREEING = 2  # other views
-MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
 # Sites to each side around a patch, number of patches that must be there, itself included, and
 # their share of the sites with texture.
 SUPPORT_SITES, MIN_SUPPORT, MIN_SUPPORT_SHARE = 2, 3, 0.3
-# The same share over all views, below which a scene has no patches: 0 to 0.20 in plain rooms and on
-# glossy parts, where few of them add anything, 0.56 to 0.84 where surfaces have texture.
-MIN_AGREED_SHARE = 0.25
-# Maximum standard deviation of depth, relative to the distance of sites on the surface: beyond it
-# points make the surface rough.
-MAX_SPREAD = 0.25
-MAX_COLUMNS = 256  # cells along the longer side of a picture, of 4 pixels each
-MAX_BYTES = 1e9  # of all pictures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +105,11 @@ NO_PATCHES = Patches(
 
 def picture_columns(model: Model) -> int:
     """Cells along the longer side of the pictures of a model's views: fewer if there are many."""
-    pixels = MAX_BYTES / max(len(model.views), 1)
+    # One gigabyte for all pictures.
+    pixels = 1e9 / max(len(model.views), 1)
     sides = [max(view.width, view.height) for view in model.views]
-    return max(8, min(MAX_COLUMNS, int(np.sqrt(pixels)) // 4, max(sides, default=0) // 4))
+    # Cells of 4 pixels along the longer side.
+    return max(8, min(256, int(np.sqrt(pixels)) // 4, max(sides, default=0) // 4))
 
 
 def find_patches(
@@ -135,7 +125,7 @@ def find_patches(
         num_threads: threads; the result does not depend on them.
     """
     grids = [pictures.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
-    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=MAX_ANGLE_DEG))
+    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=40.0))
     known = SeenPoints.of_model(model), SeenPoints.of_edges(edges)
     sfm, on_edges = (places_in(model, grids, of) for of in known)
     active = [textured_sites(grid, at) for grid, (at, _) in zip(grids, on_edges, strict=True)]
@@ -150,7 +140,9 @@ def find_patches(
     tolerances = (MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE, num_threads)
     agreed = Agreed(*scene.agreed(*around(neighborhood.observing_views), *tolerances))
     accepted, num_sites = are_accepted(agreed, active), sum(int(of.sum()) for of in active)
-    if accepted.sum() < MIN_AGREED_SHARE * num_sites:
+    # The share is 0 to 0.20 in plain rooms and on glossy parts, where few patches add anything,
+    # 0.56 to 0.84 where surfaces have texture.
+    if accepted.sum() < 0.25 * num_sites:
         accepted[:] = False
     chosen = np.flatnonzero(accepted & (agreed.rows[:, 3] > 0))
     return replace(
@@ -182,7 +174,8 @@ class Agreed(NamedTuple):
 def are_accepted(agreed: Agreed, active: Sequence[BoolArray]) -> BoolArray:
     """(P,) whether enough views agree on a patch, and enough patches are around it."""
     agreeing = np.diff(agreed.offsets)
-    accepted = (agreeing >= MIN_AGREEING) & (agreed.rows[:, 4] <= MAX_THROUGH * agreeing)
+    # Half as many views as agree may see through a patch.
+    accepted = (agreeing >= 2) & (agreed.rows[:, 4] <= 0.5 * agreeing)
     return accepted & are_supported(active, agreed.rows, accepted)
 
 
@@ -191,7 +184,8 @@ def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntA
     rows, values = agreed.rows[chosen], agreed.values[chosen]
     planes, *deviations = smoothed(rows, values)
     focals = np.array([grid.focal_px for grid in grids])
-    exact = deviations[0] * focals[rows[:, 0]] < MAX_SPREAD * STEP_PX * planes[:, 0]
+    # Depths of larger deviation, relative to the distance of sites on the surface, make it rough.
+    exact = deviations[0] * focals[rows[:, 0]] < 0.25 * STEP_PX * planes[:, 0]
     chosen, rows, values, planes = (of[exact] for of in (chosen, rows, values, planes))
     sigmas, single = (of[exact] for of in deviations)
     points, normals, lengths = in_world(model, grids, rows, values, planes)
@@ -216,7 +210,7 @@ def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntA
 
 def make_scene(model: Model, grids: Sequence[Grid], neighborhood: Neighborhood) -> Any:
     """The kernel's scene."""
-    near = [of[:NUM_NEIGHBORS] for of in neighborhood.neighbors]
+    near = [of[:4] for of in neighborhood.neighbors]
     return _kernels.PatchScene(
         np.array([view.rotation for view in model.views]),
         np.array([view.translation for view in model.views]),

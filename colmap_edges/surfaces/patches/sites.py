@@ -16,12 +16,10 @@ from colmap_edges.surfaces.silhouettes import SeenPoints
 
 STEP_PX = 6  # between sites, pixels of the pictures; 8 lost a third of what patches add
 RADIUS_PX = 3  # of windows, as in the kernel
-EDGE_PX = 5.0  # distance of sites from edges, so that no blurred edge is in a window
 # Least variance of gray that is texture, in levels squared (of rounding and compression), and in
 # variances of the noise around it.
 LEAST_VARIANCE, NOISE_FACTOR = 1.0, 4.0
 NOISE_SIDE_PX = 15  # of the square in which noise is measured
-MIN_KNOWN = 4  # points that a view must observe for hypotheses from them
 
 
 def places_in(
@@ -54,7 +52,8 @@ def textured_sites(grid: Grid, edge_pixels: FloatArray) -> BoolArray:
     columns, rows = np.rint(edge_pixels).astype(np.int64).T
     inside = (columns >= 0) & (rows >= 0) & (columns < gray.shape[1]) & (rows < gray.shape[0])
     away[rows[inside], columns[inside]] = 0
-    textured &= cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_5) >= EDGE_PX
+    # No blurred edge shall be in a window.
+    textured &= cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_5) >= 5.0
     if grid.usable is not None:
         whole = np.ones((2 * RADIUS_PX + 1,) * 2, np.uint8)
         textured &= cv2.erode(grid.usable.astype(np.uint8), whole) > 0
@@ -97,7 +96,8 @@ def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArr
     cells = np.floor(pixels / STEP_PX).astype(np.int64)
     _, first = np.unique(row_numbers(cells), return_index=True)
     pixels, inverse = pixels[first], inverse_depths[first]
-    if len(pixels) < MIN_KNOWN or not len(rows):
+    # Fewer than four points observed give no hypotheses.
+    if len(pixels) < 4 or not len(rows):
         return found
     try:
         triangles = Delaunay(pixels)

@@ -8,8 +8,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, row_numbers
 
-NUM_LEVELS = 5  # planes of up to 32 by 32 sites
-MIN_ON_PLANE = 6  # patches
 MAX_ROUGHNESS, MAX_RESIDUAL = 1.5, 4.0  # of patches on a plane, in standard deviations
 
 
@@ -28,7 +26,8 @@ def smoothed(rows: Int32Array, values: FloatArray) -> tuple[FloatArray, FloatArr
     values[:, 5] *= noise_factor(rows, values)
     planes, sigmas = values[:, 2:5].copy(), values[:, 5].copy()
     left = np.arange(len(rows))
-    for level in range(NUM_LEVELS, 0, -1):
+    # Planes of up to 32 by 32 sites.
+    for level in range(5, 0, -1):
         fits = fitted_planes(values[left], cells_of(rows[left], level))
         moved = fits.is_plane
         planes[left[moved]], sigmas[left[moved]] = fits.planes[moved], fits.sigmas[moved]
@@ -89,7 +88,7 @@ def fitted_planes(values: FloatArray, own: IntArray) -> PlaneFits:
             matrix[:, i, j] = np.bincount(own, weights * design[:, i] * design[:, j], count)
     scale = 1 / np.sqrt(np.maximum(matrix[:, [0, 1, 2], [0, 1, 2]], 1e-300))
     matrix *= scale[:, :, None] * scale[:, None]
-    fits = (size >= MIN_ON_PLANE) & (np.linalg.det(matrix) > 1e-3)
+    fits = (size >= 6) & (np.linalg.det(matrix) > 1e-3)
     matrix[~fits] = np.eye(3)
     inverse = np.linalg.inv(matrix) * scale[:, :, None] * scale[:, None]
     plane = np.einsum("gij,gj->gi", inverse, right)

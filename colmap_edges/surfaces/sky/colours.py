@@ -12,9 +12,6 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray,
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
-TURNED_GAIN = 0.05  # minimum gain in the length of their mean for which all images are turned
-MEAN_WEIGHT = 0.1  # weight of the mean of the upward axes relative to that of the side axes
-MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
 BLUE = 1.03  # minimum ratio of blue to red
 # Minimum sum of the shares of structure that are darker, in blue, and less blue ...
 BRIGHT_AND_BLUE = 1.4
@@ -23,7 +20,6 @@ BLUER = 0.95  # ... this share of structure is less blue
 MIN_LEVEL = 64  # minimum level of a sky's blue
 CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
 CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
-LOWEST = 0.05  # share of a region's pixels that may lie below the horizon
 
 
 def upward(views: Sequence[View]) -> list[FloatArray]:
@@ -44,9 +40,9 @@ def upward(views: Sequence[View]) -> list[FloatArray]:
         means.append(mean)
         levels.append(axes[(chosen + 1) % 4, rows])
     upright, sideways = np.linalg.norm(means, axis=1)
-    turned = int(sideways > upright + TURNED_GAIN)
+    turned = int(sideways > upright + 0.05)
     mean, level = means[turned], levels[turned]
-    moments = level.T @ level / len(views) - MEAN_WEIGHT * np.outer(mean, mean)
+    moments = level.T @ level / len(views) - 0.1 * np.outer(mean, mean)
     up: FloatArray = np.linalg.eigh(moments)[1][:, 0]
     up = up if up @ mean > 0 else -up
     return [up, -up] if turned else [up]
@@ -90,9 +86,8 @@ def is_above(view: View, picture: Picture, inside: IntArray, up: FloatArray) -> 
     """Whether pixels (n,) of a flattened picture lie above the horizon."""
     rays = rays_of(view, picture, inside)
     sines = rays[np.isfinite(rays).all(axis=1)] @ up
-    return bool(len(sines)) and bool(
-        np.quantile(sines, LOWEST) > np.sin(np.radians(MIN_ELEVATION_DEG))
-    )
+    # Above the horizon, but for 5 % of pixels and an error of the upward direction of 10 degrees.
+    return bool(len(sines)) and bool(np.quantile(sines, 0.05) > np.sin(np.radians(-10.0)))
 
 
 class Colors(NamedTuple):
