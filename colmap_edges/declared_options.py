@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 from colmap_edges.errors import OptionError
 
 T = TypeVar("T", bound="Options")
-MAX_SHOWN = 60  # characters of a value in a message
 # Accepted types for an option of each type, and their name in messages.
 KINDS: dict[type, tuple[Any, str]] = {
     bool: (bool, "True or False"),
@@ -130,7 +129,7 @@ def shown(value: Any) -> str:
         text = " ".join((str(value) if isinstance(value, Real) else repr(value)).split())
     except ValueError:  # Python refuses to print integers of thousands of digits
         return "a number of thousands of digits"
-    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "..."
+    return text if len(text) <= 60 else text[:60] + "..."
 
 
 def derived(group: T, **values: Any) -> T:

@@ -19,7 +19,6 @@ from colmap_edges.errors import printable
 from colmap_edges.runtime.platform import ending_signals
 from colmap_edges.runtime.stages import Progress, no_progress
 
-INDENT = 10  # columns of the names in a summary
 HANDLED: list[int] = []  # signals handled during a run
 RECEIVED: list[int] = []  # signals received so far
 
@@ -161,7 +160,8 @@ def duration(seconds: float) -> str:
 
 def wrapped(line: str, width: int) -> list[str]:
     """A line broken between words; further lines are indented below its text."""
-    indent = " " * INDENT if line[:INDENT].rstrip().endswith(":") else "  "
+    # The names in a summary take ten columns.
+    indent = " " * 10 if line[:10].rstrip().endswith(":") else "  "
     return textwrap.wrap(
         line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     ) or [line]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from typing import Any, TypeVar, get_type_hints
@@ -36,6 +36,11 @@ def parts_of(values: NDArray[Any], offsets: IntArray) -> list[NDArray[Any]]:
     """The n parts of an array between (n + 1,) offsets; numpy's `split` takes 30 times as long."""
     bounds = offsets.tolist()
     return [values[first:last] for first, last in pairwise(bounds)]
+
+
+def blocks(count: int, size: int) -> Iterator[slice]:
+    """Slices of at most `size` of `count` rows, in turn, so that temporary arrays are small."""
+    return (slice(first, min(first + size, count)) for first in range(0, count, size))
 
 
 def order_of(keys: NDArray[np.integer[Any]], limit: int) -> IntArray:

@@ -10,7 +10,6 @@ from colmap_edges.core.arrays import FloatArray, Picture
 
 REACH_PX, STEP_PX = 4.0, 0.25  # half length of a profile, and distance of its samples
 PLATEAU = 5  # samples averaged at each end of a profile as the intensity of that side
-SAMPLES_PER_PX = round(1 / STEP_PX)
 WIDEST_PX = 1.6  # largest measured blur for which profiles are long enough
 
 
@@ -43,7 +42,8 @@ def blur_of_wide_edges(gray: Picture, points: FloatArray, normals: FloatArray) -
     profiles, contrasts = strongest_profiles(gray, points, normals)
     if len(profiles) == 0:
         return 0.0
-    rises = (profiles[:, SAMPLES_PER_PX:] - profiles[:, :-SAMPLES_PER_PX]).max(axis=1)
+    pixel = round(1 / STEP_PX)
+    rises = (profiles[:, pixel:] - profiles[:, :-pixel]).max(axis=1)
     # Shares of a step's contrast within one pixel; a blur of 0 would have all of it.
     shares = np.clip(rises / contrasts, 0, 1 - 1e-6)
     return float(np.median(0.5 / ndtri((1 + shares) / 2)))

@@ -24,7 +24,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 # Pixels are those of the given image, which is not upsampled: faint edges are blurred anyway.
 MAX_SLOPE = 1.8  # EdgeDrawing's own threshold: 11 of Prewitt's sums, which are 6 times the slope
 SAMPLE = 4  # spacing of the pixels at which noise is measured
-BAND = 16  # rows of a band of the image, every eighth of which is measured first
 STEPS = 256  # of a gray level a pixel, in 16 bits
 
 
@@ -92,9 +91,9 @@ def noise_of(slopes: list[Float32Array]) -> float:
 
 
 def noise_of_bands(image: Picture) -> float:
-    """Standard deviation of slopes in an eighth of the image (H, W); 0 for small images."""
+    """Standard deviation of slopes in every eighth 16 rows of the image (H, W), or 0."""
     height, width = image.shape
-    bands = image[: height // BAND * BAND].reshape(-1, BAND, width)[::8]
+    bands = image[: height // 16 * 16].reshape(-1, 16, width)[::8]
     if len(bands) == 0:
         return 0.0
     slopes = slopes_of(bands.reshape(-1, width))

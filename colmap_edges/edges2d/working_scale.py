@@ -28,7 +28,6 @@ logger = logging.getLogger(__name__)
 SCALE_STEP = 0.25  # step of the scale factors
 SOFT_BLUR_PX = 1.4  # minimum blur left in downsampled images: that of sharp lenses
 MIN_REDUCTION = 2.0  # minimum downsampling; less loses edges and saves little (docs/experiments.md)
-CROP_PX = 1024  # side of the central crop measured
 
 
 def at_working_scale(model: Model, image_path: Path, options: DetectionOptions) -> Model:
@@ -102,8 +101,9 @@ def measure_blur(gray: Picture, options: DetectionOptions) -> float:
     0 without edges. Edges too wide for the profiles are measured in the image halved in size, as
     often as necessary.
     """
-    top, left = (max(0, (size - CROP_PX) // 2) for size in gray.shape)
-    crop = np.ascontiguousarray(gray[top : top + CROP_PX, left : left + CROP_PX])
+    side = 1024
+    top, left = (max(0, (size - side) // 2) for size in gray.shape)
+    crop = np.ascontiguousarray(gray[top : top + side, left : left + side])
     chains = detect_chains(crop, options)
     blur_px = blur_of_wide_edges(crop, chains.points, chains.normals)
     if blur_px <= WIDEST_PX or min(gray.shape) < 64:

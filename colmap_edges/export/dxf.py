@@ -28,7 +28,6 @@ from colmap_edges.runtime.output import write_whole
 
 PROGRAM = "COLMAP_EDGES"  # of the extended data
 POLYLINES = "EDGES"  # layer of polylines
-VIEW, ASPECT = 1.1, 1.6  # height of the first view to that of the scene; its width to its height
 LAYERS = [kind.upper() for kind in KINDS]
 
 
@@ -105,7 +104,8 @@ def new_drawing(points: FloatArray, unit: str, layers: Sequence[str]) -> Iterato
             space = drawing.modelspace()
             space.reset_extents(low.tolist(), high.tolist())
             middle, size = (low + high)[:2] / 2, high - low
-            height = VIEW * max(float(size[1]), float(size[0]) / ASPECT)
+            # The first view is a tenth higher than the scene, and 1.6 times as wide as high.
+            height = 1.1 * max(float(size[1]), float(size[0]) / 1.6)
             drawing.set_modelspace_vport(height or 1.0, middle.tolist())
         yield drawing
 

@@ -22,8 +22,6 @@ from colmap_edges.runtime.input_files import read_bytes, read_text
 from colmap_edges.runtime.output import new_folder, write_whole
 from colmap_edges.runtime.ownership import PROGRAM, STRUCTURES
 
-CHORD_DEG = 10.0  # turn of a curve per chord
-
 
 @checked
 def write_structures(
@@ -102,7 +100,7 @@ def straight_lines(edges: Edges3D, curves: Curves3D, model: Model) -> list[Line]
 
 
 def chords_of(curves: Curves3D, curve: int) -> int:
-    """Number of chords of a curve: one per `CHORD_DEG` of its turn."""
+    """Number of chords of a curve: one per 10 degrees of its turn."""
     if curves.kinds[curve] == LINE:
         return 1
     points = curves.at(np.full(65, curve), np.linspace(0, 1, 65))
@@ -110,7 +108,7 @@ def chords_of(curves: Curves3D, curve: int) -> int:
     steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-300)
     cosines = np.clip(np.einsum("ij,ij->i", steps[1:], steps[:-1]), -1, 1)
     turn = np.degrees(np.arccos(cosines).sum())
-    return max(1, int(np.ceil(turn / CHORD_DEG)))
+    return max(1, int(np.ceil(turn / 10.0)))
 
 
 def observed_segments(edges: Edges3D, rows: IntArray) -> tuple[IntArray, FloatArray]:

@@ -6,8 +6,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
 
-SMALL = 0.01  # share of a segment's length that rounding may change; share of shorter segments
-
 
 def needs_double(points: FloatArray, segments: IntArray | Int32Array) -> bool:
     """Whether rounding to 32 bits would distort segments, as it does far from the origin.
@@ -20,4 +18,5 @@ def needs_double(points: FloatArray, segments: IntArray | Int32Array) -> bool:
         return False
     lengths = np.linalg.norm(points[segments[:, 1]] - points[segments[:, 0]], axis=1)
     moved = np.abs(points.astype(np.float32) - points).max()
-    return bool(moved > SMALL * np.quantile(lengths, SMALL))
+    # A hundredth of the length of all but the shortest hundredth.
+    return bool(moved > 0.01 * np.quantile(lengths, 0.01))

@@ -28,7 +28,6 @@ from colmap_edges.runtime.output import write_whole
 from colmap_edges.runtime.ownership import PROGRAM
 
 SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precision::Confusion)
-SHORTEST = 100 * SMALLEST  # of a curve in the file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +127,8 @@ def check_kernel() -> None:
 def unit_of(lengths: FloatArray) -> float:
     """Millimetres per world unit: 1, or the power of ten that makes all curves long enough."""
     long = lengths[lengths > SMALLEST * lengths.max(initial=0)]
-    return float(10.0 ** np.ceil(np.log10(SHORTEST / long.min(initial=SHORTEST))))
+    shortest = 100 * SMALLEST  # of a curve in the file
+    return float(10.0 ** np.ceil(np.log10(shortest / long.min(initial=shortest))))
 
 
 def be_silent() -> None:

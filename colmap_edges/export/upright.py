@@ -14,9 +14,6 @@ from colmap_edges.declared_options import shown
 from colmap_edges.errors import OptionError
 from colmap_edges.export.units import AXES
 
-LEVEL = 0.1  # weight of the images' upward directions against that of their level rows
-AXIS_DEG = 5.0  # an axis of the model this close is taken itself: the model has been aligned
-
 
 def direction(up: Any) -> FloatArray:
     """(3,) a direction given by an axis such as "-y", or by three numbers.
@@ -48,8 +45,8 @@ def up_direction(views: Sequence[View]) -> FloatArray:
     # Upward directions of rolled images agree less than half as much as where they look.
     if np.linalg.norm(mean) < 0.5 * np.linalg.norm(forward):
         return np.asarray(-forward / np.linalg.norm(forward))
-    # The least squares of right . v and of LEVEL * |v - up|.
-    level = right.T @ right / len(views) + LEVEL * np.eye(3)
+    # The least squares of right . v, and of |v - up| with a tenth of the weight.
+    level = right.T @ right / len(views) + 0.1 * np.eye(3)
     found = np.linalg.solve(level, mean)
     return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
 
@@ -59,7 +56,7 @@ def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:
 
     Most straight edges of what people build are vertical or horizontal: of all directions near
     the images' estimate, the one is chosen to which the largest length of lines is parallel or
-    perpendicular. An axis of the model within `AXIS_DEG` is taken itself.
+    perpendicular. An axis of the model within 5 degrees is taken itself.
 
     Args:
         views: posed images.
@@ -74,7 +71,7 @@ def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:
         if len(longest):
             found = along_lines(found, lines[longest])
     axis = np.array(AXES[nearest_axis(found)], float)
-    return axis if axis @ found > np.cos(np.radians(AXIS_DEG)) else found
+    return axis if axis @ found > np.cos(np.radians(5.0)) else found
 
 
 def along_lines(prior: FloatArray, lines: FloatArray) -> FloatArray:

@@ -21,9 +21,6 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import square
 
 MAX_DEVIATION = 3  # maximum deviation of a plain backdrop from its median, in any channel
-# A body of the backdrop's colour also has pixels of nearly that colour. If it has none, enclosed
-# pixels of the backdrop's colour are holes.
-NEAR_LEVELS = 2  # deviation beyond MAX_DEVIATION of pixels of nearly the backdrop's colour
 
 
 class BackgroundRays(NamedTuple):
@@ -95,7 +92,9 @@ def plain_background(image: Picture) -> BackgroundMask:
     inner = cv2.erode(255 - plain, square(2)) > 0
     if not inner.any():
         return NO_BACKGROUND_MASK  # a blank image
-    near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
+    # A body of the backdrop's colour also has pixels of nearly that colour. If it has none,
+    # enclosed pixels of the backdrop's colour are holes.
+    near = cv2.inRange(image, low - 2, high + 2) > 0
     return kept(plain == 0, np.array([inner.sum(), (inner & near).sum()]))
 
 

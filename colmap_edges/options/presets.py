@@ -28,8 +28,8 @@ QUALITIES: dict[str, dict[str, Any]] = {
 }
 
 
-# Values set by --method paper: those of Bignoli et al., the mesher votes of their published
-# program, and no step beyond theirs.
+# Values set by --method paper: those of Bignoli et al., the mesher votes of their
+# published program, and no step beyond theirs.
 PAPER: dict[str, Any] = {
     "detection": {"min_blur_px": 0.0, "faint_noises": 0.0},
     "edge_graph": {

@@ -22,8 +22,6 @@ from colmap_edges.poses.problem import (
 )
 from colmap_edges.poses.systems import Prior, shared_frames, solve_poses
 
-ENOUGH_GAIN = 3e-4  # relative decrease of the cost at which iterations stop
-
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
@@ -103,7 +101,7 @@ def apply_step(problem: Problem, state: State, step: FloatArray, points: FloatAr
 def minimize(
     problem: Problem, state: State, noise: Noise, max_steps: int, move_poses: bool = True
 ) -> tuple[State, float]:
-    """Levenberg-Marquardt until the cost decreases by less than `ENOUGH_GAIN`.
+    """Levenberg-Marquardt until the cost decreases by less than a 3,000th.
 
     Returns:
         The state of lowest cost, and its cost.
@@ -124,7 +122,7 @@ def minimize(
         else:
             break
         state, gain, cost, damping = tried, cost - found, found, max(damping / 10, 1e-12)
-        if gain <= ENOUGH_GAIN * cost:
+        if gain <= 3e-4 * cost:
             break
     return state, cost
 

@@ -21,7 +21,6 @@ from colmap_edges.report.contents import ImagePicture, evenly_spread
 from colmap_edges.report.overlay import SHIFT, fixed_point, observed_segments
 
 MAX_BYTES = 2_700_000  # maximum size of all pictures, before base 64
-OPACITY_BITS = 2  # fewer shades of a line compress better
 
 
 class PictureVisitor:
@@ -116,7 +115,7 @@ def layer(
         lengths = np.fromiter(map(len, lines), np.int64)
         drawn = list(fixed) if pairs else parts_of(fixed, offsets_of(lengths))
     cv2.polylines(mask, drawn, False, 255, 1, cv2.LINE_AA, SHIFT)
-    return one_colored_png(mask // (256 >> OPACITY_BITS), OPACITY_BITS, color)
+    return one_colored_png(mask // 64, 2, color)  # fewer shades of a line compress better
 
 
 def one_colored_png(opacity: Picture, bits: int, color: tuple[int, int, int]) -> bytes:

@@ -23,8 +23,6 @@ from colmap_edges.surfaces.mesh import Mesh, Texture
 
 # Maximum numbers of drawn items, for small files and smooth display.
 MAX_SFM_POINTS = 40_000
-MAX_TEXTURE_PX = 2048
-ASPECT = 1.6  # aspect ratio (width by height) for which the first viewpoint is chosen
 
 
 def scene_data(contents: Contents) -> tuple[Packed, IntArray]:
@@ -51,9 +49,10 @@ def scene_data(contents: Contents) -> tuple[Packed, IntArray]:
         layers["faces"] = faces_layer(contents.faces, low, high)
     if edges:
         layers["edges"] = edges_layer(edges, rows, low, high)
-    view = viewpoint(contents, ASPECT)
+    aspect = 1.6  # width by height of the window for which the first viewpoint is chosen
+    view = viewpoint(contents, aspect)
     first = {"eye": view.eye.tolist(), "focus": view.focus.tolist(), "up": contents.up.tolist()}
-    first |= {"aspect": 0.0 if view.is_inside else ASPECT}
+    first |= {"aspect": 0.0 if view.is_inside else aspect}
     origin = ((low + high) / 2).tolist()
     return {"origin": origin, "size": size, "view": first, "layers": layers}, starts
 
@@ -135,10 +134,10 @@ def mesh_layer(mesh: Mesh, low: FloatArray, high: FloatArray) -> Packed:
 
 
 def textured_layer(mesh: Mesh, texture: Texture, low: FloatArray, high: FloatArray) -> Packed:
-    """The mesh with its texture, reduced to `MAX_TEXTURE_PX`."""
+    """The mesh with its texture, reduced to 2048 pixels."""
     vertices, points, corners = texture.joined(mesh.faces)
     height, width = texture.picture.shape[:2]
-    factor = min(MAX_TEXTURE_PX / max(height, width), 1.0)
+    factor = min(2048 / max(height, width), 1.0)
     size = (max(round(factor * width), 1), max(round(factor * height), 1))
     reduced = cv2.resize(texture.picture[:, :, ::-1], size, interpolation=cv2.INTER_AREA)
     places = texture.points[points]

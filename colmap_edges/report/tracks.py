@@ -13,7 +13,6 @@ from colmap_edges.core.curves3d import KINDS, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.contents import Packed
 
-MAX_REPROJECTIONS = 100_000
 FULL = 4096  # units of an image's width or height: a quarter of a pixel of its picture
 
 
@@ -107,7 +106,7 @@ def reprojections(
 
     Returns:
         (K, 2) pixels in units of width and height over `FULL`, and their (K,) observations,
-        thinned evenly to `MAX_REPROJECTIONS`.
+        thinned evenly to 100,000.
     """
     owners = edges.observations.points
     pixels = np.full((len(owners), 2), np.nan)
@@ -116,6 +115,6 @@ def reprojections(
         projected, _ = view.project(edges.points[owners[rows]])
         pixels[rows] = projected / (view.width, view.height)
     seen = np.flatnonzero(((pixels >= 0) & (pixels <= 1)).all(axis=1))
-    step = max(int(np.ceil(len(seen) / MAX_REPROJECTIONS)), 1)
+    step = max(int(np.ceil(len(seen) / 100_000)), 1)
     chosen = seen[::step]
     return np.rint(pixels[chosen] * FULL).astype(np.uint16), chosen

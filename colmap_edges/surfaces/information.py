@@ -15,9 +15,9 @@ from colmap_edges.core.view import View, track_residuals, views_with_rows
 # The elements of a symmetric matrix, in the order in which they are kept.
 ROWS, COLUMNS = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])
 DIAGONAL = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
-# Standard deviation of an observation where no track is long enough to tell it, and the least one:
-# pixels are rounded, and models made by hand have no residuals.
-UNKNOWN_NOISE_PX, MIN_NOISE_PX = 1.0, 0.05
+# Least standard deviation of an observation: pixels are rounded, and models made by hand have no
+# residuals.
+MIN_NOISE_PX = 0.05
 
 
 class Tracks(NamedTuple):
@@ -109,6 +109,7 @@ def noise_px(views: Sequence[View], tracks: Tracks) -> float:
 
     A point takes up three degrees of freedom, on an edge two. Long tracks tell more than short
     ones, whose residuals are too small. It is a median, so that wrong observations do not count.
+    It is 1 where no track is long enough to tell it.
     """
     owners = owners_of(tracks.offsets)
     squares = track_residuals(views, tracks.points[owners], tracks.views, tracks.pixels) ** 2
@@ -117,5 +118,5 @@ def noise_px(views: Sequence[View], tracks: Tracks) -> float:
     freedom = lengths - 2 if tracks.normals is not None else 2 * lengths - 3
     tells = (lengths > 2) & np.isfinite(sums)
     if not tells.any():
-        return UNKNOWN_NOISE_PX
+        return 1.0
     return max(float(np.sqrt(np.median(sums[tells] / freedom[tells]))), MIN_NOISE_PX)

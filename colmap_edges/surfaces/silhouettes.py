@@ -41,9 +41,7 @@ from colmap_edges.images.files import square
 
 logger = logging.getLogger(__name__)
 
-NUM_VIEWS = 100  # number of views with silhouettes, spread around
 NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
-NUM_SIGHT_STEPS = 40  # steps from the point to the view, all of which must be free
 
 
 class SeenPoints(NamedTuple):
@@ -198,11 +196,11 @@ def find_background(
 def spread_bodies(
     views: Sequence[View], background_masks: Sequence[BackgroundMask], known: FloatArray
 ) -> dict[int, Body]:
-    """Foregrounds of `NUM_VIEWS` views, spread around (N, 3) points, by index of the view."""
+    """Foregrounds of up to 100 views, spread around (N, 3) points, by index of the view."""
     seen = [i for i, background_mask in enumerate(background_masks) if background_mask.is_seen]
     center = known.mean(axis=0) if len(known) else np.zeros(3)
     away = np.array([views[i].center for i in seen]) - center
-    chosen = np.sort(spread(away, NUM_VIEWS)).tolist()
+    chosen = np.sort(spread(away, 100)).tolist()
     return {seen[k]: Body(views[seen[k]], background_masks[seen[k]].body()) for k in chosen}
 
 
@@ -358,7 +356,7 @@ def seeing(
     straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :8]
     rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= 0.5)
     columns = straightest[rows, ranks]
-    steps = radius * np.linspace(0.03, 1.5, NUM_SIGHT_STEPS)
+    steps = radius * np.linspace(0.03, 1.5, 40)
     way = points[rows][:, None] + steps[:, None] * away[rows, columns][:, None]
-    free = ~within(bodies, way.reshape(-1, 3)).reshape(-1, NUM_SIGHT_STEPS).any(axis=1)
+    free = ~within(bodies, way.reshape(-1, 3)).reshape(-1, len(steps)).any(axis=1)
     return rows[free], columns[free]

@@ -13,8 +13,6 @@ from colmap_edges.surfaces.mesh import Mesh, spread_colors
 from colmap_edges.texture.gains import gained
 from colmap_edges.texture.seen_faces import SeenFaces
 
-PLAIN_STEP = 4  # levels to which colours of unseen triangles are rounded, so that many share one
-
 
 @dataclass(frozen=True, kw_only=True)
 class Charts:
@@ -91,6 +89,7 @@ def plain_colors(
         colors[counts > 0, channel] = sums[counts > 0] / counts[counts > 0]
     spread = spread_colors(np.clip(colors, 0, 255).astype(np.uint8), counts > 0, mesh.faces)
     means = spread[mesh.faces[~is_seen]].mean(axis=1).reshape(-1, 3)
-    levels = np.minimum((means / PLAIN_STEP).round() * PLAIN_STEP, 255).astype(np.uint8)
+    # Colours are rounded, so that many triangles share one.
+    levels = np.minimum((means / 4).round() * 4, 255).astype(np.uint8)
     found, owners = np.unique(levels, axis=0, return_inverse=True)
     return found, owners.ravel()

@@ -10,7 +10,6 @@ from colmap_edges.core.arrays import FloatArray, Int32Array
 from colmap_edges.texture.seen_faces import SeenFaces
 
 USABLE_LEVELS = (8.0, 247.0)  # range of mean colours that are neither dark nor saturated
-ANCHOR = 1e-3  # weight of a gain of 1 for each view, relative to what compares it with others
 
 
 def find_gains(seen: SeenFaces, num_views: int) -> FloatArray:
@@ -46,7 +45,8 @@ def fitted(
     pairs = coo_array((weights, (first, second)), (count, count)).tocsr()
     between = pairs + pairs.T
     degrees = np.asarray(between.sum(axis=1)).ravel()
-    anchor = ANCHOR * degrees + ANCHOR * max(float(degrees.mean()), 1e-12)
+    # A gain of 1 has a thousandth of the weight of what compares a view with others.
+    anchor = 1e-3 * degrees + 1e-3 * max(float(degrees.mean()), 1e-12)
     system = (diags_array(degrees + anchor) - between).tocsc()
     sides = [
         np.bincount(first, weights * column, count) - np.bincount(second, weights * column, count)

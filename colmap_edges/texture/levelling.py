@@ -10,12 +10,9 @@ import numpy as np
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import cg
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray, blocks
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.atlas import Atlas
-
-BLOCK = 64  # rows that are blanked at once
-TOLERANCE, MAX_STEPS = 1e-3, 1000  # of conjugate gradients
 
 
 def level(atlas: Atlas, pairs: Int32Array, sides: IntArray) -> None:
@@ -71,7 +68,7 @@ def solved(atlas: Atlas, ends: IntArray) -> FloatArray:
     for channel, wanted in enumerate(differences.T):
         forces = trusted * wanted
         side = np.bincount(seams[:, 0], forces, count) - np.bincount(seams[:, 1], forces, count)
-        found[:, channel] = cg(system, side, rtol=TOLERANCE, maxiter=MAX_STEPS, M=scale)[0]
+        found[:, channel] = cg(system, side, rtol=1e-3, maxiter=1000, M=scale)[0]
     return found
 
 
@@ -106,7 +103,6 @@ def blank(atlas: Atlas, covered: ByteArray) -> None:
         covered[y : y + height, x : x + width] = 1
     if covered.any():
         mean = np.rint(cv2.mean(atlas.picture, covered)[:3]).astype(np.uint8)
-        for first in range(0, len(covered), BLOCK):
-            rows = slice(first, first + BLOCK)
+        for rows in blocks(len(covered), 64):
             plain = np.broadcast_to(mean, atlas.picture[rows].shape).copy()
             cv2.copyTo(plain, (covered[rows] == 0).view(np.uint8), atlas.picture[rows])

@@ -19,8 +19,6 @@ from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS, Fits
 from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurves
 
-MIN_TURN, MAX_TURN = np.radians(20.0), np.radians(150.0)  # turn between the lines
-
 
 @dataclass(frozen=True, kw_only=True)
 class RoundedCorners:
@@ -89,7 +87,7 @@ def find_rounded_corners(
     left, right, bounds = gaps_between(curves, offsets, closed)
     before, behind = directed(points, curves, left), directed(points, curves, right)
     cosines = np.einsum("ij,ij->i", before, behind)
-    turning = (cosines < np.cos(MIN_TURN)) & (cosines > np.cos(MAX_TURN))
+    turning = (cosines < np.cos(np.radians(20.0))) & (cosines > np.cos(np.radians(150.0)))
     left, right, bounds, before, behind, cosines = (
         of[turning] for of in (left, right, bounds, before, behind, cosines)
     )

@@ -22,7 +22,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 NOTHING = -1  # kind of ranges of outliers
 FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # candidate factors of the standard deviations
-FIRST_CORRELATION = 2.0  # initial number of correlated points that count as one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +81,7 @@ def segmented_by_factor(
 def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
     """Estimate the factor of the standard deviations and the correlation from the edges."""
     lengths = np.diff(edges.edge_offsets)
-    noise = Noise(sigmas=stated_sigmas(edges), correlation=FIRST_CORRELATION)
+    noise = Noise(sigmas=stated_sigmas(edges), correlation=2.0)
     # The noise is estimated from at most 400 edges of eight points and more.
     long = np.flatnonzero(lengths >= 8)
     if not len(long):
@@ -93,7 +92,7 @@ def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
     part = replace(noise, sigmas=noise.sigmas[rows])
     # Until the factor is known, an outlier costs 4 standard deviations, squared.
     totals, _ = segmented_by_factor(points, offsets, part, FACTORS, 16.0, num_threads)
-    misses = 4 * np.log(FACTORS) * len(rows) / FIRST_CORRELATION
+    misses = 4 * np.log(FACTORS) * len(rows) / noise.correlation
     # Heavy tails: 1 point in 100 has errors three times as large.
     factor = 3.0 * FACTORS[int(np.argmin(totals + misses))]
     part = replace(part, sigmas=factor * part.sigmas)

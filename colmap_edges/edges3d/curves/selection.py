@@ -22,7 +22,6 @@ from colmap_edges.edges3d.curves.segmentation import NOTHING, Segmentation
 from colmap_edges.edges3d.curves.splines import fit_splines, num_parameters
 
 MAX_ROW = 6  # maximum number of segments fitted as one curve
-CHORD = 4  # points of the chords before and after a corner
 MAX_RADIUS_DOUBT = 0.03  # maximum standard deviation of a radius, relative to the radius
 MIN_POINTS = {LINE: 2, ARC: 5, CIRCLE: 8, ELLIPTIC_ARC: 10, ELLIPSE: 10, SPLINE: 10}
 
@@ -195,8 +194,8 @@ def is_corner(points: FloatArray, segments: Segmentation) -> BoolArray:
     end = segments.bounds[segments.offsets[1:] - 1, 1][owners] - 1
     at = segments.bounds[:, 0]
     # The chords leave out the points next to the cut, which rounding of a corner may displace.
-    before = points[np.maximum(at - 2, start)] - points[np.maximum(at - 1 - CHORD, start)]
-    after = points[np.minimum(at + CHORD, end)] - points[np.minimum(at + 1, end)]
+    before = points[np.maximum(at - 2, start)] - points[np.maximum(at - 5, start)]
+    after = points[np.minimum(at + 4, end)] - points[np.minimum(at + 1, end)]
     norms = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
     # The chords before and after a corner turn by 40 degrees and more.
     return np.asarray(np.einsum("ij,ij->i", before, after) < np.cos(np.radians(40)) * norms)

@@ -30,7 +30,6 @@ from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurv
 # maximum relative standard deviation of the radius of an arc that is compared with other arcs;
 # those of `MAX_RADIUS_DOUBT` and less are compared with all curves
 MAX_TRIAL_DOUBT = 1 / 3
-SAMPLES = (0.0, 0.5, 1.0)  # places along a curve that are compared with a circle first
 
 
 def with_shared_circles(
@@ -89,7 +88,9 @@ def candidate_pairs(
     """(n, 2) groups that may be one circle, the first of them known and one of them `fresh`."""
     doubts = doubts_of(groups, noise)
     first, end = curves.bounds.T
-    places = first[:, None] + ((end - 1 - first)[:, None] * np.array(SAMPLES)).astype(np.int64)
+    # The ends and the middle of a curve are compared with a circle first.
+    steps = (end - 1 - first)[:, None] * np.array([0.0, 0.5, 1.0])
+    places = first[:, None] + steps.astype(np.int64)
     samples, spread = points[places], noise.sigmas[places]
     alive = np.bincount(members, minlength=len(first)) > 0
     known = np.flatnonzero((doubts <= MAX_TRIAL_DOUBT) & alive)

@@ -14,14 +14,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtri
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
 from colmap_edges.edges3d.linking.ends import MAX_MISS_SPACINGS, MIN_ANGLE_DEG
 
 SIDE_POINTS = (6, 5, 4)  # points fitted on each side; the largest number that the edge has
 ROUNDED = 1  # points on each side of a corner that refinement may have displaced
-BLOCK = 1 << 12  # number of pairs whose polynomials are in memory at once
 
 
 def cut_at_bends(edges: Edges3D) -> Edges3D:
@@ -134,9 +133,9 @@ def go_on_smoothly(edges: Edges3D, a: IntArray, b: IntArray) -> BoolArray:
         return one_and_two(points, weights.astype(np.float64), degree)
 
     smooth = np.zeros(len(a), bool)
-    for start in range(0, len(a), BLOCK):
+    for pairs in blocks(len(a), 1 << 12):
         # Fewer than three points are not joined as a smooth curve.
-        left = start + np.flatnonzero(least[start : start + BLOCK] >= 3)
+        left = pairs.start + np.flatnonzero(least[pairs] >= 3)
         cubic, lines = squares(left, 1)
         left = left[by_chance(counts[left], 4) * cubic < lines]
         quintic, parabolas = squares(left, 2)

@@ -21,6 +21,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    blocks,
     entries_of,
     grown,
     long_runs,
@@ -36,11 +37,6 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import PipelineOptions
 
 MAX_OFFSET_PX = 6.0  # maximum displacement of an edge in an image by light and blur
-MIN_COSINE = float(np.cos(np.radians(15.0)))  # minimum cosine of the angle between parallel pieces
-CHANCE_RATE = 0.1  # probability that a view observes an edge where there is none
-BLOCK = 1 << 11  # number of points or matches per block, which limits memory
-PAIRS = 1 << 9  # number of pairs of pieces per block, which limits memory
-OUTLIER_RATE = 0.1  # share of duplicates that are farther apart than noise explains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,12 +182,11 @@ def nearest_of_pieces(
 ) -> tuple[IntArray, IntArray]:
     """Pairs of points and the nearest point of each other piece within (N,) `reach` of them."""
     tree, found = cKDTree(pieces.points), [np.zeros((2, 0), np.int64)]
-    for start in range(0, len(pieces.points), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for rows in blocks(len(pieces.points), 1 << 11):
         lists = tree.query_ball_point(pieces.points[rows], reach[rows], workers=num_threads)
         counts = np.fromiter(map(len, lists), np.int64, len(lists))
         b = np.fromiter(chain.from_iterable(lists), np.int64, int(counts.sum()))
-        a = np.repeat(np.arange(start, start + len(lists)), counts)
+        a = np.repeat(np.arange(rows.start, rows.stop), counts)
         others = pieces.ids[a] != pieces.ids[b]
         a, b = a[others], b[others]
         away = pieces.points[b] - pieces.points[a]
@@ -211,7 +206,8 @@ def find_matches(pieces: Pieces, num_threads: int) -> Matches:
     away = pieces.points[b] - pieces.points[a]
     along = np.einsum("ij,ij->i", away, pieces.tangents[b])
     across = away - along[:, None] * pieces.tangents[b]
-    parallel = np.abs(np.einsum("ij,ij->i", pieces.tangents[a], pieces.tangents[b])) >= MIN_COSINE
+    cosines = np.abs(np.einsum("ij,ij->i", pieces.tangents[a], pieces.tangents[b]))
+    parallel = cosines >= np.cos(np.radians(15.0))
     beside = np.abs(along) <= 0.75 * pieces.spacings[b]
     near = np.linalg.norm(across, axis=1) <= radius[a]
     kept = parallel & beside & near
@@ -229,16 +225,16 @@ def log_ratios(
     """(P,) log likelihood ratio of two edges against one edge for each pair of pieces."""
     ratios = mean_of(pairs, distance_ratios(pieces, matches, options))
     # Observations are compared at three positions along a pair of pieces.
-    rows = spread(pairs, 3)
-    chosen, of = matches.select(rows), pairs[rows]
+    sampled = spread(pairs, 3)
+    chosen, of = matches.select(sampled), pairs[sampled]
     seen = seen_by(pieces, chosen)
     llr = view_ratios(pieces, chosen, seen, given, options, num_threads)
     # The ratios along two pieces are not independent: their mean counts once per view.
     owners = of[seen.matches]
-    for first in range(0, len(ratios), PAIRS):
-        some = ratios[first : first + PAIRS]
-        part = slice(*np.searchsorted(owners, (first, first + PAIRS)))
-        keys = (owners[part] - first) * len(pieces.views) + seen.views[part]
+    for rows in blocks(len(ratios), 1 << 9):
+        some = ratios[rows]
+        part = slice(*np.searchsorted(owners, (rows.start, rows.stop)))
+        keys = (owners[part] - rows.start) * len(pieces.views) + seen.views[part]
         each, place = np.unique(keys, return_inverse=True)
         some += np.bincount(each // len(pieces.views), mean_of(place, llr[part]), len(some))
     return ratios
@@ -263,7 +259,8 @@ def distance_ratios(pieces: Pieces, matches: Matches, options: PipelineOptions) 
     offset, scale = offsets_in_pixels(pieces, matches, options)
     anywhere = 1 / MAX_OFFSET_PX
     half_normal = np.sqrt(2 / np.pi) / scale * np.exp(-0.5 * (offset / scale) ** 2)
-    duplicates = (1 - OUTLIER_RATE) * half_normal + OUTLIER_RATE * anywhere
+    outliers = 0.1  # share of duplicates that are farther apart than noise explains
+    duplicates = (1 - outliers) * half_normal + outliers * anywhere
     return np.asarray(np.log(anywhere / duplicates))
 
 
@@ -286,10 +283,10 @@ def seen_by(pieces: Pieces, matches: Matches) -> Seen:
     """The views that observe either point of each match."""
     observed, num_views = pieces.observations, len(pieces.views)
     parts = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 2)))]
-    for start in range(0, len(matches.points), BLOCK):
+    for some in blocks(len(matches.points), 1 << 11):
         found = []
         for side, of in enumerate((matches.points, matches.others)):
-            points = of[start : start + BLOCK]
+            points = of[some]
             rows = entries_of(observed.offsets, points)
             owners = np.repeat(np.arange(len(points)), observed.counts[points])
             keys = owners * num_views + observed.views[rows]
@@ -299,7 +296,7 @@ def seen_by(pieces: Pieces, matches: Matches) -> Seen:
         table = np.full((len(each), 2), -1.0)
         table[place, sides] = positions
         owners, views = np.divmod(each, num_views)
-        parts.append(((owners + start).astype(np.int32), views.astype(np.int32), table))
+        parts.append(((owners + some.start).astype(np.int32), views.astype(np.int32), table))
     of_matches, of_views, tables = (np.concatenate(of) for of in zip(*parts, strict=True))
     return Seen(matches=of_matches, views=of_views, positions=tables)
 
@@ -341,7 +338,8 @@ def view_ratios(
 def seen_ratios(options: PipelineOptions) -> tuple[float, float]:
     """Bounds of a view's log likelihood ratios: both edges observed, only one observed."""
     rate = options.chain_depth.visibility_rate * options.chain_depth.detection_rate
-    return float(np.log(rate / CHANCE_RATE)), float(np.log((1 - CHANCE_RATE) / (1 - rate)))
+    chance = 0.1  # probability that a view observes an edge where there is none
+    return float(np.log(rate / chance)), float(np.log((1 - chance) / (1 - rate)))
 
 
 def keep_best(pieces: Pieces, displaced: BoolArray, same: Matches, min_points: int) -> Merging:

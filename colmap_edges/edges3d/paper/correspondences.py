@@ -23,8 +23,6 @@ from colmap_edges.edges3d.paper.places import IndexedViews, Places, join_places
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import CorrespondenceOptions
 
-DEPTH_MARGIN = 2.0  # factor by which the depth range of a view's SfM points is extended
-
 
 @dataclass(frozen=True, kw_only=True)
 class Pepcs:
@@ -176,7 +174,7 @@ def depth_bounds(model: Model) -> FloatArray:
         depths = depths[depths > 0]
         if len(depths):
             near, far = np.percentile(depths, (1.0, 99.0))  # without outliers
-            ranges[index] = near / DEPTH_MARGIN, far * DEPTH_MARGIN
+            ranges[index] = near / 2.0, far * 2.0
     return ranges
 
 

@@ -12,6 +12,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    blocks,
     joined_offsets,
     owners_of,
 )
@@ -32,9 +33,6 @@ OUTCOMES = (
 )
 
 
-BATCH = 16384  # starting points per batch; affects only memory and time
-
-
 def follow_edges(
     chains: IndexedViews, sources: Sequence[PepcSource], options: FollowingOptions, num_threads: int
 ) -> tuple[Edges3D, dict[str, int]]:
@@ -53,8 +51,8 @@ def follow_edges(
     covered = _kernels.CoveredChains(chains.indexes)
     found, counts = [], np.zeros(len(OUTCOMES), np.int64)
     for source in sources:
-        for first in range(0, len(source), BATCH):
-            rows = np.arange(first, min(first + BATCH, len(source)))
+        for some in blocks(len(source), 16_384):
+            rows = np.arange(some.start, some.stop)
             starts = source.starts.select(rows)
             fresh = rows[covered.covers(starts.views, starts.positions) == 0]
             *edges, outcomes = follow_pepcs(

@@ -17,8 +17,6 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
 from colmap_edges.evaluation.metrics.statistics import Record, mean
 
-MAX_DISTANCE_MM = 20.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class ObservedMask:
@@ -104,7 +102,7 @@ def evaluate_points(points: FloatArray, reference: DtuReference) -> Record:
 
 def _near(name: str, distances: FloatArray) -> Record:
     """Mean and median of the distances below 20 mm; NaN when there are none."""
-    near = distances[distances < MAX_DISTANCE_MM]
+    near = distances[distances < 20.0]
     return {name: mean(near), f"{name}_median": float(np.median(near)) if len(near) else np.nan}
 
 
@@ -128,7 +126,7 @@ def evaluate_mesh(mesh: trimesh.Trimesh, reference: DtuReference, seed: int = 0)
     """`evaluate_points` of a mesh, sampled in the mask's box and thinned to 0.2 mm."""
     if reference.mask is None:
         return {}
-    low, high = reference.mask.box + MAX_DISTANCE_MM * np.array([[-1], [1]])
+    low, high = reference.mask.box + np.array([[-20.0], [20.0]])
     corners = mesh.vertices[mesh.faces]
     near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
     cropped = trimesh.Trimesh(mesh.vertices, mesh.faces[near], process=False)

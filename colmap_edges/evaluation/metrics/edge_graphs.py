@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, blocks
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, end_points, unit
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud, scores
@@ -125,9 +125,8 @@ def nearest_twins(
     nearest = np.full(len(points), np.inf)
     tree, along = cKDTree(points), np.cumsum(weights)
     cosine = np.cos(np.radians(15.0))
-    step = 20_000  # samples per batch, to limit memory
-    for first in range(0, len(points), step):
-        rows = np.arange(first, min(first + step, len(points)))
+    for some in blocks(len(points), 20_000):
+        rows = np.arange(some.start, some.stop)
         found = tree.query_ball_point(points[rows], (limit_px + 1) * sizes[rows])
         a = np.repeat(rows, [len(row) for row in found])
         b = np.concatenate([np.asarray(row, np.int64) for row in found])

@@ -17,6 +17,7 @@ from colmap_edges.core.arrays import (
     ByteArray,
     FloatArray,
     IntArray,
+    blocks,
     entries_of,
     offsets_of,
     owners_of,
@@ -33,11 +34,6 @@ from colmap_edges.surfaces.dense.seeing import seen_by
 from colmap_edges.surfaces.information import MIN_NOISE_PX
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.silhouettes import SeenPoints
-
-MIN_POINTS = NUM_NEIGHBORS + 1
-ROWS_AT_ONCE = 50_000  # points whose neighbours are in memory
-FACE_FACTOR = 2.0
-SCAN_DIST = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,14 +78,14 @@ class DenseCloud:
         """The cloud without points near curves and planar faces, which are more precise.
 
         Near edges, the windows of dense stereo show two surfaces, and points of one are smeared
-        over the other; scans are not smeared, and yield within `SCAN_DIST`. Faces have points in
-        plain scenes only, where dense stereo guesses: the distance is `FACE_FACTOR` as much.
+        over the other; scans are not smeared, and yield within 2 pixels. Faces have points in
+        plain scenes only, where dense stereo guesses: the distance is twice as much.
 
         Args:
             curves: edges and contours.
             faces: (F, 3) points of faces.
         """
-        reach_px = min(self.edge_dist, SCAN_DIST) if self.is_scan else self.edge_dist
+        reach_px = min(self.edge_dist, 2.0) if self.is_scan else self.edge_dist
         reach = reach_px * self.pixels
         # Half the distance within which points yield to edges.
         step = 0.5 * float(np.median(reach)) if len(reach) else 0.0
@@ -97,7 +93,7 @@ class DenseCloud:
             return self
         samples = [np.zeros((0, 3)), *(sampled(of, step) for of in curves if of)]
         on_curve = are_near(self.points.points, np.concatenate(samples), reach)
-        on_face = are_near(self.points.points, faces, FACE_FACTOR * reach)
+        on_face = are_near(self.points.points, faces, 2.0 * reach)
         kept = np.flatnonzero(~(on_curve | on_face))
         return replace(
             self,
@@ -139,7 +135,7 @@ def dense_cloud(
         images = seen.images[entries_of(seen.offsets, finite)]
         seen = SeenRows(offsets_of(np.diff(seen.offsets)[finite]), images)
     cloud = seen_by(points, seen, model, image_names)
-    if len(cloud.points) < MIN_POINTS or not len(cloud.track_views):
+    if len(cloud.points) <= NUM_NEIGHBORS or not len(cloud.track_views):
         raise ColmapEdgesError(
             f"no image sees the cloud of {len(file.points):,} points; give the model in whose "
             "coordinates it is"
@@ -198,8 +194,7 @@ def averaged(
         num_threads: threads.
     """
     moved, sigmas = np.empty((len(kept), 3)), np.empty(len(kept))
-    for first in range(0, len(kept), ROWS_AT_ONCE):
-        rows = slice(first, first + ROWS_AT_ONCE)
+    for rows in blocks(len(kept), 50_000):
         own = points[kept[rows]]
         near = tree.query(own, NUM_NEIGHBORS, workers=num_threads)[1]
         planes = planes_at(points[near])

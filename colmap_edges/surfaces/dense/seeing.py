@@ -21,11 +21,6 @@ from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.silhouettes import SeenPoints
 
-# Depth test: number of points per cell of a view's depth map; cells around a point in which a
-# nearer one hides it; and the slope of depth against width up to which neighbours are of one
-# surface, which is seen at 80 degrees.
-POINTS_PER_CELL, REACH_CELLS, MAX_SLOPE = 4, 1, 5.7
-
 
 def seen_by(
     points: FloatArray, seen: SeenRows | None, model: Model, image_names: Sequence[str]
@@ -94,15 +89,16 @@ def visible_in(view: View, points: FloatArray) -> IntArray:
     columns, lines = (pixels / side).astype(np.int64).T
     nearest = np.full((lines.max(initial=0) + 1, columns.max(initial=0) + 1), np.inf, np.float32)
     np.minimum.at(nearest, (lines, columns), depths)
-    around = cv2.erode(nearest, np.ones((2 * REACH_CELLS + 1,) * 2, np.uint8))
-    reach_px = (REACH_CELLS + 0.5) * side
-    margin = MAX_SLOPE * reach_px / (view.focal_px / view.scale)
+    # A nearer point hides this one in its cell and those next to it, unless both are of one
+    # surface: depth against width has a slope of 5.7 where it is seen at 80 degrees.
+    around = cv2.erode(nearest, np.ones((3, 3), np.uint8))
+    margin = 5.7 * (1.5 * side) / (view.focal_px / view.scale)
     return np.asarray(rows[depths * (1 - margin) <= around[lines, columns]])
 
 
 def cell_side(pixels: FloatArray, area: float) -> float:
-    """Side of cells with `POINTS_PER_CELL` of (N, 2) projections on average, at least a pixel."""
+    """Side of cells with four of (N, 2) projections on average, at least a pixel."""
     for _ in range(2):  # the second time with the area where points are
-        side = max(float(np.sqrt(POINTS_PER_CELL * area / max(len(pixels), 1))), 1.0)
+        side = max(float(np.sqrt(4 * area / max(len(pixels), 1))), 1.0)
         area = len(np.unique(row_numbers((pixels / side).astype(np.int64)))) * side**2
     return side

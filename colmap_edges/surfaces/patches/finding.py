@@ -41,16 +41,6 @@ from colmap_edges.surfaces.patches.sites import (
 from colmap_edges.surfaces.patches.smoothing import smoothed
 from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
-MIN_COSINE = 0.17  # of the angle between normal and ray: 80 degrees
-NUM_SWEEPS = 3  # over all sites; a fourth finds 0.5 % more
-BELIEVED = 0.75  # correlation of windows of one place
-# Maximum distance of the patches of two views that agree, in pixels of parallax and in standard
-# deviations, and minimum cosine of the angle between their normals.
-MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE = 1.0, 4.0, 0.75
-# Sites to each side around a patch, number of patches that must be there, itself included, and
-# their share of the sites with texture.
-SUPPORT_SITES, MIN_SUPPORT, MIN_SUPPORT_SHARE = 2, 3, 0.3
-
 
 @dataclass(frozen=True, kw_only=True)
 class Patches:
@@ -135,9 +125,13 @@ def find_patches(
     ]
     scene = make_scene(model, grids, neighborhood)
     ranges = np.array([of.overall for of in neighborhood.ranges]).reshape(-1, 2)
-    steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed, num_threads)
+    # At most 80 degrees between normal and ray; three sweeps over all sites, as a fourth finds
+    # 0.5 % more; and the correlation of windows of one place.
+    steps = (LEAST_VARIANCE, 0.17, 3, 0.75, seed, num_threads)
     num_found = scene.search([of.view(np.uint8) for of in active], hypotheses, ranges, *steps)
-    tolerances = (MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE, num_threads)
+    # Patches of two views agree up to a pixel of parallax, four standard deviations, and this
+    # cosine of the angle between their normals.
+    tolerances = (1.0, 4.0, 0.75, num_threads)
     agreed = Agreed(*scene.agreed(*around(neighborhood.observing_views), *tolerances))
     accepted, num_sites = are_accepted(agreed, active), sum(int(of.sum()) for of in active)
     # The share is 0 to 0.20 in plain rooms and on glossy parts, where few patches add anything,
@@ -240,7 +234,7 @@ def are_supported(active: Sequence[BoolArray], rows: Int32Array, accepted: BoolA
     of several views agree by accident.
     """
     supported = np.zeros(len(rows), bool)
-    side = (2 * SUPPORT_SITES + 1,) * 2
+    side = (5, 5)  # sites around a patch
     for v, own in enumerate(rows_by_view(rows[:, 0], len(active))):
         at = rows[own, 1], rows[own, 2]
         agreed = np.zeros(active[v].shape, np.float32)
@@ -249,7 +243,7 @@ def are_supported(active: Sequence[BoolArray], rows: Int32Array, accepted: BoolA
             cv2.boxFilter(of, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
             for of in (agreed, active[v].astype(np.float32))
         )
-        supported[own] = (found >= np.maximum(MIN_SUPPORT, MIN_SUPPORT_SHARE * tried))[at]
+        supported[own] = (found >= np.maximum(3, 0.3 * tried))[at]
     return supported
 
 

@@ -16,10 +16,8 @@ from colmap_edges.surfaces.silhouettes import SeenPoints
 
 STEP_PX = 6  # between sites, pixels of the pictures; 8 lost a third of what patches add
 RADIUS_PX = 3  # of windows, as in the kernel
-# Least variance of gray that is texture, in levels squared (of rounding and compression), and in
-# variances of the noise around it.
-LEAST_VARIANCE, NOISE_FACTOR = 1.0, 4.0
-NOISE_SIDE_PX = 15  # of the square in which noise is measured
+# Least variance of gray that is texture, in levels squared (of rounding and compression).
+LEAST_VARIANCE = 1.0
 
 
 def places_in(
@@ -47,7 +45,7 @@ def shape_of(grid: Grid) -> tuple[int, int]:
 def textured_sites(grid: Grid, edge_pixels: FloatArray) -> BoolArray:
     """(rows, columns) of sites whose windows have texture and no edge."""
     gray = grid.gray.astype(np.float32)
-    textured = texture_of(gray) > np.maximum(LEAST_VARIANCE, NOISE_FACTOR * noise_of(gray))
+    textured = texture_of(gray) > np.maximum(LEAST_VARIANCE, 4.0 * noise_of(gray))
     away = np.ones(gray.shape, np.uint8)
     columns, rows = np.rint(edge_pixels).astype(np.int64).T
     inside = (columns >= 0) & (rows >= 0) & (columns < gray.shape[1]) & (rows < gray.shape[0])
@@ -82,7 +80,7 @@ def noise_of(gray: Float32Array) -> Float32Array:
     """(H, W) variance of the noise around each pixel, by second differences (Immerkaer, 1996)."""
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
     high = cv2.filter2D(gray, -1, mask)
-    return np.asarray(cv2.blur(high * high, (NOISE_SIDE_PX, NOISE_SIDE_PX)), np.float32)
+    return np.asarray(cv2.blur(high * high, (15, 15)), np.float32)
 
 
 def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArray) -> Float32Array:

@@ -8,8 +8,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, row_numbers
 
-MAX_ROUGHNESS, MAX_RESIDUAL = 1.5, 4.0  # of patches on a plane, in standard deviations
-
 
 def smoothed(rows: Int32Array, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Patches moved onto the planes that they share with their neighbours, where there are such.
@@ -101,5 +99,5 @@ def fitted_planes(values: FloatArray, own: IntArray) -> PlaneFits:
     rough = np.sqrt(np.bincount(own, residuals**2, count) / np.maximum(size, 1))
     most = np.zeros(count)
     np.maximum.at(most, own, np.nan_to_num(np.abs(residuals)))
-    is_plane = fits & (rough <= MAX_ROUGHNESS) & (most <= MAX_RESIDUAL)
+    is_plane = fits & (rough <= 1.5) & (most <= 4.0)  # standard deviations
     return PlaneFits(planes, sigmas, residuals, is_plane[own])

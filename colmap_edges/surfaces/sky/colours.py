@@ -13,13 +13,6 @@ from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
 BLUE = 1.03  # minimum ratio of blue to red
-# Minimum sum of the shares of structure that are darker, in blue, and less blue ...
-BRIGHT_AND_BLUE = 1.4
-DEEP_BLUE = 1.3  # ... unless the ratio of blue to red is this, and ...
-BLUER = 0.95  # ... this share of structure is less blue
-MIN_LEVEL = 64  # minimum level of a sky's blue
-CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
-CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
 
 
 def upward(views: Sequence[View]) -> list[FloatArray]:
@@ -107,18 +100,19 @@ class Colors(NamedTuple):
         return cls(np.sort(pixels[:, 0]), np.sort(blue_of(pixels)))
 
     def below_white(self, color: FloatArray) -> bool:
-        """Whether a colour (3,) is overexposed, and brighter than most of the structure."""
+        """Whether a colour (3,) is overexposed, and brighter than 90 % of the structure."""
         darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
-        return bool(color.min() >= CLIPPED and darker >= CLIPPED_BRIGHTER)
+        return bool(color.min() >= 250 and darker >= 0.9)
 
     def below_blue(self, color: FloatArray) -> bool:
         """Whether a colour (3,) is between blue and white, and bluer than the structure."""
         blue = float(blue_of(color[None])[0])
         darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
         less_blue = np.searchsorted(self.blues, blue) / len(self.blues)
-        is_blue = blue >= BLUE and color[0] >= MIN_LEVEL and (np.diff(color) <= 1).all()
-        is_deep = blue >= DEEP_BLUE and less_blue >= BLUER
-        return bool(is_blue and (is_deep or darker + less_blue >= BRIGHT_AND_BLUE))
+        is_blue = blue >= BLUE and color[0] >= 64 and (np.diff(color) <= 1).all()
+        # Nearly all structure is less blue than a deep blue sky, or darker than a bright one.
+        is_deep = blue >= 1.3 and less_blue >= 0.95
+        return bool(is_blue and (is_deep or darker + less_blue >= 1.4))
 
 
 def blue_of(pixels: NDArray[Any]) -> FloatArray:

@@ -13,7 +13,6 @@ from colmap_edges.surfaces.sky.regions import Regions, rays_of, small_pixels
 
 MIN_COMMON = 20  # minimum number of common points that tell the exposures of two views
 MIN_MATCHES = 0.3  # minimum number of agreeing views of a pixel, in the mean of a region
-ADJACENT_PX = 8  # maximum width of the border between adjacent regions
 
 
 class Matches(NamedTuple):
@@ -175,12 +174,12 @@ def border_of(labels: Int32Array) -> Int32Array:
 
 
 def adjacent_pairs(labels: Int32Array, near: BoolArray) -> Int32Array:
-    """(n, 2) pairs, both ways, of regions with a narrow border without structure between them."""
-    pairs = [np.zeros((0, 2), np.int32)]
+    """(n, 2) pairs, both ways, of regions with a border of 8 pixels without structure."""
+    pairs, width = [np.zeros((0, 2), np.int32)], 8
     for one, between in ((labels, near), (labels.T, near.T)):
-        count = len(one) - ADJACENT_PX
+        count = len(one) - width
         if count > 0:
-            free = ~np.any([between[i : i + count] for i in range(ADJACENT_PX + 1)], axis=0)
+            free = ~np.any([between[i : i + count] for i in range(width + 1)], axis=0)
             pairs.append(np.stack([one[:count][free], one[-count:][free]], axis=-1))
     found = np.concatenate(pairs)
     found = np.unique(found[(found >= 0).all(axis=1) & (found[:, 0] != found[:, 1])], axis=0)

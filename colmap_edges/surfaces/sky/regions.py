@@ -21,8 +21,6 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.view import View
 from colmap_edges.images.files import square
 
-PICTURE_PX = 320  # longer side of a small picture
-
 
 @dataclass(frozen=True, kw_only=True)
 class Regions:
@@ -53,8 +51,8 @@ class Regions:
 
 
 def small_picture(image: Picture) -> Picture:
-    """An image (H, W, 3) reduced to `PICTURE_PX`; smaller images stay as they are."""
-    factor = min(1.0, PICTURE_PX / max(image.shape[:2]))
+    """An image (H, W, 3) reduced to 320 pixels a side; smaller images stay as they are."""
+    factor = min(1.0, 320 / max(image.shape[:2]))
     size = [max(1, round(side * factor)) for side in image.shape[1::-1]]
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
