@@ -15,13 +15,6 @@ namespace {
 constexpr double kOpeningCost = 8;
 constexpr int kMaxFlips = 32;
 
-int SlotOf(const Cell& cell, Index vertex) {
-  return cell.vertices[0] == vertex   ? 0
-         : cell.vertices[1] == vertex ? 1
-         : cell.vertices[2] == vertex ? 2
-                                      : 3;
-}
-
 // Cells around a vertex with one label, connected through facets: cells [begin, end) of `Fans`.
 struct Fan {
   bool is_free;
@@ -67,7 +60,7 @@ class FanFinder {
 
  private:
   std::int64_t& EntryOf(Index cell, Index vertex) {
-    return entries_[4 * std::size_t(cell) + SlotOf(triangulation_.cells[cell], vertex)];
+    return entries_[4 * std::size_t(cell) + triangulation_.cells[cell].SlotOf(vertex)];
   }
 
   void AddNeighbors(Index vertex, Index c, const std::vector<std::uint8_t>& is_free) {

@@ -44,13 +44,6 @@ struct Facets {
   Index To(Index side) const { return corners[side / 3][(side % 3 + 1) % 3]; }
 };
 
-int FindVertex(const Cell& cell, Index vertex) {
-  return cell.vertices[0] == vertex   ? 0
-         : cell.vertices[1] == vertex ? 1
-         : cell.vertices[2] == vertex ? 2
-                                      : 3;
-}
-
 class Extractor {
  public:
   Extractor(const Triangulation& triangulation, const std::vector<std::uint8_t>& is_free)
@@ -85,7 +78,7 @@ class Extractor {
     Index c = places_[side / 3];
     const Index from = facets_.From(side), to = facets_.To(side);
     const Index behind = facets_.corners[side / 3][(side % 3 + 2) % 3];
-    int across = FindVertex(triangulation_.cells[c], behind);
+    int across = triangulation_.cells[c].SlotOf(behind);
     while (!is_free_[triangulation_.cells[c].neighbors[across]]) {
       const Cell& cell = triangulation_.cells[c];
       const Index next = cell.neighbors[across];

@@ -19,6 +19,10 @@ struct Cell {
   bool IsInfinite() const {
     return vertices[0] < 0 || vertices[1] < 0 || vertices[2] < 0 || vertices[3] < 0;
   }
+  // Which of the four vertices this one of them is.
+  int SlotOf(Index vertex) const {
+    return vertices[0] == vertex ? 0 : vertices[1] == vertex ? 1 : vertices[2] == vertex ? 2 : 3;
+  }
 };
 
 // Facet i of a cell, ordered such that (vertex i, facet) is positively oriented: seen from vertex i

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from curve_edges import arc, edges_of, frame, segment
+from curve_edges import one_of_each_kind
 
 from colmap_edges.core.curves3d import KINDS
 from colmap_edges.core.similarity import Similarity, to_z_up
@@ -42,16 +42,7 @@ def test_a_shift_alone_keeps_every_bit():
 
 
 def test_curves_of_every_kind_move_with_their_edges(moved):
-    t = np.linspace(-1, 1, 90)
-    polylines = [
-        segment((0, 0, 0), (1, 2, -1), 40),
-        arc(np.ones(3), frame(1), (0.5, 0.5), 20, 170, 50),
-        arc(np.ones(3), frame(2), (0.4, 0.4), 0, 354, 60),
-        arc(np.zeros(3), frame(3), (0.9, 0.5), 10, 250, 80),
-        arc(np.zeros(3), frame(4), (0.8, 0.5), 0, 356, 90),
-        np.column_stack([t, 0.4 * t**2, 0.5 * t**3]),
-    ]
-    edges = edges_of(polylines, [False, False, True, False, True, False])
+    edges = one_of_each_kind()
     curves = fit_curves(edges)
     assert [KINDS[kind] for kind in curves.kinds] == list(KINDS)
     there = moved.curves(curves)

@@ -3,8 +3,8 @@
 import numpy as np
 import pycolmap
 import pytest
+from curves import make_view
 
-from colmap_edges.core.view import View
 from colmap_edges.evaluation import tables
 from colmap_edges.evaluation.metrics import depth, normals
 from colmap_edges.evaluation.metrics.raycasting import RayCaster
@@ -16,15 +16,7 @@ WIDTH, HEIGHT = 80, 60
 def view():
     """A camera at the origin that looks along z."""
     camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 100.0, WIDTH, HEIGHT)
-    return View(
-        image_id=1,
-        name="a.jpg",
-        width=WIDTH,
-        height=HEIGHT,
-        camera=camera,
-        rotation=np.eye(3),
-        translation=np.zeros(3),
-    )
+    return make_view(np.eye(3), np.zeros(3), camera=camera)
 
 
 def plane(tilt_deg, low=-80.0, flipped=False):

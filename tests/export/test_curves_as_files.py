@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import ezdxf
 import numpy as np
 import pytest
-from curve_edges import arc, edges_of, frame, segment
+from curve_edges import one_of_each_kind
 from ezdxf.math import OCS
 
 from colmap_edges.core.curves3d import KINDS, Curves3D
@@ -24,16 +24,7 @@ from colmap_edges.export.svg import write_svg
 @pytest.fixture(scope="module")
 def edges():
     """A line, an arc, a circle, an elliptic arc, an ellipse and a spline, in this order."""
-    t = np.linspace(-1, 1, 90)
-    polylines = [
-        segment((0, 0, 0), (1, 2, -1), 40),
-        arc(np.ones(3), frame(1), (0.5, 0.5), 20, 170, 50),
-        arc(np.ones(3), frame(2), (0.4, 0.4), 0, 354, 60),
-        arc(np.zeros(3), frame(3), (0.9, 0.5), 10, 250, 80),
-        arc(np.zeros(3), frame(4), (0.8, 0.5), 0, 356, 90),
-        np.column_stack([t, 0.4 * t**2, 0.5 * t**3]),
-    ]
-    return edges_of(polylines, [False, False, True, False, True, False])
+    return one_of_each_kind()
 
 
 @pytest.fixture(scope="module")

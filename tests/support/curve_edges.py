@@ -41,6 +41,25 @@ def arc(center, axes, radii, start_deg, end_deg, count):
     )
 
 
+def shapes_of_each_kind():
+    """Name, polyline, and whether it is closed, of a curve of each kind."""
+    t = np.linspace(-1, 1, 90)
+    return [
+        ("line", segment((0, 0, 0), (1, 2, -1), 40), False),
+        ("arc", arc(np.ones(3), frame(1), (0.5, 0.5), 20, 170, 50), False),
+        ("circle", arc(np.ones(3), frame(2), (0.4, 0.4), 0, 354, 60), True),
+        ("elliptic_arc", arc(np.zeros(3), frame(3), (0.9, 0.5), 10, 250, 80), False),
+        ("ellipse", arc(np.zeros(3), frame(4), (0.8, 0.5), 0, 356, 90), True),
+        ("spline", np.column_stack([t, 0.4 * t**2, 0.5 * t**3]), False),
+    ]
+
+
+def one_of_each_kind():
+    """An edge of each kind."""
+    _, polylines, closed = zip(*shapes_of_each_kind(), strict=True)
+    return edges_of(polylines, closed)
+
+
 def rounded_rectangle(width, height, radius, step):
     """Points about `step` apart on four lines and four arcs, in the plane z = 0, closed."""
     corners = [(width, 0, -90), (width, height, 0), (0, height, 90), (0, 0, 180)]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import curves as known
 import numpy as np
 import pycolmap
-from curves import bare_graph
-
-from colmap_edges.core.view import View
 
 FOCAL_PX, WIDTH, HEIGHT = 800.0, 1000, 800
 
@@ -24,15 +22,7 @@ def make_view(index, center, target=(0.0, 0.0, 0.0), roll=0.0):
         height=HEIGHT,
         params=[FOCAL_PX, FOCAL_PX, WIDTH / 2, HEIGHT / 2],
     )
-    return View(
-        image_id=index + 1,
-        name=f"{index:03d}.png",
-        width=WIDTH,
-        height=HEIGHT,
-        camera=camera,
-        rotation=rotation,
-        translation=-rotation @ np.asarray(center, float),
-    )
+    return known.make_view(rotation, -rotation @ np.asarray(center, float), index, camera)
 
 
 def ring_of_views(count=7, distance=6.0, spread_deg=70.0):
@@ -88,7 +78,7 @@ def graph_of(view, curves, noise_px=0.0, rng=None):
     normals = np.concatenate([np.zeros((0, 2)), *(left_of(chain) for chain in chains)])
     if noise_px:
         undistorted = undistorted + rng.normal(scale=noise_px, size=undistorted.shape)
-    return bare_graph(
+    return known.bare_graph(
         view.image_from_undistorted(undistorted),
         [len(chain) for chain in chains],
         [curve.closed for curve in curves],

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
+from curves import make_view
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
-from colmap_edges.core.view import View
 
 SPACING = 0.04
 DOOR = (1.5, 2.5, 2.0)  # from, to, height, in the wall y = 3
@@ -60,15 +60,7 @@ def upright_view(index, camera, center, forward):
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(forward, right), forward])
-    return View(
-        image_id=index + 1,
-        name=f"{index:02d}.png",
-        width=camera.width,
-        height=camera.height,
-        camera=camera,
-        rotation=rotation,
-        translation=-rotation @ center,
-    )
+    return make_view(rotation, -rotation @ center, index, camera)
 
 
 def cast(center, directions):

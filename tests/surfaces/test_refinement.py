@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
+from curves import make_view
 from solid_points import fibonacci_sphere
 
-from colmap_edges.core.view import View
 from colmap_edges.surfaces import refinement
 from colmap_edges.surfaces.information import COLUMNS, ROWS, Tracks, information_of, noise_px
 from colmap_edges.surfaces.mesh import Mesh
@@ -250,15 +250,7 @@ def camera(center, focal=500.0):
     right = units(np.cross([0.0, 1.0, 0.2], forward))
     rotation = np.array([right, np.cross(forward, right), forward])
     given = {"model": "PINHOLE", "width": 640, "height": 480, "params": [focal, focal, 320, 240]}
-    return View(
-        image_id=1,
-        name="a",
-        width=640,
-        height=480,
-        camera=pycolmap.Camera(**given),
-        rotation=rotation,
-        translation=-rotation @ center,
-    )
+    return make_view(rotation, -rotation @ center, camera=pycolmap.Camera(**given))
 
 
 def observed(num_points=200, sigma=0.3, seed=0):

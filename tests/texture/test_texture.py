@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import curves
 import cv2
 import numpy as np
 import pycolmap
@@ -9,7 +10,6 @@ import pymeshlab
 import pytest
 import trimesh
 
-from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import read_mesh, write_mesh
 from colmap_edges.report.scene3d import mesh_layer
@@ -41,16 +41,7 @@ def make_view(index, distortion=0.0):
         height=SIZE[1],
         params=[220, SIZE[0] / 2, SIZE[1] / 2, distortion],
     )
-    center = np.array(CENTERS[index], float)
-    return View(
-        image_id=index + 1,
-        name=f"{index}.png",
-        width=SIZE[0],
-        height=SIZE[1],
-        camera=camera,
-        rotation=np.eye(3),
-        translation=-center,
-    )
+    return curves.make_view(np.eye(3), np.negative(CENTERS[index]), index, camera)
 
 
 def photograph(view, light, board=True):

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from curve_edges import arc, edges_of, frame, rounded_rectangle, segment
+from curve_edges import arc, edges_of, frame, rounded_rectangle, segment, shapes_of_each_kind
 
 from colmap_edges.core.curves3d import KINDS, Curves3D
 from colmap_edges.core.edges3d import Edges3D
@@ -24,17 +24,7 @@ def lines_around(count=30):
 
 @pytest.fixture(scope="module")
 def shapes():
-    """One edge of each kind, and whether it is closed."""
-    t = np.linspace(-1, 1, 90)
-    twisted = np.column_stack([t, 0.4 * t**2, 0.5 * t**3])
-    return [
-        ("line", segment((0, 0, 0), (1, 2, -1), 40), False),
-        ("arc", arc(np.ones(3), frame(1), (0.5, 0.5), 20, 170, 50), False),
-        ("circle", arc(np.ones(3), frame(2), (0.4, 0.4), 0, 354, 60), True),
-        ("elliptic_arc", arc(np.zeros(3), frame(3), (0.9, 0.5), 10, 250, 80), False),
-        ("ellipse", arc(np.zeros(3), frame(4), (0.8, 0.5), 0, 356, 90), True),
-        ("spline", twisted, False),
-    ]
+    return shapes_of_each_kind()
 
 
 def test_each_kind_is_told(shapes):
