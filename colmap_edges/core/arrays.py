@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar, get_type_hints
 
@@ -18,6 +18,15 @@ BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
 Record = TypeVar("Record")
 Picture = NDArray[np.uint8]  # (H, W) intensities or (H, W, 3) colours
+
+
+class Table:
+    """A dataclass whose fields are arrays (or records of them) with a row for each item."""
+
+    def select(self: Record, rows: IntArray | BoolArray) -> Record:
+        """The items at a numpy index."""
+        chosen = {of.name: getattr(self, of.name)[rows] for of in fields(self)}  # type: ignore[arg-type]
+        return replace(self, **chosen)  # type: ignore[type-var]
 
 
 def offsets_of(lengths: IntArray) -> IntArray:

@@ -17,6 +17,7 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.checks import checked
 from colmap_edges.core.curves3d import LINE, Curves3D
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import unit
 from colmap_edges.export.lines import Line
 from colmap_edges.runtime.input_files import read_bytes, read_text
 from colmap_edges.runtime.output import new_folder, write_whole
@@ -104,8 +105,7 @@ def chords_of(curves: Curves3D, curve: int) -> int:
     if curves.kinds[curve] == LINE:
         return 1
     points = curves.at(np.full(65, curve), np.linspace(0, 1, 65))
-    steps = np.diff(points, axis=0)
-    steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-300)
+    steps = unit(np.diff(points, axis=0))
     cosines = np.clip(np.einsum("ij,ij->i", steps[1:], steps[:-1]), -1, 1)
     turn = np.degrees(np.arccos(cosines).sum())
     return max(1, int(np.ceil(turn / 10.0)))

@@ -29,6 +29,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.checks import check_arrays, check_offsets
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import check_views
+from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
 from colmap_edges.errors import check_type
 from colmap_edges.images.background import (
@@ -248,7 +249,7 @@ def spread(positions: FloatArray, count: int) -> IntArray:
     """Indices of `count` of (N, 3) positions, or all, by farthest-point sampling."""
     if len(positions) <= count:
         return np.arange(len(positions))
-    directions = positions / (np.linalg.norm(positions, axis=1, keepdims=True) + 1e-300)
+    directions = unit(positions)
     chosen = [0]
     nearest = directions @ directions[0]
     while len(chosen) < count:
@@ -274,11 +275,9 @@ def touched(
     """
     (center, radius), view = sphere, body.view
     pixels, outward = contour(body, known, count)
-    directions = view.rays(pixels)
-    normals = view.rays(pixels + outward) - directions
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    normals -= np.einsum("ij,ij->i", normals, directions)[:, None] * directions
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-300
+    rays = view.rays(pixels)
+    directions, normals = unit(rays), view.rays(pixels + outward) - rays
+    normals = unit(normals - np.einsum("ij,ij->i", normals, directions)[:, None] * directions)
     depths = (directions @ (center - view.center))[:, None] + np.linspace(
         -radius, radius, NUM_STEPS
     )
@@ -315,8 +314,7 @@ def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, Floa
     rows, columns = rows[chosen], columns[chosen]
     blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.5)
     slope = [cv2.Sobel(blurred, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]
-    outward = -np.column_stack([each[rows, columns] for each in slope]).astype(np.float64)
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True) + 1e-300
+    outward = unit(-np.column_stack([each[rows, columns] for each in slope]).astype(np.float64))
     return (np.column_stack([columns, rows]) + 0.5) * scale, outward
 
 
@@ -349,8 +347,7 @@ def seeing(
     Returns:
         Pairs of (T,) indices of points and (T,) indices of views.
     """
-    away = centers - points[:, None]
-    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    away = unit(centers - points[:, None])
     cosines = np.einsum("pvi,pi->pv", away, normals)
     # The most frontal views of a point.
     straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :8]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray
+from colmap_edges.core.polylines import unit
 from colmap_edges.edges3d.curves.point_sequences import Fits, PointSequences
 
 
@@ -89,8 +90,7 @@ def residuals(shapes: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatA
         bend = (a * sin) ** 2 + (b * cos) ** 2 + (u - a * cos) * a * cos + (v - b * sin) * b * sin
         t = t - np.clip(slope / np.where(np.abs(bend) > 1e-300, bend, 1), -0.5, 0.5)
     cos, sin = np.cos(t), np.sin(t)
-    normal = np.column_stack([b * cos, a * sin])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    normal = unit(np.column_stack([b * cos, a * sin]))
     p, q = normal.T
     distances = (u - a * cos) * p + (v - b * sin) * q
     columns = (p * c - q * s, p * s + q * c, p * cos, q * sin, q * a * cos - p * b * sin)

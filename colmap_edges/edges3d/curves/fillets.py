@@ -6,11 +6,11 @@ lines on both sides, it has one: its radius.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table
 from colmap_edges.core.curves3d import ARC, LINE
 from colmap_edges.core.polylines import nearest_on_lines, unit
 from colmap_edges.edges3d.curves.joints import MAX_POINTS_BETWEEN
@@ -21,7 +21,7 @@ from colmap_edges.edges3d.curves.selection import MAX_RADIUS_DOUBT, SelectedCurv
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoundedCorners:
+class RoundedCorners(Table):
     """Gaps of outliers between successive lines, in the plane of both lines.
 
     Attributes:
@@ -40,10 +40,6 @@ class RoundedCorners:
     axes: FloatArray
     slopes: FloatArray
     max_radii: FloatArray
-
-    def select(self, rows: IntArray | BoolArray) -> RoundedCorners:
-        """The selected corners."""
-        return replace(self, **{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 def with_fillets(

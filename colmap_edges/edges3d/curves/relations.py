@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import LINE, SPLINE, Curves3D
+from colmap_edges.core.polylines import unit
 from colmap_edges.edges3d.curves.joints import foot_points
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
@@ -47,8 +48,7 @@ def regularized(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
 
 def directions_of(curves: Curves3D, which: IntArray) -> FloatArray:
     """(n, 3) unit directions of lines, unit normals of other curves."""
-    ways = curves.frames[which, 1]
-    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-300)
+    ways = unit(curves.frames[which, 1])
     return np.where((curves.kinds[which] == LINE)[:, None], ways, curves.normals[which])
 
 
@@ -114,8 +114,7 @@ def with_directions(curves: Curves3D, which: IntArray, directions: FloatArray) -
     chosen, normals = which[~lines], directions[~lines]
     sizes = np.linalg.norm(frames[chosen, 1:], axis=2)
     a = frames[chosen, 1]
-    a = a - np.einsum("ij,ij->i", a, normals)[:, None] * normals
-    a /= np.maximum(np.linalg.norm(a, axis=1, keepdims=True), 1e-300)
+    a = unit(a - np.einsum("ij,ij->i", a, normals)[:, None] * normals)
     frames[chosen, 1], frames[chosen, 2] = sizes[:, :1] * a, sizes[:, 1:] * np.cross(normals, a)
     return replace(curves, frames=frames)
 

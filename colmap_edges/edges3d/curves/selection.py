@@ -7,12 +7,12 @@ each kind, and the combination of least cost is selected, again by BIC.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, owners_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table, owners_of
 from colmap_edges.core.curves3d import ARC, CIRCLE, DEGREE, ELLIPSE, ELLIPTIC_ARC, LINE, SPLINE
 from colmap_edges.edges3d.curves.ellipses import fit_ellipses
 from colmap_edges.edges3d.curves.lines_and_circles import fit_circles, fit_lines
@@ -42,7 +42,7 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelectedCurves:
+class SelectedCurves(Table):
     """Curves of edges, with the ranges of points that they fit.
 
     Attributes:
@@ -59,10 +59,6 @@ class SelectedCurves:
     sigmas: FloatArray
     costs: FloatArray
     splines: Any
-
-    def select(self, rows: IntArray) -> SelectedCurves:
-        """The selected curves."""
-        return replace(self, **{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
     def keep_better(self, rows: IntArray, kind: int, fits: Fits, costs: FloatArray) -> None:
         """Store fits of one kind to (n,) rows if their costs are lower than the stored ones."""

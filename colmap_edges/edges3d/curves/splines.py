@@ -8,6 +8,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.curves3d import DEGREE
+from colmap_edges.core.polylines import unit
 from colmap_edges.edges3d.curves.noise import Noise
 from colmap_edges.edges3d.curves.point_sequences import PointSequences
 
@@ -145,8 +146,7 @@ def distances_of(found: FloatArray, points: PointSequences) -> tuple[FloatArray,
     """
     each = np.arange(len(found))
     first, last = points.offsets[:-1][points.owners], points.offsets[1:][points.owners] - 1
-    tangents = found[np.minimum(each + 1, last)] - found[np.maximum(each - 1, first)]
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-300)
+    tangents = unit(found[np.minimum(each + 1, last)] - found[np.maximum(each - 1, first)])
     off = points.points - found
     along: FloatArray = np.einsum("ij,ij->i", off, tangents)
     return np.maximum(np.einsum("ij,ij->i", off, off) - along**2, 0), along

@@ -7,7 +7,7 @@ describe them at less cost (BIC) than a line or a circle for each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    Table,
     offsets_of,
     ranges_of,
     ranks_of,
@@ -47,7 +48,7 @@ MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cove
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gaps:
+class Gaps(Table):
     """N points on circles that bridge the gaps between ends of edges, in order along each gap.
 
     Attributes:
@@ -61,10 +62,6 @@ class Gaps:
     tangents: FloatArray
     ends: IntArray
     owners: IntArray
-
-    def select(self, rows: IntArray) -> Gaps:
-        """The selected points."""
-        return replace(self, **{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 def join_circles(

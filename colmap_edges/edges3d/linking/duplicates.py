@@ -9,7 +9,7 @@ observe both at different positions, and duplicates at one position.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 
@@ -21,6 +21,7 @@ from colmap_edges.core.arrays import (
     FloatArray,
     Int32Array,
     IntArray,
+    Table,
     blocks,
     entries_of,
     grown,
@@ -86,7 +87,7 @@ class Pieces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matches:
+class Matches(Table):
     """Pairs of points of parallel pieces.
 
     Attributes:
@@ -98,10 +99,6 @@ class Matches:
     points: IntArray
     others: IntArray
     offsets: FloatArray
-
-    def select(self, rows: IntArray | BoolArray) -> Matches:
-        """The matches at a numpy index."""
-        return Matches(**{of.name: getattr(self, of.name)[rows] for of in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from colmap_edges.core.arrays import (
-    BoolArray,
     Float32Array,
     FloatArray,
     Int32Array,
     IntArray,
+    Table,
     offsets_of,
 )
 from colmap_edges.core.edges3d import Edges3D, mean_colors
@@ -21,7 +21,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservedPoints:
+class ObservedPoints(Table):
     """Observations of 3D points as a list, sorted by point and then view.
 
     Attributes:
@@ -43,10 +43,6 @@ class ObservedPoints:
     normals: Float32Array
     undistorted: FloatArray
     colors: FloatArray
-
-    def select(self, index: BoolArray | IntArray) -> ObservedPoints:
-        """The observations at a numpy index."""
-        return ObservedPoints(**{name: rows[index] for name, rows in vars(self).items()})
 
     def by_point(self, num_points: int) -> Observations:
         """The observations in CSR arrays by point."""

@@ -25,6 +25,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
 )
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.errors import ColmapEdgesError, check_type
@@ -265,4 +266,4 @@ def in_world(
         last = inverse - np.einsum("ij,ij->i", slopes, rays[:, :2])
         normals[own] = -np.column_stack([slopes, last]) @ view.rotation
         lengths[own] *= np.linalg.norm(rays, axis=1)
-    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True), lengths
+    return points, unit(normals), lengths

@@ -18,6 +18,7 @@ from colmap_edges.core.arrays import (
     order_of,
     parts_of,
 )
+from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
 from colmap_edges.images.files import square
 
@@ -97,7 +98,7 @@ def rays_of(view: View, picture: Picture, pixels: IntArray) -> FloatArray:
     """(n, 3) unit viewing rays of (n,) pixels of a view's flattened picture; or NaN."""
     rows, columns = np.divmod(pixels, picture.shape[1])
     rays = view.rays((np.column_stack([columns, rows]) + 0.5) / scale_of(view, picture))
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    return unit(rays)
 
 
 def find_regions(
