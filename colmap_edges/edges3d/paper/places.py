@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of, owners_of
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, Table, offsets_of, owners_of
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -18,7 +17,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class Places(Table):
     """Positions on chains of views.
 
     Attributes:
@@ -32,10 +31,6 @@ class Places:
     def __len__(self) -> int:
         """Number of positions."""
         return len(self.views)
-
-    def select(self, index: Any) -> Places:
-        """The positions at a numpy index."""
-        return Places(views=self.views[index], positions=self.positions[index])
 
 
 def join_places(parts: Sequence[Places]) -> Places:
