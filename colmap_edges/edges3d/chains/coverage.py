@@ -48,13 +48,18 @@ def what_remains(
 
 
 def without_repeats(
-    whole: TracingInput, kept: FilteredCurves, options: TracingOptions
+    whole: TracingInput,
+    kept: FilteredCurves,
+    outlines: ChainObservations,
+    options: TracingOptions,
 ) -> tuple[FilteredCurves, dict[str, int]]:
     """Keep each stretch of a chain in its first contour only; also returns counts.
 
-    Contours do not cover chains, so that further reference views trace them again.
+    Contours do not cover chains, so that further reference views trace them again. Those on
+    `outlines`, whose radii are known, are left out.
     """
     covered = nothing_covered(whole.polyline_offsets)
+    mark_covered(covered, whole.polyline_offsets, outlines, options.curve_step_points)
     firsts = []
     for contours in kept.contours:
         # Contours lie on the reference view's chains, unless they are occluded there.

@@ -36,6 +36,12 @@ from colmap_edges.edges3d.chains.depths import (
     compute_chain_depths,
     learn_side_likelihoods,
 )
+from colmap_edges.edges3d.chains.envelopes import (
+    Envelopes,
+    as_contours,
+    find_envelopes,
+    joined,
+)
 from colmap_edges.edges3d.chains.filtering import (
     FilteredCurves,
     Limits,
@@ -77,9 +83,13 @@ def trace_edges(
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
-    pieces, stats = trace_pieces(model, whole, near, options, num_threads, advance, workers)
+    (pieces, outlines), stats = trace_pieces(
+        model, whole, near, options, num_threads, advance, workers
+    )
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
+    moving = as_contours(outlines, result.edges, model, options, num_threads)
+    result = replace(result, contours=joined(result.contours, moving))
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
@@ -106,13 +116,19 @@ def trace_pieces(
     num_threads: int,
     advance: Callable[[], None],
     workers: Workers,
-) -> tuple[TracedEdges, dict[str, Any]]:
-    """The pieces of all rounds without duplicates, and counts; tables are released on return."""
+) -> tuple[tuple[TracedEdges, Envelopes], dict[str, Any]]:
+    """The pieces of all rounds without duplicates, the outlines of smooth bodies, and counts.
+
+    Tables are released on return.
+    """
     kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
-    kept, repeated = without_repeats(whole, kept, options.tracing)
+    rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
+    outlines = find_envelopes(rest, near, options.chain_depth, workers)
+    kept, repeated = without_repeats(whole, kept, outlines.observations, options.tracing)
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
-    return pieces, stats | repeated | merged
+    counts = {"points_of_outlines": len(outlines.points)}
+    return (pieces, outlines), stats | counts | repeated | merged
 
 
 def trace_rounds(

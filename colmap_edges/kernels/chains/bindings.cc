@@ -9,6 +9,7 @@
 
 #include "chains/association.h"
 #include "chains/chain_depths.h"
+#include "chains/envelopes.h"
 #include "chains/observations.h"
 #include "chains/occlusion.h"
 #include "chains/separation.h"
@@ -58,6 +59,46 @@ nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const Edg
       ToArray(std::move(result.sigmas), {count}), ToArray(std::move(result.scores), {count}),
       ToArray(std::move(result.support_offsets), {count + 1}),
       ToArray(std::move(result.neighbors), {total}), ToArray(std::move(result.positions), {total}));
+}
+
+nb::tuple EnvelopesArrays(const EdgeIndex& source, const std::vector<const EdgeIndex*>& neighbors,
+                          Longs samples, Longs sample_offsets,
+                          InArray<double, nb::shape<-1, 2>> inverse_depths,
+                          double max_disagreement_px,
+                          InArray<float, nb::shape<256, 256>> side_likelihoods,
+                          double min_angle_sin, double visibility_rate, double detection_rate,
+                          double min_log_likelihood_ratio, double break_penalty, int max_clusters,
+                          int num_threads) {
+  CheckOffsets(sample_offsets, samples.size());
+  Require(inverse_depths.shape(0) == samples.size(),
+          "inverse_depths and samples differ in length");
+  const std::vector<int64_t> points = ToVector(samples), offsets = ToVector(sample_offsets);
+  std::vector<DepthRange> ranges(points.size());
+  for (size_t i = 0; i < ranges.size(); ++i) {
+    Require(points[i] >= 0 && points[i] < source.num_points(),
+            "a sample is not a point of the source");
+    ranges[i] = {inverse_depths(i, 0), inverse_depths(i, 1)};
+  }
+  const size_t count = points.size();
+  std::vector<double> columns(6 * count);
+  std::vector<int32_t> supports(2 * count);
+  {
+    nb::gil_scoped_release release;
+    const std::vector<Envelope> found = FindEnvelopes(
+        source, neighbors, points, offsets, ranges,
+        {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
+         detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
+        num_threads);
+    for (size_t i = 0; i < count; ++i) {
+      const Envelope& e = found[i];
+      const double values[] = {e.inverse_depth, e.radius,   e.sigma,
+                               e.radius_sigma,  e.residual, e.score};
+      for (int k = 0; k < 6; ++k) columns[k * count + i] = values[k];
+      supports[i] = e.num_supports, supports[count + i] = e.goes_on;
+    }
+  }
+  return nb::make_tuple(ToArray(std::move(columns), {6, count}),
+                        ToArray(std::move(supports), {2, count}));
 }
 
 OutArray<double> AssociateArrays(const std::vector<const EdgeIndex*>& views, Points3D points,
@@ -307,6 +348,13 @@ void BindChains(nb::module_& m) {
         "side_likelihoods"_a, "min_angle_sin"_a, "visibility_rate"_a, "detection_rate"_a,
         "min_log_likelihood_ratio"_a, "break_penalty"_a, "max_clusters"_a, "num_threads"_a,
         "Inverse depth, sigma, score of each sample, and its support as CSR: neighbour, position.");
+  m.def("envelopes", &EnvelopesArrays, "source"_a, "neighbors"_a, "samples"_a, "sample_offsets"_a,
+        "inverse_depths"_a, "max_disagreement_px"_a, "side_likelihoods"_a, "min_angle_sin"_a,
+        "visibility_rate"_a, "detection_rate"_a, "min_log_likelihood_ratio"_a, "break_penalty"_a,
+        "max_clusters"_a, "num_threads"_a,
+        "(6, S) inverse depths, radii over depths, their standard deviations for 1 px, residuals "
+        "and scores of samples on outlines; (2, S) numbers of supporting neighbours, and whether a "
+        "sample continues the outline of the previous one.");
   m.def("associate", &AssociateArrays, "views"_a, "points"_a, "tangents"_a, "sides"_a,
         "max_distance_px"_a, "min_cosine"_a, "num_threads"_a,
         "(N, K) positions on the chains of K views that observe the 3D points, -1 where none.");

@@ -1,0 +1,266 @@
+"""Outlines of smooth bodies: contours whose depths and radii several views determine.
+
+Outlines move over a body with the view, the more the larger its radius of curvature, so that
+matching at one depth finds few of them. Here each chain without a 3D edge is matched with its
+neighbours by depth and radius together (Cipolla, Blake 1992; Vaillant, Faugeras 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import (
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    joined_offsets,
+    offsets_of,
+    owners_of,
+    ranks_of,
+)
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import ChainObservations, Observations
+from colmap_edges.core.view import in_images, lift
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges3d.chains.depths import sample_chains
+from colmap_edges.edges3d.chains.occlusion import find_hidden
+from colmap_edges.edges3d.chains.tracing_input import TracingInput
+from colmap_edges.edges3d.chains.view_selection import DepthRange, Neighborhood
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
+from colmap_edges.options import ChainDepthOptions, PipelineOptions
+from colmap_edges.runtime.executors import Call, Workers, run_all
+
+STEP_PX = 8  # between samples, so that several of a run agree on a radius
+MIN_SAMPLES = 5  # of a run; 97 of 100 such runs lie on the surface, of runs of four 93
+MIN_SUPPORTS = 3.5  # mean number of neighbours of a run's samples; depth and radius take two
+MAX_CHANGE = 0.2  # of the radius between two samples, relative; that of wrong matches is random
+MIN_SIGNIFICANCE = 3.0  # mean of a run's radii over their standard deviations for 1 px
+# Views that see a point of an outline: the most frontal ones, within 73 degrees of the normal.
+NUM_SEEING = 2
+MIN_COSINE = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Envelopes:
+    """Points on outlines of smooth bodies, in CSR arrays.
+
+    Attributes:
+        points: (N, 3) world points at which viewing rays touch the body.
+        normals: (N, 3) unit normals of the surface, out of the body.
+        views: (N,) views whose rays these are.
+        places: (N,) indices of the points in the views' whole edge graphs.
+        colors: (N, 3) uint8 RGB.
+        lengths: (E,) numbers of consecutive points on one outline.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    views: IntArray
+    places: IntArray
+    colors: ByteArray
+    lengths: IntArray
+
+    @property
+    def observations(self) -> ChainObservations:
+        """The observation of each point in the view whose ray touches the body there."""
+        return ChainObservations(
+            offsets=np.arange(len(self.points) + 1),
+            views=self.views.astype(np.int32),
+            positions=self.places.astype(np.float64),
+        )
+
+    @classmethod
+    def concatenated(cls, parts: list[Envelopes]) -> Envelopes:
+        """The outlines of all parts; there is at least one part."""
+        names = [entry.name for entry in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(of, name) for of in parts]) for name in names})
+
+
+def find_envelopes(
+    given: TracingInput, near: Neighborhood, options: ChainDepthOptions, workers: Workers
+) -> Envelopes:
+    """Find the outlines on the chains of every view.
+
+    Args:
+        given: the views with the parts of their graphs that have no 3D edge.
+        near: the neighbours and the depth ranges of the views.
+        options: agreement of views and continuity along chains.
+        workers: executor of the work on views.
+    """
+
+    def calls() -> Iterator[Call]:
+        for view in range(given.num_views):
+            part = given.part(view, given.neighbors[view], workers)
+            yield envelopes_of, (part, view, near.ranges[view], options, workers.threads_per_view)
+
+    found = run_all(workers.views, calls(), lambda: None, workers.check)
+    if given.free is not None:
+        places = [
+            np.flatnonzero(free)[of.places] for free, of in zip(given.free, found, strict=True)
+        ]
+        found = [replace(of, places=whole) for of, whole in zip(found, places, strict=True)]
+    return Envelopes.concatenated(found)
+
+
+def envelopes_of(
+    given: TracingInput,
+    view: int,
+    depth_range: DepthRange,
+    options: ChainDepthOptions,
+    num_threads: int,
+) -> Envelopes:
+    """Find the outlines on the chains of a view; `places` are indices into its traced graph."""
+    graph, own = given.graph(view), given.views[view]
+    samples, offsets = samples_on_long_chains(graph)
+    columns, supports = _kernels.envelopes(
+        given.index(view),
+        [given.index(neighbor) for neighbor in given.neighbors[view].tolist()],
+        samples,
+        offsets,
+        depth_range.at(graph.undistorted[samples].astype(np.float64)),
+        max_disagreement_px=options.max_disagreement_px,
+        side_likelihoods=given.sides.table,
+        min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        visibility_rate=options.visibility_rate,
+        detection_rate=options.detection_rate,
+        min_log_likelihood_ratio=options.min_log_likelihood_ratio,
+        break_penalty=options.break_penalty,
+        max_clusters=options.max_clusters,
+        num_threads=num_threads,
+    )
+    inverse_depths, radii, sigmas = columns[:3]
+    runs = find_runs(radii, sigmas, *supports)
+    rows = np.flatnonzero(runs >= 0)
+    places, lengths = samples[rows], np.unique(runs[rows], return_counts=True)[1]
+    undistorted = graph.undistorted[places].astype(np.float64)
+    tangents = _kernels.chain_points(given.index(view), places.astype(np.float64))[1]
+    normals = normals_of(own.focal_px, undistorted, tangents, graph.normals[places], radii[rows])
+    return Envelopes(
+        points=lift(own, undistorted, inverse_depths[rows]),
+        normals=normals @ own.rotation,
+        views=np.full(len(rows), view),
+        places=places,
+        colors=graph.colors[places],
+        lengths=lengths,
+    )
+
+
+def samples_on_long_chains(graph: EdgeGraph) -> tuple[IntArray, IntArray]:
+    """Indices of samples, and their offsets by chain, on chains that are long enough for a run."""
+    samples, offsets = sample_chains(graph, STEP_PX)
+    counts = np.diff(offsets)
+    long = counts >= MIN_SAMPLES
+    return samples[np.repeat(long, counts)], offsets_of(counts[long])
+
+
+def find_runs(
+    radii: FloatArray, sigmas: FloatArray, num_supports: IntArray, goes_on: IntArray
+) -> IntArray:
+    """(S,) number of the run of each sample, ascending; -1 for none.
+
+    Args:
+        radii: (S,) radii of consecutive samples on chains; 0 for none.
+        sigmas: (S,) their standard deviations for 1 px.
+        num_supports: (S,) numbers of neighbours that agree.
+        goes_on: (S,) whether a sample continues the outline of the previous one on its chain.
+    """
+    same = np.zeros(len(radii), bool)
+    change = np.abs(np.diff(radii))
+    size = np.maximum(np.abs(radii[1:]), np.abs(radii[:-1]))
+    same[1:] = (goes_on[1:] > 0) & (change <= MAX_CHANGE * size)
+    runs = np.cumsum(~same) - 1
+    counts = np.bincount(runs)
+    significance = np.abs(radii) / np.where(sigmas > 0, sigmas, np.inf)
+    mean_supports, mean_significance = (
+        np.bincount(runs, of) / np.maximum(counts, 1) for of in (num_supports, significance)
+    )
+    kept = (counts >= MIN_SAMPLES) & (mean_supports >= MIN_SUPPORTS)
+    kept &= mean_significance >= MIN_SIGNIFICANCE
+    return np.where(kept[runs], runs, -1)
+
+
+def normals_of(
+    focal_px: float,
+    undistorted: FloatArray,
+    tangents: FloatArray,
+    brighter: Float32Array,
+    radii: FloatArray,
+) -> FloatArray:
+    """(N, 3) unit normals out of the body, in the camera's frame.
+
+    The surface's tangent plane contains the viewing ray and the outline's tangent.
+
+    Args:
+        focal_px: focal length.
+        undistorted: (N, 2) pixels.
+        tangents: (N, 2) tangents of the chains.
+        brighter: (N, 2) normals of the chains, towards the bright side.
+        radii: (N,) signed radii, positive if the bright side is outside the body.
+    """
+    rays = np.column_stack([undistorted / focal_px, np.ones(len(undistorted))])
+    normals = np.cross(rays, np.column_stack([tangents, np.zeros(len(tangents))]))
+    to_bright = np.sign((normals[:, :2] * brighter).sum(axis=1))
+    normals *= (to_bright * np.sign(radii) / np.linalg.norm(normals, axis=1))[:, None]
+    return normals
+
+
+def as_contours(
+    found: Envelopes, edges: Edges3D, model: Model, options: PipelineOptions, num_threads: int
+) -> Edges3D:
+    """The outlines as contours, observed by the views that touch the body there and see it."""
+    points, views = seeing(found, edges, model, options, num_threads)
+    owners = np.concatenate([np.arange(len(found.points)), points])
+    order = np.argsort(owners, kind="stable")
+    owners, views = owners[order], np.concatenate([found.views, views])[order]
+    pixels = np.zeros((len(views), 2))
+    for view in np.unique(views).tolist():
+        rows = views == view
+        pixels[rows] = model.views[view].project(found.points[owners[rows]])[0]
+    offsets = offsets_of(np.bincount(owners, minlength=len(found.points)))
+    observed = Observations.of_pixels(offsets, views.astype(np.int32), pixels)
+    contours = Edges3D.of_polylines(found.points, found.lengths, observed)
+    return replace(contours, colors=found.colors)
+
+
+def seeing(
+    found: Envelopes, edges: Edges3D, model: Model, options: PipelineOptions, num_threads: int
+) -> tuple[IntArray, IntArray]:
+    """Points of outlines, and views that see each from the most frontal side, not occluded."""
+    away = model.camera_centers - found.points[:, None]
+    cosines = np.einsum("nvk,nk->nv", away, found.normals) / np.linalg.norm(away, axis=2)
+    cosines[~in_images(model.views, found.points).T] = 0
+    points, views = np.nonzero(cosines > MIN_COSINE)
+    hidden = find_hidden(
+        model,
+        np.concatenate([found.points, edges.points]),
+        np.zeros(len(found.points) + edges.num_points),
+        np.concatenate([owners_of(offsets_of(found.lengths)), edges.edge_ids + len(found.lengths)]),
+        np.concatenate([points, edges.observations.points + len(found.points)]),
+        np.concatenate([views.astype(np.int32), edges.observations.views]),
+        options.tracing.occlusion_radius_px,
+        num_threads,
+    )[: len(points)]
+    points, views = points[~hidden], views[~hidden]
+    order = np.lexsort((-cosines[points, views], points))
+    points, views = points[order], views[order]
+    ranks = ranks_of(np.bincount(points, minlength=len(found.points)))
+    return points[ranks < NUM_SEEING], views[ranks < NUM_SEEING]
+
+
+def joined(contours: Edges3D, more: Edges3D) -> Edges3D:
+    """Contours without nodes, and more of them."""
+    both = (contours, more)
+    return Edges3D(
+        points=np.concatenate([of.points for of in both]),
+        edge_offsets=joined_offsets([of.edge_offsets for of in both]),
+        closed=np.concatenate([of.closed for of in both]),
+        observations=Observations.concatenated([of.observations for of in both]),
+        sigmas=np.concatenate([of.sigmas for of in both]),
+        end_nodes=np.concatenate([of.end_nodes for of in both]),
+        colors=np.concatenate([of.colors for of in both]),
+    )
