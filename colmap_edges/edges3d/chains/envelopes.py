@@ -100,10 +100,10 @@ def find_envelopes(
 
     found = run_all(workers.views, calls(), lambda: None, workers.check)
     if given.free is not None:
-        places = [
-            np.flatnonzero(free)[of.places] for free, of in zip(given.free, found, strict=True)
+        wholes = [np.flatnonzero(given.free[view]) for view in range(given.num_views)]
+        found = [
+            replace(of, places=whole[of.places]) for of, whole in zip(found, wholes, strict=True)
         ]
-        found = [replace(of, places=whole) for of, whole in zip(found, places, strict=True)]
     return Envelopes.concatenated(found)
 
 
