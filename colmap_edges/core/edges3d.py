@@ -26,6 +26,7 @@ from colmap_edges.core.checks import (
     checked,
 )
 from colmap_edges.core.observations import Observations
+from colmap_edges.core.outlines import NO_OUTLINES, Outlines
 from colmap_edges.errors import check_type
 
 
@@ -329,10 +330,12 @@ class TracedEdges:
         edges: 3D edges, fixed in the scene.
         contours: view-dependent contours, which move over a surface from view to view, as
             silhouettes and reflections do. They are used for meshing, never written as edges.
+        outlines: points at which viewing rays touch smooth bodies; they are used for meshing.
     """
 
     edges: Edges3D
     contours: Edges3D
+    outlines: Outlines = NO_OUTLINES
 
 
 def mean_colors(values: FloatArray, offsets: IntArray) -> ByteArray:

@@ -25,6 +25,7 @@ from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
+from colmap_edges.surfaces.patches.outlines import with_outlines
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.regions import SmallPictures
 
@@ -103,6 +104,7 @@ def find_edges(
         viewer.show_faces(faces.faces)
     if textures:
         patches = patch_stage(model, traced.edges, textures.grids, settings, stages)
+        patches = with_outlines(patches, traced.outlines)
     return Found(
         model=model,
         traced=traced,

@@ -113,6 +113,7 @@ def traced_from(
         edges.check("edges", len(views))
         if not all((median_residuals(views, of) <= limit_px).all() for of in (edges, edges.nodes)):
             raise ValueError("points do not project to where they are observed")
+    traced.outlines.check("outlines", len(views))
     details = json.loads(str(arrays["details"]))
     if not isinstance(details, dict):
         raise ValueError("counts have no names")

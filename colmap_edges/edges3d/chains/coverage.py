@@ -48,18 +48,13 @@ def what_remains(
 
 
 def without_repeats(
-    whole: TracingInput,
-    kept: FilteredCurves,
-    outlines: ChainObservations,
-    options: TracingOptions,
+    whole: TracingInput, kept: FilteredCurves, options: TracingOptions
 ) -> tuple[FilteredCurves, dict[str, int]]:
     """Keep each stretch of a chain in its first contour only; also returns counts.
 
-    Contours do not cover chains, so that further reference views trace them again. Those on
-    `outlines`, whose radii are known, are left out.
+    Contours do not cover chains, so that further reference views trace them again.
     """
     covered = nothing_covered(whole.polyline_offsets)
-    mark_covered(covered, whole.polyline_offsets, outlines, options.curve_step_points)
     firsts = []
     for contours in kept.contours:
         # Contours lie on the reference view's chains, unless they are occluded there.

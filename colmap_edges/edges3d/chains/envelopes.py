@@ -8,7 +8,7 @@ neighbours by depth and radius together (Cipolla, Blake 1992; Vaillant, Faugeras
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -18,14 +18,13 @@ from colmap_edges.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
-    joined_offsets,
     offsets_of,
     owners_of,
     ranks_of,
 )
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.core.observations import ChainObservations, Observations
-from colmap_edges.core.view import in_images, lift
+from colmap_edges.core.outlines import Outlines
+from colmap_edges.core.view import in_images, lift, views_with_rows
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.chains.depths import sample_chains
 from colmap_edges.edges3d.chains.occlusion import find_hidden
@@ -40,8 +39,10 @@ MIN_SAMPLES = 5  # of a run; 97 of 100 such runs lie on the surface, of runs of 
 MIN_SUPPORTS = 3.5  # mean number of neighbours of a run's samples; depth and radius take two
 MAX_CHANGE = 0.2  # of the radius between two samples, relative; that of wrong matches is random
 MIN_SIGNIFICANCE = 3.0  # mean of a run's radii over their standard deviations for 1 px
-# Views that see a point of an outline: the most frontal ones, within 73 degrees of the normal.
-NUM_SEEING = 2
+SIGMA_PX = 0.5  # standard deviation of a point across the surface, pixels of the given images
+# Views that see a point of an outline: the most frontal ones, within 73 degrees of the normal. Two
+# at least decide whether a mesh lacks it.
+MIN_SEEING, NUM_SEEING = 2, 3
 MIN_COSINE = 0.3
 
 
@@ -53,7 +54,6 @@ class Envelopes:
         points: (N, 3) world points at which viewing rays touch the body.
         normals: (N, 3) unit normals of the surface, out of the body.
         views: (N,) views whose rays these are.
-        places: (N,) indices of the points in the views' whole edge graphs.
         colors: (N, 3) uint8 RGB.
         lengths: (E,) numbers of consecutive points on one outline.
     """
@@ -61,18 +61,8 @@ class Envelopes:
     points: FloatArray
     normals: FloatArray
     views: IntArray
-    places: IntArray
     colors: ByteArray
     lengths: IntArray
-
-    @property
-    def observations(self) -> ChainObservations:
-        """The observation of each point in the view whose ray touches the body there."""
-        return ChainObservations(
-            offsets=np.arange(len(self.points) + 1),
-            views=self.views.astype(np.int32),
-            positions=self.places.astype(np.float64),
-        )
 
     @classmethod
     def concatenated(cls, parts: list[Envelopes]) -> Envelopes:
@@ -99,11 +89,6 @@ def find_envelopes(
             yield envelopes_of, (part, view, near.ranges[view], options, workers.threads_per_view)
 
     found = run_all(workers.views, calls(), lambda: None, workers.check)
-    if given.free is not None:
-        wholes = [np.flatnonzero(given.free[view]) for view in range(given.num_views)]
-        found = [
-            replace(of, places=whole[of.places]) for of, whole in zip(found, wholes, strict=True)
-        ]
     return Envelopes.concatenated(found)
 
 
@@ -114,7 +99,7 @@ def envelopes_of(
     options: ChainDepthOptions,
     num_threads: int,
 ) -> Envelopes:
-    """Find the outlines on the chains of a view; `places` are indices into its traced graph."""
+    """Find the outlines on the chains of a view."""
     graph, own = given.graph(view), given.views[view]
     samples, offsets = samples_on_long_chains(graph)
     columns, supports = _kernels.envelopes(
@@ -144,7 +129,6 @@ def envelopes_of(
         points=lift(own, undistorted, inverse_depths[rows]),
         normals=normals @ own.rotation,
         views=np.full(len(rows), view),
-        places=places,
         colors=graph.colors[places],
         lengths=lengths,
     )
@@ -209,22 +193,25 @@ def normals_of(
     return normals
 
 
-def as_contours(
+def seen_outlines(
     found: Envelopes, edges: Edges3D, model: Model, options: PipelineOptions, num_threads: int
-) -> Edges3D:
-    """The outlines as contours, observed by the views that touch the body there and see it."""
-    points, views = seeing(found, edges, model, options, num_threads)
-    owners = np.concatenate([np.arange(len(found.points)), points])
-    order = np.argsort(owners, kind="stable")
-    owners, views = owners[order], np.concatenate([found.views, views])[order]
-    pixels = np.zeros((len(views), 2))
-    for view in np.unique(views).tolist():
-        rows = views == view
-        pixels[rows] = model.views[view].project(found.points[owners[rows]])[0]
-    offsets = offsets_of(np.bincount(owners, minlength=len(found.points)))
-    observed = Observations.of_pixels(offsets, views.astype(np.int32), pixels)
-    contours = Edges3D.of_polylines(found.points, found.lengths, observed)
-    return replace(contours, colors=found.colors)
+) -> Outlines:
+    """The points of outlines that at least two views see frontally, with these views."""
+    owners, views = seeing(found, edges, model, options, num_threads)
+    counts = np.bincount(owners, minlength=len(found.points))
+    kept = counts >= MIN_SEEING
+    sigmas = np.zeros(len(found.points))
+    for view, rows in views_with_rows(model.views, found.views):
+        depths = view.cam_from_world(found.points[rows])[:, 2]
+        sigmas[rows] = SIGMA_PX * view.scale / view.focal_px * depths
+    return Outlines(
+        points=found.points[kept],
+        normals=found.normals[kept],
+        sigmas=sigmas[kept],
+        colors=found.colors[kept],
+        track_offsets=offsets_of(counts[kept]),
+        track_views=views[kept[owners]].astype(np.int32),
+    )
 
 
 def seeing(
@@ -250,17 +237,3 @@ def seeing(
     points, views = points[order], views[order]
     ranks = ranks_of(np.bincount(points, minlength=len(found.points)))
     return points[ranks < NUM_SEEING], views[ranks < NUM_SEEING]
-
-
-def joined(contours: Edges3D, more: Edges3D) -> Edges3D:
-    """Contours without nodes, and more of them."""
-    both = (contours, more)
-    return Edges3D(
-        points=np.concatenate([of.points for of in both]),
-        edge_offsets=joined_offsets([of.edge_offsets for of in both]),
-        closed=np.concatenate([of.closed for of in both]),
-        observations=Observations.concatenated([of.observations for of in both]),
-        sigmas=np.concatenate([of.sigmas for of in both]),
-        end_nodes=np.concatenate([of.end_nodes for of in both]),
-        colors=np.concatenate([of.colors for of in both]),
-    )

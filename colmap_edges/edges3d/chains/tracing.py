@@ -36,12 +36,7 @@ from colmap_edges.edges3d.chains.depths import (
     compute_chain_depths,
     learn_side_likelihoods,
 )
-from colmap_edges.edges3d.chains.envelopes import (
-    Envelopes,
-    as_contours,
-    find_envelopes,
-    joined,
-)
+from colmap_edges.edges3d.chains.envelopes import Envelopes, find_envelopes, seen_outlines
 from colmap_edges.edges3d.chains.filtering import (
     FilteredCurves,
     Limits,
@@ -88,8 +83,8 @@ def trace_edges(
     )
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
-    moving = as_contours(outlines, result.edges, model, options, num_threads)
-    result = replace(result, contours=joined(result.contours, moving))
+    seen = seen_outlines(outlines, result.edges, model, options, num_threads)
+    result = replace(result, outlines=seen)
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
@@ -124,7 +119,7 @@ def trace_pieces(
     kept, stats = trace_rounds(model, whole, near, options, num_threads, advance, workers)
     rest = replace(what_remains(whole, kept, options.tracing), neighbors=near.later_neighbors)
     outlines = find_envelopes(rest, near, options.chain_depth, workers)
-    kept, repeated = without_repeats(whole, kept, outlines.observations, options.tracing)
+    kept, repeated = without_repeats(whole, kept, options.tracing)
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
     counts = {"points_of_outlines": len(outlines.points)}

@@ -70,8 +70,7 @@ nb::tuple EnvelopesArrays(const EdgeIndex& source, const std::vector<const EdgeI
                           double min_log_likelihood_ratio, double break_penalty, int max_clusters,
                           int num_threads) {
   CheckOffsets(sample_offsets, samples.size());
-  Require(inverse_depths.shape(0) == samples.size(),
-          "inverse_depths and samples differ in length");
+  Require(inverse_depths.shape(0) == samples.size(), "inverse_depths and samples differ in length");
   const std::vector<int64_t> points = ToVector(samples), offsets = ToVector(sample_offsets);
   std::vector<DepthRange> ranges(points.size());
   for (size_t i = 0; i < ranges.size(); ++i) {
@@ -84,11 +83,11 @@ nb::tuple EnvelopesArrays(const EdgeIndex& source, const std::vector<const EdgeI
   std::vector<int32_t> supports(2 * count);
   {
     nb::gil_scoped_release release;
-    const std::vector<Envelope> found = FindEnvelopes(
-        source, neighbors, points, offsets, ranges,
-        {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
-         detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
-        num_threads);
+    const std::vector<Envelope> found =
+        FindEnvelopes(source, neighbors, points, offsets, ranges,
+                      {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
+                       detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
+                      num_threads);
     for (size_t i = 0; i < count; ++i) {
       const Envelope& e = found[i];
       const double values[] = {e.inverse_depth, e.radius,   e.sigma,

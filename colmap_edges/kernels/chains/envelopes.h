@@ -273,8 +273,8 @@ inline int Shared(const Choice& a, const Choice& b) {
 }
 
 // Best path through the hypotheses of consecutive samples (dynamic programming).
-inline void Decode(const std::vector<std::vector<Choice>>& choices,
-                   const ChainDepthParameters& p, Envelope* found) {
+inline void Decode(const std::vector<std::vector<Choice>>& choices, const ChainDepthParameters& p,
+                   Envelope* found) {
   constexpr int kLeastShared = 2;
   // State 0 is no envelope; state k + 1 is choice k.
   std::vector<std::vector<double>> scores(choices.size());
@@ -286,8 +286,7 @@ inline void Decode(const std::vector<std::vector<Choice>>& choices,
   for (size_t s = 0; s < choices.size(); ++s) {
     scores[s].assign(choices[s].size() + 1, 0), from[s].assign(choices[s].size() + 1, 0);
     for (size_t k = 0; k < scores[s].size(); ++k) {
-      const double own =
-          k == 0 ? 0 : choices[s][k - 1].envelope.score - p.min_log_likelihood_ratio;
+      const double own = k == 0 ? 0 : choices[s][k - 1].envelope.score - p.min_log_likelihood_ratio;
       if (s == 0) {
         scores[s][k] = own;
         continue;
@@ -302,8 +301,8 @@ inline void Decode(const std::vector<std::vector<Choice>>& choices,
     }
   }
   if (choices.empty()) return;
-  int state = int(std::max_element(scores.back().begin(), scores.back().end()) -
-                  scores.back().begin());
+  int state =
+      int(std::max_element(scores.back().begin(), scores.back().end()) - scores.back().begin());
   for (size_t s = choices.size(); s-- > 0;) {
     const int before = from[s][state];
     if (state > 0) {

@@ -145,7 +145,7 @@ def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     contours = [first, again, elsewhere, not_in_reference]
     kept = FilteredCurves(edges=[], contours=contours, limits=LIMITS)
     options = TracingOptions(curve_step_points=4, min_curve_points=3)
-    left, counts = without_repeats(fence, kept, ChainObservations.none(), options)
+    left, counts = without_repeats(fence, kept, options)
     assert [of.points[:, 0].tolist() for of in left.contours] == [
         [*range(40, 120, 4)],
         [*range(20, 36, 4), *range(124, 160, 4)],  # 4 px beside a point are its own
@@ -155,9 +155,7 @@ def test_of_contours_along_the_same_chain_the_first_is_left(fence):
     assert left.contours[1].offsets.tolist() == [0, 4, 13]
     assert left.contours[1].observations.select(np.array([4])).positions.tolist() == [124] * 3
     assert counts == {"points_of_contours": 73, "points_dropped_repeated": 22}
-    shorter, _ = without_repeats(
-        fence, kept, ChainObservations.none(), replace(options, min_curve_points=5)
-    )
+    shorter, _ = without_repeats(fence, kept, replace(options, min_curve_points=5))
     assert shorter.contours[1].points[:, 0].tolist() == [*range(124, 160, 4)]
 
 

@@ -1,0 +1,29 @@
+"""Points on outlines of smooth bodies, beside patches: both are added where a mesh lacks them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import joined_offsets
+from colmap_edges.core.outlines import Outlines
+from colmap_edges.surfaces.patches.finding import Patches
+from colmap_edges.surfaces.silhouettes import SeenPoints
+
+
+def with_outlines(patches: Patches, outlines: Outlines) -> Patches:
+    """The patches, and the points of outlines as further ones."""
+    own = patches.points
+    return replace(
+        patches,
+        points=SeenPoints(
+            np.concatenate([own.points, outlines.points]),
+            joined_offsets([own.track_offsets, outlines.track_offsets]),
+            np.concatenate([own.track_views, outlines.track_views]),
+        ),
+        normals=np.concatenate([patches.normals, outlines.normals]),
+        sigmas=np.concatenate([patches.sigmas, outlines.sigmas]),
+        tolerances=np.concatenate([patches.tolerances, outlines.sigmas]),
+        grays=np.concatenate([patches.grays, outlines.colors.mean(axis=1).astype(np.uint8)]),
+    )
