@@ -38,8 +38,8 @@ namespace envelopes_internal {
 
 // Source pixels; between two of them outlines move by about a pixel.
 inline std::vector<double> RadiiPx() {
-  constexpr double kFirst = 6, kGrowth = 1.25;
-  constexpr int kCount = 13;
+  constexpr double kFirst = 8, kGrowth = 1.35;
+  constexpr int kCount = 10;
   std::vector<double> radii{0};
   double radius = 0, step = kFirst;
   for (int i = 0; i < kCount; ++i, step *= kGrowth) {
@@ -51,9 +51,10 @@ inline std::vector<double> RadiiPx() {
 
 // An intersection: the inverse depth is at + radius * per_radius.
 struct Line {
-  double at, per_radius, sigma;
+  double at, per_radius, sigma, weight;  // weight: 1 / sigma, which is that for 1 px
   int32_t neighbor, polyline;
   float likelihood;
+  bool across;  // both chains cross the epipolar line at more than 30 degrees
 };
 
 struct Choice {
@@ -72,7 +73,9 @@ class EnvelopeSampler {
     lines_.clear(), densities_.assign(pairs_.size(), 0);
     for (size_t n = 0; n < pairs_.size(); ++n) Collect(point, range, int32_t(n));
     std::vector<Choice> found;
-    if (int(lines_.size()) < kLeastSupports) return found;
+    // Among many lines some meet anywhere.
+    const size_t most = kMostLines * pairs_.size();
+    if (int(lines_.size()) < kLeastSupports || lines_.size() > most) return found;
     starts_.clear();
     for (const double radius : radii_) AddStarts(radius / source_.focal());
     std::sort(starts_.begin(), starts_.end(), [](const Start& a, const Start& b) {
@@ -99,7 +102,8 @@ class EnvelopeSampler {
 
  private:
   static constexpr int kLeastSupports = 3;
-  static constexpr size_t kMostStarts = 24;
+  static constexpr size_t kMostStarts = 16;
+  static constexpr size_t kMostLines = 5;  // of a neighbour, in the mean
 
   struct Start {
     double radius, inverse_depth, spread;
@@ -109,7 +113,8 @@ class EnvelopeSampler {
   void Collect(int64_t i, const DepthRange& range, int32_t n);
   void AddStarts(double radius);
   Choice Fitted(const Start& start, const DepthRange& range);
-  double Support(double radius, double inverse_depth, double window_px);
+  void Associate(double radius, double inverse_depth, double window_px);
+  double Score(double window_px) const;
 
   const EdgeIndex& source_;
   const std::vector<Pair>& pairs_;
@@ -121,6 +126,7 @@ class EnvelopeSampler {
   std::vector<double> densities_;                   // by neighbour
   std::vector<std::pair<double, int32_t>> sorted_;  // inverse depths of lines at a radius
   std::vector<int32_t> nearest_;                    // by neighbour: its nearest line, or -1
+  std::vector<double> gaps_;                        // by neighbour: to that line, pixels
   std::vector<char> counted_;                       // by neighbour: whether it supports a start
   std::vector<Start> starts_;
   std::vector<EpipolarIndex::Crossed> crossed_;
@@ -170,7 +176,8 @@ inline void EnvelopeSampler::Collect(int64_t i, const DepthRange& range, int32_t
     other_out = 1 / Norm(other_out) * other_out;
     const double per_radius = cosine * (1 - Dot(other_out, out)) / Dot(other_out, e);
     const double sigma = z * z / (speed * std::min(sin, sin0));
-    lines_.push_back({rho, per_radius, sigma, n, view.polyline(s), likelihood});
+    lines_.push_back({rho, per_radius, sigma, 1 / sigma, n, view.polyline(s), likelihood,
+                      std::min(sin, sin0) > 0.5});
   });
   densities_[n] = 0.5 * double(std::max<int64_t>(count, 1)) / (range.high - range.low);
 }
@@ -184,6 +191,7 @@ inline void EnvelopeSampler::AddStarts(double radius) {
   std::sort(sorted_.begin(), sorted_.end());
   const double window = std::sqrt(2.0) * p_.max_disagreement_px;
   for (size_t u = 0; u < sorted_.size(); ++u) {
+    if (!lines_[sorted_[u].second].across) continue;
     const double at = sorted_[u].first, reach = window * lines_[sorted_[u].second].sigma;
     int count = 0;
     double spread = 0;
@@ -195,35 +203,39 @@ inline void EnvelopeSampler::AddStarts(double radius) {
       counted_[line.neighbor] = true, ++count, spread += gap / (reach + window * line.sigma);
     };
     add(u);
-    for (size_t v = u; v-- > 0 && at - sorted_[v].first < 4 * reach;) add(v);
-    for (size_t v = u + 1; v < sorted_.size() && sorted_[v].first - at < 4 * reach; ++v) add(v);
+    for (size_t v = u; v-- > 0 && at - sorted_[v].first < 2 * reach;) add(v);
+    for (size_t v = u + 1; v < sorted_.size() && sorted_[v].first - at < 2 * reach; ++v) add(v);
     if (count >= kLeastSupports) starts_.push_back({radius, at, spread, count});
   }
 }
 
-// Writes the nearest lines of all neighbours to nearest_, and returns the log likelihood ratio.
-inline double EnvelopeSampler::Support(double radius, double inverse_depth, double window_px) {
-  nearest_.assign(pairs_.size(), -1);
-  std::vector<double> gaps(pairs_.size(), window_px);
+// Writes the nearest line of each neighbour within a window to nearest_, and their distances.
+inline void EnvelopeSampler::Associate(double radius, double inverse_depth, double window_px) {
+  nearest_.assign(pairs_.size(), -1), gaps_.assign(pairs_.size(), window_px);
   for (size_t l = 0; l < lines_.size(); ++l) {
     const Line& line = lines_[l];
-    const double gap = std::abs(line.at + radius * line.per_radius - inverse_depth) / line.sigma;
-    if (gap < gaps[line.neighbor]) gaps[line.neighbor] = gap, nearest_[line.neighbor] = int32_t(l);
+    const double gap = std::abs(line.at + radius * line.per_radius - inverse_depth) * line.weight;
+    if (gap < gaps_[line.neighbor])
+      gaps_[line.neighbor] = gap, nearest_[line.neighbor] = int32_t(l);
   }
+}
+
+// Log likelihood ratio of the nearest lines, as of clusters of fixed edges.
+inline double EnvelopeSampler::Score(double window_px) const {
   const double q = p_.detection_rate, v = p_.visibility_rate;
-  double score = 0;
+  double ratio = 1;
   for (size_t n = 0; n < pairs_.size(); ++n) {
     if (densities_[n] == 0) continue;
     const bool agrees = nearest_[n] >= 0;
-    const double sigma = agrees ? lines_[nearest_[n]].sigma : 0;
+    const double sigma = agrees ? 1 / lines_[nearest_[n]].weight : 0;
     const double x = std::clamp(2 * window_px * sigma * densities_[n], 0.02, 50.0);
-    const double share = gaps[n] / window_px;
+    const double share = gaps_[n] / window_px;
     const double seen = agrees ? q * (1 + x) / x * lines_[nearest_[n]].likelihood *
                                      chain_depths_internal::GapLikelihood(share * share)
                                : (1 - q) * (1 + x);
-    score += std::log(v * seen + 1 - v);
+    ratio *= v * seen + 1 - v;
   }
-  return score;
+  return std::log(ratio);
 }
 
 // Least squares of inverse depth and radius on the nearest lines.
@@ -233,12 +245,12 @@ inline Choice EnvelopeSampler::Fitted(const Start& start, const DepthRange& rang
   double rho = start.inverse_depth, radius = start.radius;
   double s1 = 0, sg = 0, sgg = 0, information = 0;
   for (int step = 0; step < kSteps; ++step) {
-    Support(radius, rho, (step == 0 ? std::sqrt(2.0) : 1.0) * p_.max_disagreement_px);
+    Associate(radius, rho, (step == 0 ? std::sqrt(2.0) : 1.0) * p_.max_disagreement_px);
     double sr = 0, sgr = 0;
     s1 = sg = sgg = 0;
     for (const int32_t l : nearest_) {
       if (l < 0) continue;
-      const double w = 1 / (lines_[l].sigma * lines_[l].sigma), g = lines_[l].per_radius;
+      const double w = lines_[l].weight * lines_[l].weight, g = lines_[l].per_radius;
       s1 += w, sg += w * g, sgg += w * g * g, sr += w * lines_[l].at, sgr += w * g * lines_[l].at;
     }
     information = sgg - sg * sg / (s1 + 1e-300);
@@ -247,12 +259,13 @@ inline Choice EnvelopeSampler::Fitted(const Start& start, const DepthRange& rang
     rho = (sr + radius * sg) / s1;
   }
   if (!(rho >= range.low && rho <= range.high)) return best;
-  best.envelope.score = Support(radius, rho, p_.max_disagreement_px);
+  Associate(radius, rho, p_.max_disagreement_px);
+  best.envelope.score = Score(p_.max_disagreement_px);
   double squares = 0;
   for (const int32_t l : nearest_) {
     if (l < 0) continue;
     const Line& line = lines_[l];
-    const double gap = (line.at + radius * line.per_radius - rho) / line.sigma;
+    const double gap = (line.at + radius * line.per_radius - rho) * line.weight;
     squares += gap * gap, ++best.envelope.num_supports;
     best.chains.push_back({line.neighbor, line.polyline});
   }
@@ -261,6 +274,15 @@ inline Choice EnvelopeSampler::Fitted(const Start& start, const DepthRange& rang
   best.envelope.sigma = std::sqrt(sgg / (s1 * information));
   best.envelope.residual = std::sqrt(squares / std::max(best.envelope.num_supports - 2, 1));
   return best;
+}
+
+constexpr int64_t kCoarse = 4;  // samples; less than those of the shortest outline
+
+// Whether the radius is significant.
+inline bool IsCurved(const Choice& choice) {
+  constexpr double kSignificant = 3;
+  const Envelope& e = choice.envelope;
+  return std::abs(e.radius) > kSignificant * e.radius_sigma;
 }
 
 // Number of chains that two hypotheses share.
@@ -335,11 +357,23 @@ inline std::vector<Envelope> FindEnvelopes(const EdgeIndex& source,
   std::vector<EnvelopeSampler> samplers(std::max(1, num_threads),
                                         EnvelopeSampler(source, pairs, indexes, parameters));
   ParallelFor(int64_t(sample_offsets.size()) - 1, num_threads, [&](int64_t chain, int worker) {
-    std::vector<std::vector<Choice>> choices;
-    for (int64_t s = sample_offsets[chain]; s < sample_offsets[chain + 1]; ++s) {
-      choices.push_back(samplers[worker].Choices(samples[s], ranges[s]));
+    const int64_t first = sample_offsets[chain], count = sample_offsets[chain + 1] - first;
+    std::vector<std::vector<Choice>> choices(count);
+    const auto choose = [&](int64_t s) {
+      choices[s] = samplers[worker].Choices(samples[first + s], ranges[first + s]);
+    };
+    // Every kCoarse-th sample tells where others are worth it.
+    for (int64_t s = kCoarse / 2; s < count; s += kCoarse) choose(s);
+    const auto promises = [&](int64_t s) {
+      return s >= 0 && s < count && std::any_of(choices[s].begin(), choices[s].end(), IsCurved);
+    };
+    std::vector<int64_t> others;
+    for (int64_t s = 0; s < count; ++s) {
+      const int64_t after = (s + kCoarse / 2) % kCoarse;
+      if (after && (promises(s - after) || promises(s - after + kCoarse))) others.push_back(s);
     }
-    Decode(choices, parameters, found.data() + sample_offsets[chain]);
+    for (const int64_t s : others) choose(s);
+    Decode(choices, parameters, found.data() + first);
   });
   return found;
 }
