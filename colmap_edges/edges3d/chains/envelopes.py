@@ -7,8 +7,8 @@ neighbours by depth and radius together (Cipolla, Blake 1992; Vaillant, Faugeras
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -18,13 +18,14 @@ from colmap_edges.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    joined_offsets,
     offsets_of,
     owners_of,
     ranks_of,
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.outlines import Outlines
-from colmap_edges.core.view import in_images, lift, views_with_rows
+from colmap_edges.core.view import in_images, lift, rows_by_view, views_with_rows
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.chains.depths import sample_chains
 from colmap_edges.edges3d.chains.occlusion import find_hidden
@@ -194,10 +195,24 @@ def normals_of(
 
 
 def seen_outlines(
-    found: Envelopes, edges: Edges3D, model: Model, options: PipelineOptions, num_threads: int
+    found: Envelopes,
+    edges: Edges3D,
+    model: Model,
+    observing_views: Sequence[IntArray],
+    options: PipelineOptions,
+    num_threads: int,
 ) -> Outlines:
-    """The points of outlines that at least two views see frontally, with these views."""
-    owners, views = seeing(found, edges, model, options, num_threads)
+    """The points of outlines that at least two views see frontally, with these views.
+
+    Args:
+        found: the outlines.
+        edges: the 3D edges; they and SfM points occlude outlines.
+        model: the views and the SfM points.
+        observing_views: per view those that may see its outlines.
+        options: radius in which points are compared for occlusion.
+        num_threads: threads to use; the result does not depend on it.
+    """
+    owners, views = seeing(found, edges, model, observing_views, options, num_threads)
     counts = np.bincount(owners, minlength=len(found.points))
     kept = counts >= MIN_SEEING
     sigmas = np.zeros(len(found.points))
@@ -215,25 +230,47 @@ def seen_outlines(
 
 
 def seeing(
-    found: Envelopes, edges: Edges3D, model: Model, options: PipelineOptions, num_threads: int
+    found: Envelopes,
+    edges: Edges3D,
+    model: Model,
+    observing_views: Sequence[IntArray],
+    options: PipelineOptions,
+    num_threads: int,
 ) -> tuple[IntArray, IntArray]:
     """Points of outlines, and views that see each from the most frontal side, not occluded."""
-    away = model.camera_centers - found.points[:, None]
-    cosines = np.einsum("nvk,nk->nv", away, found.normals) / np.linalg.norm(away, axis=2)
-    cosines[~in_images(model.views, found.points).T] = 0
-    points, views = np.nonzero(cosines > MIN_COSINE)
+    parts = [np.zeros((0, 3))]
+    for view, rows in enumerate(rows_by_view(found.views, len(model.views))):
+        others = observing_views[view]
+        away = model.camera_centers[others] - found.points[rows, None]
+        cosines = np.einsum("nvk,nk->nv", away, found.normals[rows])
+        cosines /= np.linalg.norm(away, axis=2)
+        inside = in_images([model.views[other] for other in others.tolist()], found.points[rows])
+        points, places = np.nonzero((cosines > MIN_COSINE) & inside.T)
+        parts.append(np.column_stack([rows[points], others[places], cosines[points, places]]))
+    points, views = np.concatenate(parts)[:, :2].T.astype(np.int64)
+    cosines = np.concatenate(parts)[:, 2]
     hidden = find_hidden(
-        model,
-        np.concatenate([found.points, edges.points]),
-        np.zeros(len(found.points) + edges.num_points),
-        np.concatenate([owners_of(offsets_of(found.lengths)), edges.edge_ids + len(found.lengths)]),
-        np.concatenate([points, edges.observations.points + len(found.points)]),
-        np.concatenate([views.astype(np.int32), edges.observations.views]),
+        with_edges(model, edges),
+        found.points,
+        np.zeros(len(found.points)),
+        owners_of(offsets_of(found.lengths)),
+        points,
+        views.astype(np.int32),
         options.tracing.occlusion_radius_px,
         num_threads,
-    )[: len(points)]
-    points, views = points[~hidden], views[~hidden]
-    order = np.lexsort((-cosines[points, views], points))
+    )
+    points, views, cosines = points[~hidden], views[~hidden], cosines[~hidden]
+    order = np.lexsort((-cosines, points))
     points, views = points[order], views[order]
     ranks = ranks_of(np.bincount(points, minlength=len(found.points)))
     return points[ranks < NUM_SEEING], views[ranks < NUM_SEEING]
+
+
+def with_edges(model: Model, edges: Edges3D) -> Model:
+    """The model with the points of edges among its points, as far as occlusion needs it."""
+    return replace(
+        model,
+        points3D_xyz=np.concatenate([model.points3D_xyz, edges.points]),
+        track_offsets=joined_offsets([model.track_offsets, edges.observations.offsets]),
+        track_views=np.concatenate([model.track_views, edges.observations.views]),
+    )

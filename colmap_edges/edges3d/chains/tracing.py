@@ -83,7 +83,7 @@ def trace_edges(
     )
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
-    seen = seen_outlines(outlines, result.edges, model, options, num_threads)
+    seen = seen_outlines(outlines, result.edges, model, near.observing_views, options, num_threads)
     result = replace(result, outlines=seen)
     about = {
         "views": len(model.views),
