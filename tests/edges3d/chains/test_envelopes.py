@@ -3,10 +3,16 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pycolmap
 import pytest
+from curves import model_of
+from plain_rooms import upright_view
 
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.edges3d.chains import envelopes
 from colmap_edges.kernels import _kernels
+from colmap_edges.options import PipelineOptions
 
 RADIUS, DISTANCE, FOCAL = 0.3, 2.0, 600.0
 HEIGHTS = np.linspace(-0.5, 0.5, 301)
@@ -167,3 +173,38 @@ def test_normals_point_out_of_the_body():
         )
         true = own.points[samples] * (1, 1, 0) / RADIUS
         np.testing.assert_allclose(normals @ pose_at(0.0)[0], true, atol=1e-6)
+
+
+def test_outlines_are_seen_by_frontal_views_without_anything_in_between():
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[600, 600, 320, 240])
+    views = [upright_view(i, camera, *of) for i, of in enumerate(looks())]
+    points = np.column_stack([np.zeros(5), np.zeros(5), np.linspace(-0.1, 0.1, 5)])
+    found = envelopes.Envelopes(
+        points=points,
+        normals=np.tile([0.0, -1, 0], (5, 1)),
+        views=np.full(5, 0),
+        colors=np.zeros((5, 3), np.uint8),
+        lengths=np.array([5]),
+    )
+    others = [np.arange(len(views))] * len(views)
+    options = PipelineOptions()
+    model, edges = model_of(views), Edges3D.none()
+    seen = envelopes.seen_outlines(found, edges, model, others, options, 1)
+    # Views 1, 2 and 3 face the points; 0 touches the body, 4 is behind it.
+    assert seen.track_views.reshape(5, -1).tolist() == [[2, 1, 3]] * 5
+    np.testing.assert_allclose(seen.sigmas, 0.5 * 2 / 600)
+    # An edge before the points hides them from view 2.
+    step = np.linspace(-0.2, 0.2, 81)
+    wall = np.column_stack([np.zeros(81), np.full(81, -1.0), step])
+    observed = Observations.of_pixels(np.arange(82), np.full(81, 2, np.int32), np.zeros((81, 2)))
+    edges = Edges3D.of_polylines(wall, np.array([81]), observed)
+    seen = envelopes.seen_outlines(found, edges, model, others, options, 1)
+    assert seen.track_views.reshape(5, -1).tolist() == [[1, 3]] * 5
+
+
+def looks():
+    """Centres and directions of views of the origin from 2 units away, by angle to -y."""
+    for degrees in (90, 35, 0, -40, 180):
+        angle = np.radians(degrees)
+        center = 2 * np.array([np.sin(angle), -np.cos(angle), 0])
+        yield center, -center
