@@ -240,7 +240,11 @@ def seeing(
     """Points of outlines, and views that see each from the most frontal side, not occluded."""
     parts = [np.zeros((0, 3))]
     for view, rows in enumerate(rows_by_view(found.views, len(model.views))):
-        others = observing_views[view]
+        if not len(rows):
+            continue
+        # Frontal views share few points with the one that touches the body, but with views between.
+        near = observing_views[view]
+        others = np.unique(np.concatenate([near, *(observing_views[other] for other in near)]))
         away = model.camera_centers[others] - found.points[rows, None]
         cosines = np.einsum("nvk,nk->nv", away, found.normals[rows])
         cosines /= np.linalg.norm(away, axis=2)
