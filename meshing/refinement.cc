@@ -140,6 +140,14 @@ bool FitPlane(const std::vector<Vec3>& points, Vec3& mean, Vec3& normal) {
   return Norm(normal) > 0.5;
 }
 
+// Weight of a neighbour whose normal differs by the square root of q deviations: exp(-q / 2),
+// nearly, in a tenth of the time.
+double Similarity(double q) {
+  double weight = 1 / (1 + q / 16);
+  for (int i = 0; i < 3; ++i) weight *= weight;
+  return weight;
+}
+
 }  // namespace
 
 struct Refiner::Face {
@@ -217,14 +225,6 @@ std::vector<Refiner::Face> Refiner::MeasuredFaces(const std::vector<Vec3>& x) co
     faces[f].certainty = areas[f] / typical / (kNormalVariance + faces[f].variance);
   });
   return faces;
-}
-
-// Weight of a neighbour whose normal differs by the square root of q deviations: exp(-q / 2),
-// nearly, in a tenth of the time.
-double Similarity(double q) {
-  double weight = 1 / (1 + q / 16);
-  for (int i = 0; i < 3; ++i) weight *= weight;
-  return weight;
 }
 
 void Refiner::SmoothNormals(Smoothness smoothness, std::vector<Face>& faces) const {

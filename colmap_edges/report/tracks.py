@@ -35,6 +35,19 @@ def residual_per_edge(edges: Edges3D, residuals: FloatArray) -> FloatArray:
     return np.asarray(sums / np.maximum(counts, 1))
 
 
+def medians_of(values: FloatArray, owners: IntArray, count: int) -> FloatArray:
+    """(count,) medians of the finite ones of (N,) values of each owner; NaN without any."""
+    finite = np.isfinite(values)
+    values, owners = values[finite], owners[finite]
+    values = values[np.lexsort((values, owners))]
+    counts = np.bincount(owners, minlength=count)
+    starts, some = np.cumsum(counts) - counts, counts > 0
+    low, high = ((starts + half)[some] for half in ((counts - 1) // 2, counts // 2))
+    medians = np.full(count, np.nan)
+    medians[some] = (values[low] + values[high]) / 2
+    return medians
+
+
 def edge_data(
     model: Model, edges: Edges3D, residuals: FloatArray, pictured: Sequence[int]
 ) -> Packed:
@@ -80,15 +93,11 @@ def edge_details(edges: Edges3D, curves: Curves3D, origin: FloatArray) -> Packed
     ends = np.concatenate([edges.points[first], edges.points[last]], axis=1) - np.tile(origin, 2)
     through = edges.nodes.through_points
     owners = np.append(edges.edge_ids, -1)[through]
-    medians = [
-        np.nanmedian(part) if np.isfinite(part).any() else np.nan
-        for part in np.split(edges.sigmas, edges.edge_offsets[1:-1])
-    ]
     return {
         "ends": ends.astype(np.float32).ravel(),
         "nodes": edges.end_nodes.ravel(),
         "through": owners.astype(np.int32),
-        "sigmas": np.array(medians, np.float32),
+        "sigmas": medians_of(edges.sigmas, edges.edge_ids, edges.num_edges).astype(np.float32),
         "kind_names": list(KINDS),
         "curve_edges": curves.edges.astype(np.int32),
         "curve_kinds": curves.kinds,

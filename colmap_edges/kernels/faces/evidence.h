@@ -296,14 +296,19 @@ class Neighborhood {
     float* __restrict to_y = seen->y.data();
     float* __restrict to_z = seen->depths.data();
     int32_t* __restrict cells = seen->cells.data();
+    // Loops of few arrays, which compilers turn into vectors.
     for (size_t i = 0; i < count; ++i) {
       const float z = oz + along[i] * (at[2] + from[i] * per_px[2]);
-      const float x = focal * (ox + along[i] * (at[0] + from[i] * per_px[0])) / z + middle_x;
-      const float y = focal * (oy + along[i] * (at[1] + from[i] * per_px[1])) / z + middle_y;
-      to_x[i] = x, to_y[i] = y, to_z[i] = z;
-      const bool inside = (z > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height);
+      to_x[i] = focal * (ox + along[i] * (at[0] + from[i] * per_px[0])) / z + middle_x;
+      to_y[i] = focal * (oy + along[i] * (at[1] + from[i] * per_px[1])) / z + middle_y;
+      to_z[i] = z;
+    }
+    for (size_t i = 0; i < count; ++i) {
+      const float x = to_x[i], y = to_y[i];
       const int32_t right = int32_t(std::min(std::max(0.f, x), width)) / FaceView::kCellPx;
       const int32_t down = int32_t(std::min(std::max(0.f, y), height)) / FaceView::kCellPx;
+      const int32_t inside = int32_t(to_z[i] > 0) & int32_t(x >= 0) & int32_t(y >= 0) &
+                             int32_t(x < width) & int32_t(y < height);
       cells[i] = (down * columns + right + 1) * inside - 1;
     }
   }

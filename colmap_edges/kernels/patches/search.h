@@ -117,7 +117,8 @@ class PatchSearch {
 
   void Begin(int site) {
     const Window window(view_, XOf(site), YOf(site));
-    for (int i = 0; i < sites_.num_hypotheses; ++i) {
+    // The first is the best one nearly always.
+    for (int i = 0; i < sites_.num_hypotheses && patches_[site].score < options_.believed; ++i) {
       const float* of = sites_.hypotheses + (size_t(site) * sites_.num_hypotheses + i) * 3;
       if (std::isfinite(of[0])) Try(site, window, {of[0], of[1], of[2]});
     }
@@ -204,42 +205,38 @@ class PatchSearch {
   // Adds the differences of a window from what a neighbour shows, if that is alike.
   void AddDifferences(const Window& window, const WindowPlaces<kWindowCount>& at,
                       const RelativeView& relative, const PatchView& other, Normals& sums) const {
-    std::array<float, kWindowCount> gray, change;
-    float sum = 0, sum_change = 0, sum_squares = 0, products = 0;
+    const WindowGray<kWindowCount> there(other, at);
+    const std::array<float, kWindowCount>& gray = there.gray;
+    std::array<float, kWindowCount> change;
     const float sx = float(relative.shift.x), sy = float(relative.shift.y),
                 sz = float(relative.shift.z);
-    for (int i = 0; i < kWindowCount; ++i) {
-      const GrayAt there(other, at.x[i], at.y[i]);
-      gray[i] = there.gray;
-      change[i] =
-          (there.right * (sx - at.x[i] * sz) + there.down * (sy - at.y[i] * sz)) * at.scale[i];
-      sum += gray[i], sum_change += change[i], sum_squares += gray[i] * gray[i];
-      products += window.gray[i] * gray[i];
-    }
+    for (int i = 0; i < kWindowCount; ++i)
+      change[i] = (there.right[i] * (sx - at.x[i] * sz) + there.down[i] * (sy - at.y[i] * sz)) *
+                  at.scale[i];
+    const float sum = SumOf(gray), sum_squares = ProductOf(gray, gray);
+    const float products = ProductOf(window.gray, gray);
     const float squares = sum_squares - sum * sum / kWindowCount;
     if (!(squares > flat() * kWindowCount) ||
         !(products > kUseful * std::sqrt(squares * window.squares)))
       return;
     const float gain = std::sqrt(window.squares / squares), mean = sum / kWindowCount;
-    float mean_x = 0, mean_y = 0;
-    for (int i = 0; i < kWindowCount; ++i)
-      mean_x += kPixels.dx[i] * change[i], mean_y += kPixels.dy[i] * change[i];
-    mean_x /= kWindowCount, mean_y /= kWindowCount;
-    const float mean_change = sum_change / kWindowCount;
-    float m[6] = {}, r[3] = {}, total = 0;
+    // Changes by inverse depth and slopes, and the differences.
+    std::array<std::array<float, kWindowCount>, 4> of;
     for (int i = 0; i < kWindowCount; ++i) {
-      const float difference = window.gray[i] - gain * (gray[i] - mean);
-      const float g0 = gain * (change[i] - mean_change),
-                  g1 = gain * (kPixels.dx[i] * change[i] - mean_x),
-                  g2 = gain * (kPixels.dy[i] * change[i] - mean_y);
-      m[0] += g0 * g0, m[1] += g0 * g1, m[2] += g0 * g2;
-      m[3] += g1 * g1, m[4] += g1 * g2, m[5] += g2 * g2;
-      r[0] += g0 * difference, r[1] += g1 * difference, r[2] += g2 * difference;
-      total += difference * difference;
+      of[0][i] = gain * change[i];
+      of[1][i] = kPixels.dx[i] * of[0][i], of[2][i] = kPixels.dy[i] * of[0][i];
+      of[3][i] = window.gray[i] - gain * (gray[i] - mean);
     }
-    for (int i = 0; i < 6; ++i) sums.matrix[i] += m[i];
-    for (int i = 0; i < 3; ++i) sums.right[i] += r[i];
-    sums.squares += total, sums.count += kWindowCount;
+    for (int k = 0; k < 3; ++k) {
+      const float mean_change = SumOf(of[k]) / kWindowCount;
+      for (float& value : of[k]) value -= mean_change;
+    }
+    int at_matrix = 0;
+    for (int k = 0; k < 3; ++k) {
+      for (int l = k; l < 3; ++l) sums.matrix[at_matrix++] += ProductOf(of[k], of[l]);
+      sums.right[k] += ProductOf(of[k], of[3]);
+    }
+    sums.squares += ProductOf(of[3], of[3]), sums.count += kWindowCount;
   }
 
   // The standard deviation, and which neighbours show the patch.
@@ -250,7 +247,8 @@ class PatchSearch {
     for (int i = 0; i < 2; ++i) {
       PatchPlane plane = patch.plane;
       if (!Step(site, window, plane, &patch.sigma)) break;
-      if (!Try(site, window, plane)) break;
+      const double moved = std::abs(plane.inverse - patch.plane.inverse);
+      if (!Try(site, window, plane) || moved < kStillPx * UnitOf(site, plane.inverse)) break;
     }
     patch.unit = UnitOf(site, patch.plane.inverse);
     std::array<float, kMaxOthers> found;
@@ -259,8 +257,9 @@ class PatchSearch {
       if (found[i] >= options_.believed) patch.showing |= uint32_t{1} << i;
   }
 
-  static constexpr double kSamePx = 0.1;  // parallax between planes of which one is tried
-  static constexpr float kUseful = 0.5f;  // correlation from which a place may be near
+  static constexpr double kSamePx = 0.1;    // parallax between planes of which one is tried
+  static constexpr double kStillPx = 0.02;  // parallax of a step after which none follows
+  static constexpr float kUseful = 0.5f;    // correlation from which a place may be near
 
   const PatchView& view_;
   const PatchSites& sites_;

@@ -134,20 +134,53 @@ struct WindowPlaces {
   }
 };
 
-// Gray between the middles of four pixels of a picture, and its change to the right and downwards.
-struct GrayAt {
-  float gray, right, down;
+// The sum of the values of a window or of its half, in lanes: one after the other they would wait
+// for each other.
+template <size_t kCount, typename Value>
+float SumOver(const Value& value) {
+  static_assert(kCount == kHalfCount || kCount == kWindowCount);
+  std::array<float, 12> lanes;
+  if constexpr (kCount == kHalfCount)
+    for (int i = 0; i < 12; ++i) lanes[i] = value(i) + value(i + 12);
+  else
+    for (int i = 0; i < 12; ++i)
+      lanes[i] = (value(i) + value(i + 12)) + (value(i + 24) + value(i + 36));
+  for (int i = 0; i < 4; ++i) lanes[i] += lanes[i + 4] + lanes[i + 8];
+  return (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + value(kCount - 1);
+}
+template <size_t kCount>
+float SumOf(const std::array<float, kCount>& values) {
+  return SumOver<kCount>([&](int i) { return values[i]; });
+}
+template <size_t kCount>
+float ProductOf(const std::array<float, kCount>& a, const std::array<float, kCount>& b) {
+  return SumOver<kCount>([&](int i) { return a[i] * b[i]; });
+}
 
-  GrayAt(const PatchView& view, float x, float y) {
-    const int32_t column = int32_t(x), row = int32_t(y);
-    const float s = x - column, t = y - row;
-    const uint8_t* above = view.gray + int64_t(row) * view.width + column;
-    const uint8_t* below = above + view.width;
-    const float upper = above[0] + s * (above[1] - above[0]);
-    const float lower = below[0] + s * (below[1] - below[0]);
-    gray = upper + t * (lower - upper);
-    right = (1 - t) * (above[1] - above[0]) + t * (below[1] - below[0]);
-    down = lower - upper;
+// Gray between the middles of four pixels of a picture, and its change to the right and downwards,
+// at the places of a window. One thing after the other for all places, which compilers turn into
+// vectors.
+template <int kCount>
+struct WindowGray {
+  std::array<float, kCount> gray, right, down;
+
+  WindowGray(const PatchView& view, const WindowPlaces<kCount>& at) {
+    std::array<int32_t, kCount> places, corners;
+    for (int i = 0; i < kCount; ++i) places[i] = int32_t(at.y[i]) * view.width + int32_t(at.x[i]);
+    for (int i = 0; i < kCount; ++i) {
+      const uint8_t* above = view.gray + places[i];
+      const uint8_t* below = above + view.width;
+      corners[i] = int32_t(above[0] | above[1] << 8 | uint32_t(below[0] | below[1] << 8) << 16);
+    }
+    for (int i = 0; i < kCount; ++i) {
+      const float s = at.x[i] - float(int32_t(at.x[i])), t = at.y[i] - float(int32_t(at.y[i]));
+      const float a = float(corners[i] & 255), b = float(corners[i] >> 8 & 255),
+                  c = float(corners[i] >> 16 & 255), d = float(corners[i] >> 24 & 255);
+      const float upper = a + s * (b - a), lower = c + s * (d - c);
+      gray[i] = upper + t * (lower - upper);
+      right[i] = (1 - t) * (b - a) + t * (d - c);
+      down[i] = lower - upper;
+    }
   }
 };
 
@@ -169,28 +202,30 @@ struct Window {
   // gray that does not vary.
   template <int kCount>
   float Correlation(const WindowPlaces<kCount>& at, const PatchView& other, float flat) const {
-    const float* own = kCount == kHalfCount ? half.data() : gray.data();
     const float own_squares = kCount == kHalfCount ? half_squares : squares;
-    std::array<float, kCount> theirs;
-    for (int i = 0; i < kCount; ++i) {
-      theirs[i] = GrayAt(other, at.x[i], at.y[i]).gray;
-    }
-    float sum = 0, sum_squares = 0, products = 0;
-    for (int i = 0; i < kCount; ++i)
-      sum += theirs[i], sum_squares += theirs[i] * theirs[i], products += own[i] * theirs[i];
+    const std::array<float, kCount>& own = Own<kCount>();
+    const std::array<float, kCount> theirs = WindowGray<kCount>(other, at).gray;
+    const float sum = SumOf(theirs), sum_squares = ProductOf(theirs, theirs);
+    const float products = ProductOf(own, theirs);
     const float their_squares = sum_squares - sum * sum / kCount;
     if (!(their_squares > flat * kCount) || !(own_squares > flat * kCount)) return -1;
     return products / std::sqrt(own_squares * their_squares);
   }
 
  private:
+  template <int kCount>
+  const std::array<float, kCount>& Own() const {
+    if constexpr (kCount == kHalfCount)
+      return half;
+    else
+      return gray;
+  }
   // Takes the mean from values; returns the sum of the squares of what is left.
   template <size_t kCount>
   static float Center(std::array<float, kCount>& values) {
-    float sum = 0, squares = 0;
-    for (const float value : values) sum += value;
-    for (float& value : values) value -= sum / kCount, squares += value * value;
-    return squares;
+    const float mean = SumOf(values) / kCount;
+    for (float& value : values) value -= mean;
+    return ProductOf(values, values);
   }
 };
 

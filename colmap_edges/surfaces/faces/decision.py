@@ -119,7 +119,7 @@ def are_plain(
     sampled = parts_of(
         order_of(own, len(views)), offsets_of(np.bincount(own, minlength=len(views)))
     )
-    offsets, observed = observed_points(evidence, len(views))
+    offsets, observed = observed_points(evidence.offsets, evidence.views, len(views))
     plain = np.zeros(len(samples.points), bool)
     for view, grid, rows, seen in zip(
         views, grids, sampled, parts_of(observed, offsets), strict=True

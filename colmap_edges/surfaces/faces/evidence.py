@@ -50,9 +50,7 @@ class Evidence:
 
 def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
     """What SfM points and edges say of surfaces."""
-    points = np.concatenate([model.points3D_xyz, edges.points])
-    offsets = joined_offsets([model.track_offsets, edges.observations.offsets])
-    views = np.concatenate([model.track_views, edges.observations.views]).astype(np.int32)
+    points, offsets, views = points_and_views(model, edges)
     rays, pixels, spread = sight_of(points, offsets, views, model)
     num_sfm = len(model.points3D_xyz)
     ray_sigmas = pixels / spread
@@ -70,6 +68,17 @@ def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
         offsets=offsets,
         views=views,
     )
+
+
+def points_and_views(model: Model, edges: Edges3D) -> tuple[FloatArray, IntArray, Int32Array]:
+    """(N, 3) SfM points and points of edges, and (N + 1,) offsets and int32 views of their tracks.
+
+    They are the first arrays of the evidence.
+    """
+    points = np.concatenate([model.points3D_xyz, edges.points])
+    offsets = joined_offsets([model.track_offsets, edges.observations.offsets])
+    views = np.concatenate([model.track_views, edges.observations.views]).astype(np.int32)
+    return points, offsets, views
 
 
 def sight_of(

@@ -92,11 +92,11 @@ def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:
         at: (h, w, 2) where its pixels are in the image, reduced to its size.
         usable: (H, W) of the image; None without a mask.
     """
-    size = np.array(at.shape[1::-1])
-    inside = np.asarray(((at >= -0.6) & (at <= size - 0.4)).all(axis=2))
+    height, width = at.shape[:2]
+    inside = cv2.inRange(at, (-0.6, -0.6), (width - 0.4, height - 0.4)) > 0
     if usable is not None:
-        near = np.clip(np.nan_to_num(np.rint(at)), 0, size - 1).astype(np.int64)
-        columns, rows = np.moveaxis(near * usable.shape[::-1] // size, 2, 0)
+        near = np.clip(np.nan_to_num(np.rint(at)), 0, (width - 1, height - 1)).astype(np.int64)
+        columns, rows = np.moveaxis(near * usable.shape[::-1] // (width, height), 2, 0)
         inside &= usable[rows, columns]
     return None if inside.all() else inside
 

@@ -73,7 +73,7 @@ def make_scene(
     """The kernel's scene: views with their pictures, planes, points, and who observes what."""
     num_views = len(model.views)
     plane_offsets, plane_rows = planes_of_points(evidence, planes)
-    observed_offsets, observed = observed_points(evidence, num_views)
+    observed_offsets, observed = observed_points(evidence.offsets, evidence.views, num_views)
     middle = np.median(evidence.points, axis=0)
     far = np.quantile(np.linalg.norm(evidence.points - middle, axis=1), 0.99)
     return _kernels.FaceScene(
@@ -177,11 +177,13 @@ def only_touch(
     return found
 
 
-def observed_points(evidence: Evidence, num_views: int) -> tuple[IntArray, Int32Array]:
-    """Offsets (V + 1,) and points, row by row, that each view observes."""
-    order = order_of(evidence.views, num_views)
-    offsets = offsets_of(np.bincount(evidence.views, minlength=num_views))
-    return offsets, owners_of(evidence.offsets)[order].astype(np.int32)
+def observed_points(
+    track_offsets: IntArray, track_views: Int32Array, num_views: int
+) -> tuple[IntArray, Int32Array]:
+    """Offsets (V + 1,) and points, row by row, that each view observes; of points with tracks."""
+    order = order_of(track_views, num_views)
+    offsets = offsets_of(np.bincount(track_views, minlength=num_views))
+    return offsets, owners_of(track_offsets)[order].astype(np.int32)
 
 
 def extents_of(

@@ -91,7 +91,8 @@ def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArr
     """
     found = np.full((*sites.shape, 4, 3), np.nan, np.float32)
     rows, columns = np.nonzero(sites)
-    cells = np.floor(pixels / STEP_PX).astype(np.int64)
+    # One point in 12 by 12 pixels: sites hand on what they found.
+    cells = np.floor(pixels / 12).astype(np.int64)
     _, first = np.unique(row_numbers(cells), return_index=True)
     pixels, inverse = pixels[first], inverse_depths[first]
     # Fewer than four points observed give no hypotheses.

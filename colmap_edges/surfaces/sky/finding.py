@@ -16,7 +16,7 @@ from colmap_edges.images.background import (
     masked_background,
 )
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
-from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
 from colmap_edges.surfaces.silhouettes import NO_POINTS, Background
 from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
@@ -38,11 +38,11 @@ def find_sky(
         Its rays, and the sky of each view as a background mask.
     """
     num_views = len(model.views)
-    evidence = gather_evidence(model, edges)
-    offsets, rows = observed_points(evidence, num_views)
+    points, track_offsets, track_views = points_and_views(model, edges)
+    offsets, rows = observed_points(track_offsets, track_views, num_views)
     observed = parts_of(rows, offsets)
     for up in upward(model.views):
-        regions = find_regions(model.views, pictures, evidence.points, observed, up)
+        regions = find_regions(model.views, pictures, points, observed, up)
         blue, white = looks_like_sky(model.views, regions, up)
         # 0.5 to 1 of the images of facades show blue sky, below 0.1 of those of rooms.
         if len(np.unique(regions.views[blue])) >= max(len(pictures) / 4, 2):
@@ -50,10 +50,10 @@ def find_sky(
     else:
         return None
     neighbor_offsets, neighbors = _kernels.neighbors_of(
-        evidence.offsets, evidence.views, offsets, rows, NUM_NEIGHBORS
+        track_offsets, track_views, offsets, rows, NUM_NEIGHBORS
     )
     compared = parts_of(neighbors, neighbor_offsets)
-    matches = match_regions(model.views, regions, evidence.points, observed, compared)
+    matches = match_regions(model.views, regions, points, observed, compared)
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None

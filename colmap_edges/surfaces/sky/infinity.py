@@ -116,13 +116,14 @@ def match_regions(
     """
     # The noise of dark pixels shall be no large change.
     colors = [np.log(picture + 8.0).reshape(-1, 3) for picture in regions.pictures]
-    seen = [
-        small_pixels(view, picture, points[own])
-        for view, picture, own in zip(views, regions.pictures, observed, strict=True)
-    ]
+    seen = []
+    for view, picture, own in zip(views, regions.pictures, observed, strict=True):
+        inside, there = small_pixels(view, picture, points[own])
+        seen.append((own[inside], there))
     sampled = np.zeros(len(regions.views), np.int64)
     none = np.zeros(0, np.int64)
     found = [(none, none, none > 0)]
+    is_common = np.zeros(len(points), bool)
     for index, view in enumerate(views):
         owners, pixels = samples_of(regions, index)
         rays = rays_of(view, regions.pictures[index], pixels)
@@ -134,26 +135,35 @@ def match_regions(
             picture = regions.pictures[other]
             inside, there = small_pixels(views[other], picture, rays + views[other].center)
             targets = regions.labels[other].ravel()[there]
-            common = [
-                colors[v][seen[v][1][np.isin(observed[v][seen[v][0]], observed[w])]]
-                for v, w in ((index, other), (other, index))
-            ]
+            common = []
+            for v, w in ((index, other), (other, index)):
+                is_common[observed[w]] = True
+                common.append(colors[v][seen[v][1][is_common[seen[v][0]]]])
+                is_common[observed[w]] = False
             change = colors[index][pixels[inside]] - colors[other][there]
             change -= exposure(*common)
-            alike = np.abs(change).max(axis=1, initial=0) <= 0.15
+            alike = largest(change) <= 0.15
             if alike.sum() >= MIN_COMMON:
                 change -= np.median(change[alike], axis=0)
-            agree = np.abs(change).max(axis=1, initial=0) <= 0.04
+            agree = largest(change) <= 0.04
             kept = targets >= 0
             found.append((owners[inside][kept], targets[kept], agree[kept]))
     return Matches(sampled, *(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def largest(changes: FloatArray) -> FloatArray:
+    """(n,) largest absolute values of (n, 3) rows; column by column, which is much faster."""
+    red, green, blue = np.abs(changes).T
+    return np.asarray(np.maximum(np.maximum(red, green), blue))
 
 
 def exposure(one: FloatArray, other: FloatArray) -> FloatArray:
     """(3,) difference of logarithmic colours (n, 3) that two views see of common points."""
     if min(len(one), len(other)) < MIN_COMMON:
         return np.zeros(3)
-    return np.asarray(np.median(one, axis=0) - np.median(other, axis=0))
+    # Medians along rows in memory are much faster.
+    first, second = (np.median(np.ascontiguousarray(of.T), axis=1) for of in (one, other))
+    return np.asarray(first - second)
 
 
 def samples_of(regions: Regions, view: int) -> tuple[IntArray, IntArray]:

@@ -181,7 +181,7 @@ def smooth_regions(
     """
     blurred = cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32)
     slopes = [cv2.Scharr(blurred, cv2.CV_32F, *order) / 32 for order in ((1, 0), (0, 1))]
-    steep = np.hypot(*slopes).max(axis=2)
+    steep = np.maximum.reduce(cv2.split(np.hypot(*slopes)))
     regions = np.full(steep.shape, -1, np.int32)
     counts: list[int] = []
     # The maximum gradient of a smooth region, levels per pixel, is less below structure.
