@@ -51,9 +51,9 @@ class Extent:
 
 def extent_of(lines: Lines, one: Cylinders, support: Support, num_views: int) -> Extent:
     """The stretch of the axis at which many of the outlines are seen."""
-    step = one.radii[0] / BINS_PER_RADIUS
     low, high = support.places[:, 0].min(), support.places[:, 1].max()
-    count = max(int(np.ceil((high - low) / step)), 1)
+    count = max(int(np.ceil((high - low) / one.radii[0] * BINS_PER_RADIUS)), 1)
+    step = (high - low) / count
     shown = np.zeros((num_views, 2, count), bool)
     bins = np.clip(np.floor((support.places - low) / step), 0, count - 1).astype(np.int64)
     for row, side, (first, last) in zip(support.rows, support.sides, bins, strict=True):
