@@ -17,7 +17,7 @@ from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.cylinders.sight import Sight, rays_that_meet
 from colmap_edges.surfaces.cylinders.support import MAX_GAP, Support
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.silhouettes import SeenPoints
+from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
 BINS_PER_RADIUS = 12  # bins along the axis
 COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
@@ -27,6 +27,7 @@ MAX_THROUGH = 0.1  # maximum share of rays through the cylinder, of those that d
 MIN_STEPS = 48  # minimum number of points around the full circle
 SPACING_PX = 8.0  # maximum distance of points, at the distance of the nearest views
 MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
+END_PX = 4.0  # distance of points from the ends, where outlines bend into rims
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 
 
@@ -98,7 +99,7 @@ def points_on(
 ) -> SeenPoints:
     """Points on a cylinder, away from its edges, with the views that see them.
 
-    A view sees the half at a place whose outline it shows there, unless points before it hide it.
+    A view sees it where it shows both outlines: a body before it would hide one of them.
     """
     axis, radius = one.axes[0], one.radii[0]
     seen = seen_bins(extent, sight)
@@ -107,8 +108,11 @@ def points_on(
     sizes = [np.linalg.norm(middle - view.center) / view.focal_px for view in views]
     step = min(SPACING_PX * float(np.quantile(sizes, 0.25)), 2 * np.pi * radius / MIN_STEPS)
     basis = np.linalg.svd(axis[None])[2][1:]
-    length = extent.starts[-1] - extent.starts[0]
-    places = extent.starts[0] + length * np.linspace(0, 1, max(int(length / step) + 1, 2))
+    margin = END_PX * float(np.median(sizes))
+    low, high = extent.starts[0] + margin, extent.starts[-1] - margin
+    if high <= low:
+        return NO_POINTS
+    places = np.linspace(low, high, max(int((high - low) / step) + 1, 2))
     angles = 2 * np.pi * np.arange(int(np.ceil(2 * np.pi * radius / step)))
     angles /= len(angles)
     circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ basis
@@ -118,8 +122,7 @@ def points_on(
     bins = np.clip(bins, 0, len(extent.starts) - 2)
     rays = unit(points[:, None] - centers)
     cosines = -np.einsum("pvj,pj->pv", rays, normals)
-    sides = (np.einsum("pvj,pj->pv", np.cross(axis, rays), normals) < 0).astype(np.int64)
-    visible = seen[np.arange(len(views)), sides, bins[:, None]] & (cosines > MIN_COSINE)
+    visible = seen[:, bins].T & (cosines > MIN_COSINE)
     order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
     kept = np.take_along_axis(visible, order, axis=1)
     edges = evidence.points[evidence.edge_ids >= 0]
@@ -130,7 +133,7 @@ def points_on(
 
 
 def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
-    """(V, 2, B) whether a view sees a side at a bin: between outlines, with nothing before it."""
+    """(V, B) whether a view sees a bin: between both outlines, with nothing before it."""
     gap = int(MAX_GAP * BINS_PER_RADIUS)
     padded = np.pad(extent.shown, ((0, 0), (0, 0), (gap, gap)))
     seen = binary_closing(padded, np.ones((1, 1, gap + 1), bool))[:, :, gap:-gap]
@@ -138,7 +141,7 @@ def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
     bins = np.clip(np.searchsorted(extent.starts, sight.places) - 1, 0, num_bins - 1)
     hidden = np.zeros((seen.shape[0], num_bins), bool)
     hidden[sight.views[sight.before], bins[sight.before]] = True
-    return np.asarray(seen & ~hidden[:, None])
+    return np.asarray(seen[:, 0] & seen[:, 1] & ~hidden)
 
 
 def sight_of_extent(
