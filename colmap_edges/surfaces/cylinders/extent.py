@@ -21,7 +21,10 @@ from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
 BINS_PER_RADIUS = 12  # bins along the axis
 COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
-MIN_BOTH = 4  # minimum number of views that show both outlines
+MIN_BOTH = 6  # minimum number of views that show both outlines
+# Maximum of the least cosine between directions from the axis to such views: from one direction, a
+# post looks like a cylinder.
+MAX_COSINE = 0.5
 BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the cylinder
 MAX_THROUGH = 0.1  # maximum share of rays through the cylinder, of those that do not end before it
 MIN_STEPS = 48  # minimum number of points around the full circle
@@ -83,12 +86,17 @@ def are_in_image(one: Cylinders, extent: Extent, views: Sequence[View]) -> BoolA
     return np.array([view.holds(*view.project(axis)).mean() > 0.5 for view in views])
 
 
-def is_believed(extent: Extent, inside: BoolArray, sight: Sight) -> bool:
-    """Whether enough views show both outlines, and few rays pass through the cylinder."""
-    both = (extent.both & inside).sum()
+def is_believed(one: Cylinders, extent: Extent, sight: Sight, views: Sequence[View]) -> bool:
+    """Whether views all around show both outlines, and few rays pass through the cylinder."""
+    inside = are_in_image(one, extent, views)
+    showing = np.flatnonzero(extent.both & inside)
+    both = len(showing)
+    away = np.array([views[v].center for v in showing.tolist()]).reshape(-1, 3) - one.points[0]
+    toward = unit(away - np.outer(away @ one.axes[0], one.axes[0]))
     free = int((~sight.before).sum())
     return bool(
         both >= MIN_BOTH
+        and np.min(toward @ toward.T) <= MAX_COSINE
         and both >= BOTH_SHARE * inside.sum()
         and sight.through.sum() <= MAX_THROUGH * free
     )

@@ -13,7 +13,6 @@ from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.cylinders.extent import (
     MIN_BOTH,
     Extent,
-    are_in_image,
     extent_of,
     is_believed,
     points_on,
@@ -33,7 +32,7 @@ from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints, joined_seen
 
 MAX_TRIED = 600  # maximum number of hypotheses
 MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
-MAX_FITS = 20  # maximum number of fitted hypotheses
+MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
 REFUSED_SHARE = 0.7  # maximum share of outlines with which other cylinders were tried
 SAME_SHARE = 0.3  # maximum share of outlines that are those of a better cylinder
 
@@ -74,10 +73,10 @@ def find_cylinders(
     ]
     scores = np.array([support.score for support in supports])
     used, refused = np.zeros((2, len(lines.views)), bool)
-    found, points, num_fits = [], [], 0
+    found, points, num_fits, last = [], [], 0, 0
     for h in np.argsort(-scores, kind="stable"):
         rows = supports[h].rows
-        if scores[h] < MIN_SCORE or num_fits == MAX_FITS:
+        if scores[h] < MIN_SCORE or num_fits - last == MAX_REFUSED:
             break
         if not may_be_outlines(lines, supports[h], used) or refused[rows].mean() > REFUSED_SHARE:
             continue
@@ -88,8 +87,8 @@ def find_cylinders(
             continue
         extent = extent_of(lines, one, support, len(views))
         sight = sight_of_extent(one, extent, evidence, views)
-        if is_believed(extent, are_in_image(one, extent, views), sight):
-            used[support.rows] = True
+        if is_believed(one, extent, sight, views):
+            used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
             points.append(points_on(one, extent, sight, views, evidence))
     return FoundCylinders(
