@@ -1,4 +1,4 @@
-"""Writing and reading of planar faces as faces.json."""
+"""Writing and reading of planar faces and cylinders as faces.json."""
 
 from __future__ import annotations
 
@@ -13,10 +13,18 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import DAMAGE, read_text
 from colmap_edges.runtime.output import write_whole
+from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.outlines import Face
 
 
-def write_faces(faces: Sequence[Face], model: Model, path: Path, *, in_mesh: bool = False) -> None:
+def write_faces(
+    faces: Sequence[Face],
+    model: Model,
+    path: Path,
+    *,
+    in_mesh: bool = False,
+    cylinders: Sequence[Cylinder] = (),
+) -> None:
     """Write faces as JSON, atomically.
 
     Args:
@@ -24,11 +32,15 @@ def write_faces(faces: Sequence[Face], model: Model, path: Path, *, in_mesh: boo
         model: whose views they are seen in.
         path: the file.
         in_mesh: whether points on them were added to the mesh.
+        cylinders: the cylinders.
 
     Raises:
         ColmapEdgesError: if the file cannot be written.
     """
-    records = {"faces": [record_of(face, model) | {"in_mesh": in_mesh} for face in faces]}
+    records = {
+        "faces": [record_of(face, model) | {"in_mesh": in_mesh} for face in faces],
+        "cylinders": [record_of_cylinder(each, model) for each in cylinders],
+    }
     write_whole(path, json.dumps(records, allow_nan=False).encode(), "faces")
 
 
@@ -45,7 +57,17 @@ def record_of(face: Face, model: Model) -> dict[str, Any]:
     }
 
 
-def read_faces(path: Path, model: Model) -> list[Face]:
+def record_of_cylinder(cylinder: Cylinder, model: Model) -> dict[str, Any]:
+    """The entry of a cylinder in faces.json, with COLMAP's image ids."""
+    return {
+        "start": cylinder.start.tolist(),
+        "end": cylinder.end.tolist(),
+        "radius": cylinder.radius,
+        "image_ids": [model.views[view].image_id for view in cylinder.views.tolist()],
+    }
+
+
+def read_faces(path: Path, model: Model) -> tuple[list[Face], list[Cylinder]]:
     """Read faces.json.
 
     Args:
@@ -57,8 +79,10 @@ def read_faces(path: Path, model: Model) -> list[Face]:
     """
     indices = {view.image_id: index for index, view in enumerate(model.views)}
     try:
-        records = json.loads(read_text(path))["faces"]
-        return [face_of(record, indices) for record in records]
+        records = json.loads(read_text(path))
+        faces = [face_of(record, indices) for record in records["faces"]]
+        # Files of earlier versions have none.
+        return faces, [cylinder_of(each, indices) for each in records.get("cylinders", [])]
     except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{path} holds no faces of its model: {error}") from error
 
@@ -73,4 +97,14 @@ def face_of(record: dict[str, Any], indices: dict[int, int]) -> Face:
         views=np.array([indices[image_id] for image_id in record["image_ids"]], np.int64),
         outline=np.array(record["outline"], np.float64).reshape(-1, 3),
         holes=tuple(np.array(hole, np.float64).reshape(-1, 3) for hole in record["holes"]),
+    )
+
+
+def cylinder_of(record: dict[str, Any], indices: dict[int, int]) -> Cylinder:
+    """The cylinder of a record of faces.json; `indices` maps image ids to views."""
+    return Cylinder(
+        start=np.array(record["start"], np.float64).reshape(3),
+        end=np.array(record["end"], np.float64).reshape(3),
+        radius=float(record["radius"]),
+        views=np.array([indices[image_id] for image_id in record["image_ids"]], np.int64),
     )

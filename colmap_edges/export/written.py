@@ -20,6 +20,7 @@ from colmap_edges.export.curve_records import curves_of_records
 from colmap_edges.export.edges_json import edges_of_run
 from colmap_edges.export.faces import read_faces
 from colmap_edges.runtime.input_files import DAMAGE
+from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.outlines import Face
 
 FACES = "faces.json"
@@ -42,6 +43,7 @@ class WrittenEdges:
     point3D_ids: IntArray
     model: Model
     faces: list[Face]
+    cylinders: list[Cylinder]
 
 
 @checked
@@ -55,7 +57,7 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
             folder or in `sparse` there.
 
     Returns:
-        Points, tracks, nodes, curves, faces. Curves of early outputs and of LIMAP are
+        Points, tracks, nodes, curves, faces, cylinders. Curves of early outputs and of LIMAP are
             fitted when read.
 
     Raises:
@@ -70,13 +72,23 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
         except (AssertionError, *DAMAGE) as error:
             raise ColmapEdgesError(f"{path} holds invalid curves: {error}") from error
         curves = fit_curves(edges) if curves is None else curves
-        faces = read_faces(path / FACES, model) if (path / FACES).is_file() else []
-        return WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, model=model, faces=faces)
+        has_faces = (path / FACES).is_file()
+        faces, cylinders = read_faces(path / FACES, model) if has_faces else ([], [])
+        return WrittenEdges(
+            edges=edges,
+            curves=curves,
+            point3D_ids=ids,
+            model=model,
+            faces=faces,
+            cylinders=cylinders,
+        )
     model = load_model(Path(model_path) if model_path else model_beside(path))
     edges = peers.load(path, model)
     unknown = np.full(edges.num_points, -1, np.int64)
     curves = fit_curves(edges)
-    return WrittenEdges(edges=edges, curves=curves, point3D_ids=unknown, model=model, faces=[])
+    return WrittenEdges(
+        edges=edges, curves=curves, point3D_ids=unknown, model=model, faces=[], cylinders=[]
+    )
 
 
 def model_beside(path: Path) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.curves3d import Curves3D
@@ -13,7 +13,7 @@ from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection, detect_stage
-from colmap_edges.pipeline.mesh import background_stage, face_stage, sky_stage
+from colmap_edges.pipeline.mesh import background_stage, cylinder_stage, face_stage, sky_stage
 from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import edge_stages
@@ -22,6 +22,7 @@ from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
+from colmap_edges.surfaces.cylinders.lines import find_lines
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
@@ -39,7 +40,7 @@ class Found:
         traced: the 3D edges and the view-dependent contours.
         curves: the curves that fit the edges.
         background: rays to the background or the sky; None without one.
-        faces: planar faces between the edges.
+        faces: planar faces between the edges, and cylinders.
         patches: points where images have texture.
         pictures: reduced pictures of the images, if they were wanted.
     """
@@ -91,6 +92,7 @@ def find_edges(
         viewer.show_picture(model.views[picture.view], picture)
     given = model
     model, traced = edge_stages(model, detection, settings, stages, workers)
+    lines = find_lines(model.views, detection.graphs, traced.edges) if grids else None
     detection.graphs.release()
     if model is not given:
         viewer.show_model(model)
@@ -102,6 +104,9 @@ def find_edges(
     if grids:
         faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
         viewer.show_faces(faces.faces)
+    if lines:
+        round_ = cylinder_stage(model, traced, lines, settings, stages)
+        faces = replace(faces, cylinders=round_.cylinders, cylinder_points=round_.points)
     if textures:
         patches = patch_stage(model, traced.edges, textures.grids, settings, stages)
         patches = with_outlines(patches, traced.outlines)

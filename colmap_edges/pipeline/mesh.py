@@ -18,8 +18,11 @@ from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
+from colmap_edges.surfaces.cylinders.finding import FoundCylinders, find_cylinders
+from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
+from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
@@ -115,6 +118,31 @@ def face_stage(
     return faces
 
 
+def cylinder_stage(
+    model: Model, traced: TracedEdges, lines: Lines, options: PipelineOptions, stages: Stages
+) -> FoundCylinders:
+    """Find the cylinders of which lines are the outlines.
+
+    Args:
+        model: gives the V views and the SfM points.
+        traced: its 3D edges.
+        lines: straight pieces of the chains of all views.
+        options: options of all stages.
+        stages: the stages of the run.
+    """
+    with stages.stage("cylinders") as stage:
+        evidence = gather_evidence(model, traced.edges)
+        found = find_cylinders(lines, model.views, evidence, options.random_seed)
+        stage.counts = {
+            "lines": len(lines.views),
+            "cylinders_tried": found.num_tried,
+            "cylinders_fitted": found.num_fitted,
+            "cylinders": len(found.cylinders),
+            "cylinder_points": len(found.points.points),
+        }
+    return found
+
+
 def mesh_stage(
     model: Model,
     traced: TracedEdges | None,
@@ -159,6 +187,7 @@ def mesh_stage(
             patches,
             options.refine_mesh,
             cloud,
+            faces.cylinder_points,
         )
         mesh = finished(mesh, extended, options.meshing)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

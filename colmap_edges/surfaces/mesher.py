@@ -25,7 +25,7 @@ from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
+from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints, joined_seen
 from colmap_edges.surfaces.simplify import simplify
 
 if TYPE_CHECKING:
@@ -102,7 +102,8 @@ def mesh(
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     cloud = given_cloud(points, visibility, model, dense or DenseOptions(), num_threads)
     plain = faces.points if faces else NO_POINTS
-    given = (background, plain, patches or NO_PATCHES, refine, cloud)
+    round_ = faces.cylinder_points if faces else NO_POINTS
+    given = (background, plain, patches or NO_PATCHES, refine, cloud, round_)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 
@@ -117,8 +118,9 @@ def mesh_with_curves(
     patches: Patches = NO_PATCHES,
     refine: bool = True,
     cloud: DenseCloud | None = None,
+    cylinders: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, curves, and faces, or silhouettes if there is a background.
+    """Mesh points of a model, curves, cylinders, and faces, or silhouettes before a background.
 
     Silhouettes already bound bodies before a background other than the sky, so that no points of
     faces are added.
@@ -141,6 +143,7 @@ def mesh_with_curves(
     check_not_all_far(model, num_seen)
     is_bounded = bool(background and background.bounds_bodies and options.background_weight)
     others = background.silhouettes if background and is_bounded else faces
+    others = joined_seen([others, cylinders])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 
     def meshed(added: SeenPoints) -> Mesh:
@@ -211,11 +214,7 @@ def mesh_with_patches(
 def joined_points(model: Model, curves: list[Edges3D], *more: SeenPoints) -> SeenPoints:
     """Points of a model, of curves, and more, one after the other."""
     parts = [SeenPoints.of_model(model), *map(SeenPoints.of_edges, curves), *more]
-    return SeenPoints(
-        np.concatenate([part.points for part in parts]),
-        joined_offsets([part.track_offsets for part in parts]),
-        np.concatenate([part.track_views for part in parts]),
-    )
+    return joined_seen(parts)
 
 
 def polylines_of(curves: list[Edges3D], first: int, num_edges: int) -> Polylines | None:

@@ -23,6 +23,7 @@ from colmap_edges.core.arrays import (
     Int32Array,
     IntArray,
     entries_of,
+    joined_offsets,
     offsets_of,
     order_of,
 )
@@ -84,6 +85,15 @@ class SeenPoints(NamedTuple):
         counts = np.diff(self.track_offsets)[rows]
         views = self.track_views[entries_of(self.track_offsets, rows)]
         return SeenPoints(self.points[rows], offsets_of(counts), views)
+
+
+def joined_seen(parts: Sequence[SeenPoints]) -> SeenPoints:
+    """The points of all parts, one after the other."""
+    return SeenPoints(
+        np.concatenate([part.points for part in parts]),
+        joined_offsets([part.track_offsets for part in parts]),
+        np.concatenate([part.track_views for part in parts]),
+    )
 
 
 NO_POINTS = SeenPoints(np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros(0, np.int32))

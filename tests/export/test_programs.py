@@ -39,7 +39,9 @@ def folder(scene_model, tmp_path_factory):
     edges = Edges3D.of_polylines(np.concatenate(lines), np.full(3, SEGMENTS + 1))
     ids = np.full(edges.num_points, -1)
     curves = fit_curves(edges)
-    given = WrittenEdges(edges=edges, curves=curves, point3D_ids=ids, model=scene_model, faces=[])
+    given = WrittenEdges(
+        edges=edges, curves=curves, point3D_ids=ids, model=scene_model, faces=[], cylinders=[]
+    )
     views = [replace_rotation(view, turn) for view in scene_model.views]
     given = replace(given, model=replace(scene_model, views=tuple(views)))
     alignment = alignment_of(given, Wanted(up="auto", edge_length=(2, 5.0), unit="m"))

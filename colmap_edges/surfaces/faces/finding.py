@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import check_type
+from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
     Samples,
@@ -38,7 +39,7 @@ NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement betwee
 
 @dataclass(frozen=True, kw_only=True)
 class Faces:
-    """Planar faces of a scene.
+    """Planar faces and cylinders of a scene.
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
@@ -47,6 +48,8 @@ class Faces:
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
         num_believed: number of labelled cells accepted by the agreement of views.
+        cylinders: the cylinders.
+        cylinder_points: points on them with observing views.
     """
 
     faces: list[Face]
@@ -55,6 +58,8 @@ class Faces:
     num_cells: int
     num_labelled: int
     num_believed: int
+    cylinders: list[Cylinder] = field(default_factory=list)
+    cylinder_points: SeenPoints = NO_POINTS
 
     def check(self, name: str = "faces", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
@@ -67,6 +72,8 @@ class Faces:
             check_type(f"{name}.faces[{index}]", face, (Face,))
         check_type(f"{name}.points", self.points, (SeenPoints,))
         self.points.check(f"{name}.points", num_views)
+        check_type(f"{name}.cylinder_points", self.cylinder_points, (SeenPoints,))
+        self.cylinder_points.check(f"{name}.cylinder_points", num_views)
 
     @property
     def area(self) -> float:

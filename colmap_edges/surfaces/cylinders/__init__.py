@@ -1,0 +1,1 @@
+"""Cylinders without texture, from their outlines in many views, and points on them."""

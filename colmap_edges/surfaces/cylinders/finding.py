@@ -1,0 +1,126 @@
+"""Detection of cylinders: hypotheses, their support by all views, acceptance, points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.cylinder import Cylinder
+from colmap_edges.surfaces.cylinders.extent import (
+    MIN_BOTH,
+    Extent,
+    extent_of,
+    is_believed,
+    points_on,
+    sight_of_extent,
+)
+from colmap_edges.surfaces.cylinders.hypotheses import MAX_FIXED, Cylinders, find_hypotheses
+from colmap_edges.surfaces.cylinders.lines import Lines
+from colmap_edges.surfaces.cylinders.support import (
+    ENOUGH_PX,
+    LOOSE_PX,
+    Support,
+    fitted,
+    supports_of,
+)
+from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints, joined_seen
+
+MAX_TRIED = 600  # maximum number of hypotheses
+MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
+MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
+REFUSED_SHARE = 0.7  # maximum share of outlines with which other cylinders were tried
+SAME_SHARE = 0.3  # maximum share of outlines that are those of a better cylinder
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundCylinders:
+    """The cylinders of a scene.
+
+    Attributes:
+        cylinders: the cylinders.
+        points: points on them, with views that see them.
+        num_tried: number of hypotheses.
+        num_fitted: number of those that were fitted to their support.
+    """
+
+    cylinders: list[Cylinder]
+    points: SeenPoints
+    num_tried: int
+    num_fitted: int
+
+
+def find_cylinders(
+    lines: Lines, views: Sequence[View], evidence: Evidence, random_seed: int
+) -> FoundCylinders:
+    """Find the cylinders whose outlines views show.
+
+    Args:
+        lines: straight pieces of the views' chains.
+        views: all views.
+        evidence: observed points, which lie on cylinders or contradict them.
+        random_seed: of the choice of hypotheses where there are many.
+    """
+    tried = chosen_hypotheses(find_hypotheses(lines, len(views)), random_seed)
+    free = np.flatnonzero(lines.fixed <= MAX_FIXED)
+    supports = [
+        replace(support, rows=free[support.rows])
+        for support in supports_of(lines.chosen(free), tried, LOOSE_PX)
+    ]
+    scores = np.array([support.score for support in supports])
+    used, refused = np.zeros((2, len(lines.views)), bool)
+    found, points, num_fits, last = [], [], 0, 0
+    for h in np.argsort(-scores, kind="stable"):
+        rows = supports[h].rows
+        if scores[h] < MIN_SCORE or num_fits - last == MAX_REFUSED:
+            break
+        if not may_be_outlines(lines, supports[h], used) or refused[rows].mean() > REFUSED_SHARE:
+            continue
+        num_fits += 1
+        one, support = fitted(lines, Cylinders(*(part[h : h + 1] for part in tried)))
+        refused[rows] = refused[support.rows] = True
+        if not may_be_outlines(lines, support, used):
+            continue
+        extent = extent_of(lines, one, support, len(views))
+        sight = sight_of_extent(one, extent, evidence, views)
+        if is_believed(one, extent, sight, views):
+            used[support.rows], last = True, num_fits
+            found.append(cylinder_of(one, extent))
+            points.append(points_on(one, extent, sight, views, evidence))
+    return FoundCylinders(
+        cylinders=found,
+        points=joined_seen([NO_POINTS, *points]),
+        num_tried=len(scores),
+        num_fitted=num_fits,
+    )
+
+
+def chosen_hypotheses(found: Cylinders, random_seed: int) -> Cylinders:
+    """At most `MAX_TRIED` of the hypotheses."""
+    count = len(found.radii)
+    if count <= MAX_TRIED:
+        return found
+    chosen = np.random.default_rng(random_seed).choice(count, MAX_TRIED, replace=False)
+    return Cylinders(*(part[np.sort(chosen)] for part in found))
+
+
+def may_be_outlines(lines: Lines, support: Support, used: BoolArray) -> bool:
+    """Whether lines are outlines of a new cylinder: free ones, on both sides in some views."""
+    rows = support.rows
+    if not len(rows) or used[rows].mean() > SAME_SHARE:
+        return False
+    left, right = (lines.views[rows[support.sides == side]] for side in range(2))
+    fixed = np.average(lines.fixed[rows], weights=lines.lengths[rows])
+    return bool(fixed <= MAX_FIXED and len(np.intersect1d(left, right)) >= MIN_BOTH)
+
+
+def cylinder_of(one: Cylinders, extent: Extent) -> Cylinder:
+    """A cylinder for the output."""
+    ends = one.points[0] + extent.starts[[0, -1], None] * one.axes[0]
+    return Cylinder(
+        start=ends[0], end=ends[1], radius=float(one.radii[0]), views=np.flatnonzero(extent.both)
+    )

@@ -1,0 +1,171 @@
+"""Hypotheses of cylinders: pairs of outlines in two views, in whose middle planes the axis lies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.polylines import unit
+from colmap_edges.surfaces.cylinders.lines import Lines
+
+MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
+MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines
+MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
+MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
+MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
+NUM_PARTNERS = 4  # number of other views with which a view is combined
+MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the middle planes of two views
+# Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
+MAX_FIXED = 0.6
+SLACK_PX = 2.0  # maximum distance of the four outlines from those of a hypothesis
+
+
+class Cylinders(NamedTuple):
+    """Cylinders of infinite length.
+
+    Attributes:
+        points: (H, 3) points on the axes.
+        axes: (H, 3) unit directions.
+        radii: (H,) radii, world units.
+    """
+
+    points: FloatArray
+    axes: FloatArray
+    radii: FloatArray
+
+
+class Pairs(NamedTuple):
+    """Pairs of lines of a view that may be both outlines of a cylinder.
+
+    Attributes:
+        rows: (P, 2) lines.
+        normals: (P, 2, 3) unit normals of their planes, outwards.
+        middles: (P, 3) unit normals of the planes in the middle, in which the axis lies.
+        turns: (P, 2) maximum sines of the angles between planes and axis.
+    """
+
+    rows: IntArray
+    normals: FloatArray
+    middles: FloatArray
+    turns: FloatArray
+
+
+def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
+    """The pairs among the (n,) lines of one view."""
+    rays, focal = lines.rays[rows], lines.focals[rows]
+    planes = unit(np.cross(rays[:, 0], rays[:, 1]))
+    middle = unit(rays.sum(axis=1))
+    along = unit(rays[:, 1] - rays[:, 0])
+    first, second = np.triu_indices(len(rows), 1)
+    turned = np.linalg.norm(np.cross(along[first], along[second]), axis=1)
+    gap = np.abs(np.einsum("ij,ij->i", planes[first], middle[second])) * focal[first]
+    short = np.minimum(lines.lengths[rows[first]], lines.lengths[rows[second]])
+    ends = np.einsum("ikj,ij->ik", rays[second], along[first]) * focal[first][:, None]
+    own = np.einsum("ikj,ij->ik", rays[first], along[first]) * focal[first][:, None]
+    beside = np.minimum(ends.max(axis=1), own.max(axis=1)) - np.maximum(
+        ends.min(axis=1), own.min(axis=1)
+    )
+    kept = np.flatnonzero(
+        (turned < MAX_TURN)
+        & (gap > MIN_WIDTH_PX)
+        & (short > MIN_ASPECT * gap)
+        & (beside > MIN_OVERLAP * short)
+    )
+    kept = np.sort(kept[np.argsort(-short[kept], kind="stable")[:MAX_PAIRS]])
+    one, other = first[kept], second[kept]
+    outwards = np.stack(
+        [
+            planes[a] * -np.sign(np.einsum("ij,ij->i", planes[a], middle[b]))[:, None]
+            for a, b in ((one, other), (other, one))
+        ],
+        axis=1,
+    )
+    both = np.column_stack([rows[one], rows[other]])
+    middles = unit(outwards[:, 0] - outwards[:, 1])
+    return Pairs(both, outwards, middles, 2 * SLACK_PX / lines.lengths[both])
+
+
+def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
+    """The cylinders of which a pair in one view and a pair in another are the outlines."""
+    a, b = (index.ravel() for index in np.indices((len(one.rows), len(other.rows))))
+    cross = np.cross(one.middles[a], other.middles[b])
+    sines = np.linalg.norm(cross, axis=1)
+    axes = cross / (sines[:, None] + 1e-300)
+    good = sines > MIN_ANGLE
+    for pairs, own in ((one, a), (other, b)):
+        for side in range(2):
+            turn = np.einsum("ij,ij->i", pairs.normals[:, side][own], axes)
+            good &= np.abs(turn) < pairs.turns[own, side]
+    kept = np.flatnonzero(good)
+    a, b, axes = a[kept], b[kept], axes[kept]
+    centers = lines.centers[one.rows[a, 0]], lines.centers[other.rows[b, 0]]
+    heights = [
+        np.einsum("ij,ij->i", middles, center)
+        for middles, center in zip((one.middles[a], other.middles[b]), centers, strict=True)
+    ]
+    # The point of the axis nearest to the first view's centre: three planes meet there.
+    third = np.einsum("ij,ij->i", axes, centers[0])
+    points = (
+        heights[0][:, None] * np.cross(other.middles[b], axes)
+        + heights[1][:, None] * np.cross(axes, one.middles[a])
+        + third[:, None] * cross[kept]
+    ) / sines[kept, None]
+    rows = np.column_stack([one.rows[a], other.rows[b]])
+    distances, places, depths = tangencies(lines, rows, points, axes)
+    low, high = places.min(axis=2), places.max(axis=2)
+    shared = (high.min(axis=1) - low.max(axis=1)) > MIN_OVERLAP * (high - low).min(axis=1)
+    radii = np.abs(distances).mean(axis=(1, 2))
+    off = (np.abs(distances) - radii[:, None, None]) * lines.focals[rows][:, :, None] / depths
+    good = shared & (np.abs(off) < SLACK_PX).all(axis=(1, 2)) & (depths > 0).all(axis=(1, 2))
+    return Cylinders(points[good], axes[good], radii[good])
+
+
+def tangencies(
+    lines: Lines, rows: IntArray, points: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How the rays to both ends of lines pass axes.
+
+    Args:
+        lines: all lines.
+        rows: (H, n) lines.
+        points: (H, 3) points on the axes.
+        axes: (H, 3) unit directions.
+
+    Returns:
+        (H, n, 2) signed distances of the rays from the axes, places along the axes, and depths
+        along the rays.
+    """
+    rays, ways = lines.rays[rows], axes[:, None, None]
+    aside = np.cross(np.broadcast_to(ways, rays.shape), rays)
+    squares = (aside**2).sum(axis=3) + 1e-300
+    away = points[:, None] - lines.centers[rows]
+    across = away - np.einsum("hnj,hj->hn", away, axes)[..., None] * axes[:, None]
+    distances = np.einsum("hnej,hnj->hne", aside, away) / np.sqrt(squares)
+    depths = np.einsum("hnej,hnj->hne", rays, across) / squares
+    slopes = np.einsum("hnej,hj->hne", rays, axes)
+    places = depths * slopes - np.einsum("hnj,hj->hn", away, axes)[..., None]
+    return distances, places, depths
+
+
+def find_hypotheses(lines: Lines, num_views: int) -> Cylinders:
+    """All cylinders whose four outlines two views show; outlines are no fixed edges."""
+    free = lines.fixed <= MAX_FIXED
+    rows = [np.flatnonzero((lines.views == view) & free) for view in range(num_views)]
+    pairs = [pairs_of(lines, own) for own in rows]
+    seen = [view for view in range(num_views) if len(pairs[view].rows)]
+    found = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
+    for i, view in enumerate(seen):
+        for other in partners(lines, rows, view, np.array(seen[i + 1 :], np.int64)):
+            found.append(combined(lines, pairs[view], pairs[other]))
+    return Cylinders(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def partners(lines: Lines, rows: list[IntArray], view: int, others: IntArray) -> IntArray:
+    """At most `NUM_PARTNERS` of other views, evenly chosen by their distance."""
+    centers = np.array([lines.centers[rows[other][0]] for other in others]).reshape(-1, 3)
+    order = np.argsort(np.linalg.norm(centers - lines.centers[rows[view][0]], axis=1))
+    chosen = np.unique(np.linspace(0, len(order) - 1, min(NUM_PARTNERS, len(order))).astype(int))
+    found: IntArray = others[order[chosen]]
+    return found

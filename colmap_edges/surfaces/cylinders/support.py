@@ -1,0 +1,115 @@
+"""Support of cylinders by the outlines that all views show, and their fit to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.polylines import unit
+from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, tangencies
+from colmap_edges.surfaces.cylinders.lines import Lines
+
+LOOSE_PX = 3.0  # maximum distance of an outline from that of a hypothesis
+CLOSE_PX = 1.5  # of an outline from that of a fitted cylinder
+ENOUGH_PX = 40.0  # length of an outline from which on more does not count
+MAX_GAP = 0.6  # maximum gap between outlines along the axis, in radii
+NUM_FITS = 4  # rounds of fitting and choosing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """Lines on the outlines of a cylinder.
+
+    Attributes:
+        rows: (n,) lines.
+        sides: (n,) int64 side of the axis on which a line is: 0 or 1.
+        places: (n, 2) least and largest place along the axis.
+        score: length of the outlines in pixels, no more than `ENOUGH_PX` for each side and view.
+    """
+
+    rows: IntArray
+    sides: IntArray
+    places: FloatArray
+    score: float
+
+
+def errors_of(lines: Lines, found: Cylinders) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(H, L, 2) distances of lines from outlines in pixels, inf behind; sides (+-1), and places."""
+    every = np.broadcast_to(np.arange(len(lines.views)), (len(found.radii), len(lines.views)))
+    distances, places, depths = tangencies(lines, every, found.points, found.axes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = (np.abs(distances) - found.radii[:, None, None]) * lines.focals[:, None] / depths
+    return np.where(depths > 0, off, np.inf), np.sign(distances), places
+
+
+def supports_of(lines: Lines, found: Cylinders, limit_px: float) -> list[Support]:
+    """The lines within a limit of each cylinder's outlines, on the stretch with the most."""
+    supports = []
+    for h in range(len(found.radii)):
+        one = Cylinders(*(part[h : h + 1] for part in found))
+        errors, sides, places = (part[0] for part in errors_of(lines, one))
+        near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
+        rows = np.flatnonzero(near)
+        supports.append(
+            on_one_stretch(lines, rows, sides[rows, 0] > 0, np.sort(places[rows], axis=1), one)
+        )
+    return supports
+
+
+def on_one_stretch(
+    lines: Lines, rows: IntArray, sides: BoolArray, places: FloatArray, one: Cylinders
+) -> Support:
+    """The stretch along the axis, without large gaps, with the most support."""
+    order = np.argsort(places[:, 0], kind="stable")
+    rows, on_side, places = rows[order], sides[order].astype(np.int64), places[order]
+    if not len(rows):
+        return Support(rows=rows, sides=on_side, places=places, score=0.0)
+    ends = np.maximum.accumulate(places[:, 1])
+    starts = np.concatenate([[0], places[1:, 0] - ends[:-1] > MAX_GAP * one.radii[0]])
+    stretch = np.cumsum(starts).astype(np.int64)
+    keys = (stretch * (lines.views.max() + 1) + lines.views[rows]) * 2 + on_side
+    unique, inverse = np.unique(keys, return_inverse=True)
+    seen = np.minimum(np.bincount(inverse, lines.lengths[rows]), ENOUGH_PX)
+    scores = np.bincount(unique // (2 * (lines.views.max() + 1)), seen)
+    kept = np.flatnonzero(stretch == np.argmax(scores))
+    return Support(
+        rows=rows[kept], sides=on_side[kept], places=places[kept], score=float(scores.max())
+    )
+
+
+def fitted(lines: Lines, start: Cylinders) -> tuple[Cylinders, Support]:
+    """A cylinder fitted to its support, which is chosen again and again."""
+    one, support = start, supports_of(lines, start, LOOSE_PX)[0]
+    for i in range(NUM_FITS):
+        if len(support.rows) < 5:
+            break
+        one = fit(lines.chosen(support.rows), one)
+        support = supports_of(lines, one, LOOSE_PX if i < NUM_FITS // 2 else CLOSE_PX)[0]
+    return one, support
+
+
+def fit(lines: Lines, start: Cylinders) -> Cylinders:
+    """The cylinder nearest to whose outlines the ends of lines are, robustly."""
+    axis, radius = start.axes[0], start.radii[0]
+    basis = np.linalg.svd(axis[None])[2][1:]
+    middle = start.points[0]
+    scale = np.array([radius, radius, 1.0, 1.0, radius])
+
+    def cylinder(x: FloatArray) -> Cylinders:
+        x = x * scale
+        return Cylinders(
+            (middle + x[:2] @ basis)[None],
+            unit(axis + x[2:4] @ basis)[None],
+            np.array([radius + x[4]]),
+        )
+
+    def residuals(x: FloatArray) -> FloatArray:
+        errors = np.clip(np.nan_to_num(errors_of(lines, cylinder(x))[0][0], posinf=1e3), -1e3, 1e3)
+        flat: FloatArray = (errors * np.sqrt(lines.lengths / ENOUGH_PX)[:, None]).ravel()
+        return flat
+
+    found = least_squares(residuals, np.zeros(5), loss="soft_l1", f_scale=0.7, max_nfev=12)
+    return cylinder(found.x)

@@ -1,0 +1,184 @@
+"""Cylinders are found from their outlines, told from posts, and get points that views see."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pycolmap
+import pytest
+from plain_rooms import model_of, upright_view
+
+from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import unit
+from colmap_edges.core.similarity import Similarity
+from colmap_edges.edges2d.edge_graph import EdgeGraph
+from colmap_edges.edges2d.graphs import Graphs
+from colmap_edges.export.alignment import moved_cylinder
+from colmap_edges.export.faces import read_faces, write_faces
+from colmap_edges.surfaces.cylinders.finding import find_cylinders
+from colmap_edges.surfaces.cylinders.lines import are_observed, find_lines
+from colmap_edges.surfaces.faces.evidence import gather_evidence
+
+AXIS = unit(np.array([0.2, 0.1, 1.0]))
+BASE, RADIUS, HEIGHT = np.array([0.1, -0.2, 0.1]), 0.4, 1.2
+NOISE_PX = 0.2
+
+
+def views_around(num_views=12):
+    """Views from a circle above the ground."""
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[600, 600, 320, 240])
+    views = []
+    for i, angle in enumerate(np.linspace(0, 2 * np.pi, num_views, endpoint=False)):
+        center = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.8 + 0.4 * (i % 3)])
+        views.append(upright_view(i, camera, center, np.array([0, 0, 0.6]) - center))
+    return tuple(views)
+
+
+def outlines_of_cylinder(view):
+    """Both outlines (2, n, 3) of the cylinder in a view."""
+    away = view.center - BASE
+    across = away - (away @ AXIS) * AXIS
+    distance = np.linalg.norm(across)
+    toward, aside = across / distance, np.cross(AXIS, across / distance)
+    share = RADIUS / distance
+    normals = [share * toward + sign * np.sqrt(1 - share**2) * aside for sign in (1, -1)]
+    way = np.linspace(0, HEIGHT, 200)[:, None] * AXIS
+    return np.array([BASE + RADIUS * normal + way for normal in normals])
+
+
+def outlines_of_post(view):
+    """Those two upright edges (2, n, 3) of a square post that are its outlines in a view."""
+    x, y = np.meshgrid([-RADIUS, RADIUS], [-RADIUS, RADIUS])
+    feet = np.column_stack([x.ravel(), y.ravel(), np.zeros(4)])
+    columns = view.project(feet)[0][:, 0]
+    way = np.linspace(0, HEIGHT, 200)[:, None] * (0, 0, 1)
+    return np.array([feet[i] + way for i in (columns.argmin(), columns.argmax())])
+
+
+def graph_of(view, curves, rng):
+    """The edge graph of a view that shows (E, n, 3) curves."""
+    pixels = np.concatenate([view.project_undistorted(curve)[0] for curve in curves])
+    count = len(pixels)
+    pixels = (pixels + rng.normal(0, NOISE_PX, pixels.shape)).astype(np.float32)
+    return EdgeGraph(
+        points=pixels,
+        undistorted=pixels,
+        normals=np.zeros((count, 2), np.float32),
+        sides=np.zeros((count, 2), np.uint8),
+        colors=np.zeros((count, 3), np.uint8),
+        polyline_offsets=np.arange(len(curves) + 1) * len(curves[0]),
+        closed=np.zeros(len(curves), bool),
+    )
+
+
+def scene_of(outlines):
+    """Views that show a body, and the straight pieces of what they show."""
+    views, rng = views_around(), np.random.default_rng(0)
+    graphs = Graphs.of([graph_of(view, outlines(view), rng) for view in views])
+    lines = find_lines(views, graphs, Edges3D.none())
+    return SimpleNamespace(views=views, model=model_of(views), lines=lines)
+
+
+def found_in(scene, evidence=None):
+    evidence = evidence or gather_evidence(scene.model, Edges3D.none())
+    return find_cylinders(scene.lines, scene.views, evidence, 0)
+
+
+@pytest.fixture(scope="module")
+def can():
+    return scene_of(outlines_of_cylinder)
+
+
+@pytest.fixture(scope="module")
+def found(can):
+    return found_in(can)
+
+
+def distances_from_axis(points):
+    """(N,) distances of (N, 3) points from the true axis."""
+    return np.linalg.norm(np.cross(points - BASE, AXIS), axis=1)
+
+
+def test_a_cylinder_is_found_from_its_outlines(can, found):
+    (one,) = found.cylinders
+    assert one.radius == pytest.approx(RADIUS, rel=2e-3)
+    assert distances_from_axis(np.array([one.start, one.end])) == pytest.approx(0, abs=2e-3)
+    length = np.linalg.norm(one.end - one.start)
+    assert 0.9 * HEIGHT < length < 1.01 * HEIGHT
+    assert one.views.tolist() == list(range(len(can.views)))
+
+
+def test_its_points_lie_on_it_and_are_seen_from_outside(can, found):
+    seen = found.points
+    assert len(seen.points) > 300
+    assert distances_from_axis(seen.points) == pytest.approx(RADIUS, abs=2e-3)
+    owners = np.repeat(np.arange(len(seen.points)), np.diff(seen.track_offsets))
+    centers = np.array([view.center for view in can.views])[seen.track_views]
+    outwards = seen.points - BASE
+    outwards -= (outwards @ AXIS)[:, None] * AXIS
+    facing = np.einsum("ij,ij->i", centers - seen.points[owners], outwards[owners])
+    assert np.all(facing > 0)
+
+
+def test_a_square_post_is_no_cylinder():
+    assert found_in(scene_of(outlines_of_post)).cylinders == []
+
+
+def test_outlines_that_are_fixed_edges_are_of_no_cylinder(can):
+    fixed = replace(can.lines, fixed=np.ones(len(can.lines.views)))
+    assert found_in(replace_lines(can, fixed)).cylinders == []
+
+
+def replace_lines(scene, lines):
+    return SimpleNamespace(views=scene.views, model=scene.model, lines=lines)
+
+
+def test_rays_through_the_body_refuse_it(can):
+    given = gather_evidence(can.model, Edges3D.none())
+    behind, views = [], []
+    for index, view in enumerate(can.views):  # each sees points behind the axis
+        middle = BASE + np.linspace(0.4, 0.8, 5)[:, None] * HEIGHT * AXIS
+        behind.append(middle + 0.5 * (middle - view.center))
+        views += [index] * len(middle)
+    points = np.concatenate(behind)
+    count = len(points)
+    evidence = replace(
+        given,
+        points=points,
+        tangents=np.zeros((count, 3)),
+        rays=np.zeros((count, 3)),
+        sigmas=np.full(count, 1e-3),
+        ray_sigmas=np.full(count, 1e-3),
+        weights=np.ones(count),
+        edge_ids=np.full(count, -1),
+        offsets=np.arange(count + 1),
+        views=np.array(views, np.int32),
+    )
+    assert found_in(can, evidence).cylinders == []
+
+
+def test_nothing_without_lines(can):
+    none = can.lines.chosen(np.zeros(0, np.int64))
+    found = found_in(replace_lines(can, none))
+    assert (found.cylinders, len(found.points.points)) == ([], 0)
+
+
+def test_points_beside_observations_belong_to_edges():
+    near = are_observed(20, np.array([2.3, 15.0, np.nan]))
+    assert np.flatnonzero(near).tolist() == [*range(7), *range(11, 20)]
+
+
+def test_cylinders_are_written_and_moved(can, found, tmp_path):
+    moved = Similarity(
+        scale=2.0, rotation=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), translation=np.ones(3)
+    )
+    one = moved_cylinder(found.cylinders[0], moved)
+    path = tmp_path / "faces.json"
+    write_faces([], can.model, path, cylinders=[one])
+    faces, (again,) = read_faces(path, can.model)
+    assert faces == []
+    assert again.radius == pytest.approx(2 * RADIUS, rel=2e-3)
+    assert again.start == pytest.approx(one.start)
+    assert again.views.tolist() == one.views.tolist()
+    path.write_text('{"faces": []}')  # of versions without cylinders
+    assert read_faces(path, can.model) == ([], [])
