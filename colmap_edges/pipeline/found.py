@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.curves3d import Curves3D
@@ -26,12 +26,11 @@ from colmap_edges.surfaces.cylinders.lines import find_lines
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
-from colmap_edges.surfaces.patches.outlines import with_outlines
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.regions import SmallPictures
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Found:
     """What the images of a model show.
 
@@ -101,24 +100,13 @@ def find_edges(
     found = (model, traced.edges, detection, small, settings, stages)
     background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
-    if grids:
+    if grids and lines:
         faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
         viewer.show_faces(faces.faces)
-    if lines:
-        round_ = cylinder_stage(model, traced, lines, settings, stages)
-        faces = replace(faces, cylinders=round_.cylinders, cylinder_points=round_.points)
+        faces = cylinder_stage(model, traced.edges, lines, faces, settings, stages)
     if textures:
-        patches = patch_stage(model, traced.edges, textures.grids, settings, stages)
-        patches = with_outlines(patches, traced.outlines)
-    return Found(
-        model=model,
-        traced=traced,
-        curves=curves,
-        background=background,
-        faces=faces,
-        patches=patches,
-        pictures=pictures,
-    )
+        patches = patch_stage(model, traced, textures.grids, settings, stages)
+    return Found(model, traced, curves, background, faces, patches, pictures)
 
 
 def background_or_sky(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from colmap_edges.pipeline.detect import Detection
 from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
-from colmap_edges.surfaces.cylinders.finding import FoundCylinders, find_cylinders
+from colmap_edges.surfaces.cylinders.finding import find_cylinders
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
@@ -119,19 +120,25 @@ def face_stage(
 
 
 def cylinder_stage(
-    model: Model, traced: TracedEdges, lines: Lines, options: PipelineOptions, stages: Stages
-) -> FoundCylinders:
-    """Find the cylinders of which lines are the outlines.
+    model: Model,
+    edges: Edges3D,
+    lines: Lines,
+    faces: Faces,
+    options: PipelineOptions,
+    stages: Stages,
+) -> Faces:
+    """Add the cylinders of which lines are the outlines to the faces.
 
     Args:
         model: gives the V views and the SfM points.
-        traced: its 3D edges.
+        edges: its 3D edges.
         lines: straight pieces of the chains of all views.
+        faces: planar faces.
         options: options of all stages.
         stages: the stages of the run.
     """
     with stages.stage("cylinders") as stage:
-        evidence = gather_evidence(model, traced.edges)
+        evidence = gather_evidence(model, edges)
         found = find_cylinders(lines, model.views, evidence, options.random_seed)
         stage.counts = {
             "lines": len(lines.views),
@@ -140,7 +147,7 @@ def cylinder_stage(
             "cylinders": len(found.cylinders),
             "cylinder_points": len(found.points.points),
         }
-    return found
+    return replace(faces, cylinders=found.cylinders, cylinder_points=found.points)
 
 
 def mesh_stage(

@@ -5,28 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.edges3d import TracedEdges
 from colmap_edges.options import PipelineOptions
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.patches.finding import Patches, find_patches
+from colmap_edges.surfaces.patches.outlines import with_outlines
 
 
 def patch_stage(
     model: Model,
-    edges: Edges3D,
+    traced: TracedEdges,
     pictures: Mapping[int, Grid],
     options: PipelineOptions,
     stages: Stages,
 ) -> Patches:
-    """Find patches; `pictures` are the views' images without distortion."""
+    """Find patches, and append points on outlines of smooth bodies, which meshes may lack, too.
+
+    `pictures` are the views' images without distortion.
+    """
     with stages.stage("patches") as stage:
-        patches = find_patches(model, edges, pictures, options.random_seed, thread_count(options))
+        given = (model, traced.edges, pictures, options.random_seed)
+        patches = find_patches(*given, thread_count(options))
         stage.counts = {
             "windows_with_texture": patches.num_sites,
             "windows_with_depth": patches.num_found,
             "windows_agreed": patches.num_agreed,
             "patches": len(patches.sigmas),
         }
-    return patches
+    return with_outlines(patches, traced.outlines)

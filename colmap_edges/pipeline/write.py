@@ -57,7 +57,9 @@ def write_stage(
         sparse = folder / "sparse"
         added = None
         if options.write_patches:
-            added = points_of_tracks(model, *patches.points, patches.grays)
+            textured = patches.textured
+            grays = patches.grays[: len(textured.points)]
+            added = points_of_tracks(model, *textured, grays)
         ids = write_model(model, edges, sparse, options.output_type, residuals, added)
         write_ply(edges, folder / "edges.ply")
         write_json(edges, curves, model, ids, residuals, folder / "edges.json")

@@ -57,6 +57,8 @@ class Patches:
         num_sites: number of windows with texture and without edge, in all views.
         num_found: number of those that neighbours show, too.
         num_agreed: number of those that views agree on.
+        num_outlines: number of points, the last ones, that are on outlines of smooth bodies
+            instead: their views see the surface there, but no texture.
     """
 
     points: SeenPoints
@@ -67,6 +69,12 @@ class Patches:
     num_sites: int = 0
     num_found: int = 0
     num_agreed: int = 0
+    num_outlines: int = 0
+
+    @property
+    def textured(self) -> SeenPoints:
+        """The points where images have texture."""
+        return self.points.chosen(np.arange(len(self.points.points) - self.num_outlines))
 
     def check(self, name: str = "patches", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.

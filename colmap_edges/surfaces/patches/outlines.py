@@ -26,4 +26,5 @@ def with_outlines(patches: Patches, outlines: Outlines) -> Patches:
         sigmas=np.concatenate([patches.sigmas, outlines.sigmas]),
         tolerances=np.concatenate([patches.tolerances, outlines.sigmas]),
         grays=np.concatenate([patches.grays, outlines.colors.mean(axis=1).astype(np.uint8)]),
+        num_outlines=patches.num_outlines + len(outlines.points),
     )

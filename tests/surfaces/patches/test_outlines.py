@@ -24,6 +24,7 @@ def test_outlines_follow_patches_with_their_tracks():
     twice.check(num_views=12)
     assert twice.points.track_offsets.tolist() == [0, 2, 5, 7, 10]
     assert twice.points.chosen(np.array([2])).track_views.tolist() == [7, 8]
+    assert twice.num_outlines == 4 and len(twice.textured.points) == 0
     assert twice.grays.tolist() == [60, 2, 60, 2]
     assert twice.tolerances.tolist() == twice.sigmas.tolist() == [0.1, 0.2, 0.1, 0.2]
 
