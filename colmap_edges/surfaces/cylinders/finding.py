@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray
-from colmap_edges.core.view import View
+from colmap_edges.core.arrays import BoolArray, IntArray
+from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.cylinders.extent import (
     MIN_BOTH,
@@ -25,12 +26,13 @@ from colmap_edges.surfaces.cylinders.support import (
     LOOSE_PX,
     Support,
     fitted,
-    supports_of,
+    support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints, joined_seen
 
 MAX_TRIED = 600  # maximum number of hypotheses
+NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
 MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
 REFUSED_SHARE = 0.7  # maximum share of outlines with which other cylinders were tried
@@ -65,12 +67,14 @@ def find_cylinders(
         evidence: observed points, which lie on cylinders or contradict them.
         random_seed: of the choice of hypotheses where there are many.
     """
-    tried = chosen_hypotheses(find_hypotheses(lines, len(views)), random_seed)
-    free = np.flatnonzero(lines.fixed <= MAX_FIXED)
-    supports = [
-        replace(support, rows=free[support.rows])
-        for support in supports_of(lines.chosen(free), tried, LOOSE_PX)
-    ]
+    tried, bases = chosen_hypotheses(*find_hypotheses(lines, len(views)), random_seed)
+    near = free_lines_near(lines, views, np.unique(bases))
+    lines_near = {base: lines.chosen(rows) for base, rows in near.items()}
+    supports = []
+    for h, base in enumerate(bases.tolist()):
+        one = Cylinders(*(part[h : h + 1] for part in tried))
+        support = support_of(lines_near[base], one, LOOSE_PX)
+        supports.append(replace(support, rows=near[base][support.rows]))
     scores = np.array([support.score for support in supports])
     used, refused = np.zeros((2, len(lines.views)), bool)
     found, points, num_fits, last = [], [], 0, 0
@@ -99,13 +103,30 @@ def find_cylinders(
     )
 
 
-def chosen_hypotheses(found: Cylinders, random_seed: int) -> Cylinders:
-    """At most `MAX_TRIED` of the hypotheses."""
+def chosen_hypotheses(
+    found: Cylinders, bases: IntArray, random_seed: int
+) -> tuple[Cylinders, IntArray]:
+    """At most `MAX_TRIED` of the hypotheses, and their views."""
     count = len(found.radii)
     if count <= MAX_TRIED:
-        return found
-    chosen = np.random.default_rng(random_seed).choice(count, MAX_TRIED, replace=False)
-    return Cylinders(*(part[np.sort(chosen)] for part in found))
+        return found, bases
+    drawn = np.random.default_rng(random_seed).choice(count, MAX_TRIED, replace=False)
+    chosen = np.sort(drawn)
+    return Cylinders(*(part[chosen] for part in found)), bases[chosen]
+
+
+def free_lines_near(lines: Lines, views: Sequence[View], bases: IntArray) -> dict[int, IntArray]:
+    """The lines of the `NUM_NEAR` views nearest to each of (B,) views that are no fixed edges."""
+    rows_of = [
+        rows[lines.fixed[rows] <= MAX_FIXED] for rows in rows_by_view(lines.views, len(views))
+    ]
+    centers = np.array([view.center for view in views])
+    count = min(NUM_NEAR, len(views))
+    nearest = cKDTree(centers).query(centers[bases], count)[1].reshape(len(bases), count)
+    return {
+        base: np.concatenate([rows_of[view] for view in np.sort(own)])
+        for base, own in zip(bases.tolist(), nearest, strict=True)
+    }
 
 
 def may_be_outlines(lines: Lines, support: Support, used: BoolArray) -> bool:

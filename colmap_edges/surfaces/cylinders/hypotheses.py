@@ -8,12 +8,15 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import unit
+from colmap_edges.core.view import rows_by_view
 from colmap_edges.surfaces.cylinders.lines import Lines
 
 MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
 MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines
 MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
 MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
+MAX_LINES = 300  # maximum number of lines in a view, the longest ones
+MAX_BASES = 200  # maximum number of views that are combined with others, evenly chosen
 MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
 NUM_PARTNERS = 4  # number of other views with which a view is combined
 MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the middle planes of two views
@@ -149,17 +152,26 @@ def tangencies(
     return distances, places, depths
 
 
-def find_hypotheses(lines: Lines, num_views: int) -> Cylinders:
-    """All cylinders whose four outlines two views show; outlines are no fixed edges."""
-    free = lines.fixed <= MAX_FIXED
-    rows = [np.flatnonzero((lines.views == view) & free) for view in range(num_views)]
+def find_hypotheses(lines: Lines, num_views: int) -> tuple[Cylinders, IntArray]:
+    """All cylinders whose four outlines two views show, and the first of these; no fixed edges."""
+    rows = [longest(lines, own) for own in rows_by_view(lines.views, num_views)]
     pairs = [pairs_of(lines, own) for own in rows]
-    seen = [view for view in range(num_views) if len(pairs[view].rows)]
-    found = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
-    for i, view in enumerate(seen):
-        for other in partners(lines, rows, view, np.array(seen[i + 1 :], np.int64)):
-            found.append(combined(lines, pairs[view], pairs[other]))
-    return Cylinders(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    seen = np.flatnonzero([len(of.rows) for of in pairs])
+    found, views = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))], [0]
+    bases = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), MAX_BASES)).astype(np.int64))
+    for i in bases.tolist():
+        for other in partners(lines, rows, seen[i], seen[i + 1 :]).tolist():
+            found.append(combined(lines, pairs[seen[i]], pairs[other]))
+            views.append(seen[i])
+    counts = [len(of.radii) for of in found]
+    together = Cylinders(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    return together, np.repeat(np.array(views, np.int64), counts)
+
+
+def longest(lines: Lines, rows: IntArray) -> IntArray:
+    """The `MAX_LINES` longest of the (n,) lines of a view that are no fixed edges, in order."""
+    rows = rows[lines.fixed[rows] <= MAX_FIXED]
+    return np.sort(rows[np.argsort(-lines.lengths[rows], kind="stable")[:MAX_LINES]])
 
 
 def partners(lines: Lines, rows: list[IntArray], view: int, others: IntArray) -> IntArray:

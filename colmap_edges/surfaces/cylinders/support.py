@@ -45,18 +45,26 @@ def errors_of(lines: Lines, found: Cylinders) -> tuple[FloatArray, FloatArray, F
     return np.where(depths > 0, off, np.inf), np.sign(distances), places
 
 
-def supports_of(lines: Lines, found: Cylinders, limit_px: float) -> list[Support]:
-    """The lines within a limit of each cylinder's outlines, on the stretch with the most."""
-    supports = []
-    for h in range(len(found.radii)):
-        one = Cylinders(*(part[h : h + 1] for part in found))
-        errors, sides, places = (part[0] for part in errors_of(lines, one))
-        near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
-        rows = np.flatnonzero(near)
-        supports.append(
-            on_one_stretch(lines, rows, sides[rows, 0] > 0, np.sort(places[rows], axis=1), one)
-        )
-    return supports
+def support_of(lines: Lines, one: Cylinders, limit_px: float) -> Support:
+    """The lines within a limit of a cylinder's outlines, on the stretch with the most."""
+    passing = passing_by(lines, one, limit_px)
+    errors, sides, places = (part[0] for part in errors_of(lines.chosen(passing), one))
+    near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
+    rows, places = passing[near], np.sort(places[near], axis=1)
+    return on_one_stretch(lines, rows, sides[near, 0] > 0, places, one)
+
+
+def passing_by(lines: Lines, one: Cylinders, limit_px: float) -> IntArray:
+    """The lines whose first ends are within a limit of a cylinder's outlines, or little beyond."""
+    rays, away, axis = lines.rays[:, 0], one.points[0] - lines.centers, one.axes[0]
+    slopes = rays @ axis
+    squares = np.maximum(1 - slopes**2, 1e-12)  # of the sines of the angles to the axis
+    # (axis x ray) . away = ray . (away x axis)
+    heights = np.einsum("ij,ij->i", rays, np.cross(away, axis))
+    depths = (np.einsum("ij,ij->i", rays, away) - slopes * (away @ axis)) / squares
+    limits = 1.01 * limit_px * depths / lines.focals
+    near = np.abs(np.abs(heights) / np.sqrt(squares) - one.radii[0]) < limits
+    return np.flatnonzero(near)
 
 
 def on_one_stretch(
@@ -82,12 +90,12 @@ def on_one_stretch(
 
 def fitted(lines: Lines, start: Cylinders) -> tuple[Cylinders, Support]:
     """A cylinder fitted to its support, which is chosen again and again."""
-    one, support = start, supports_of(lines, start, LOOSE_PX)[0]
+    one, support = start, support_of(lines, start, LOOSE_PX)
     for i in range(NUM_FITS):
         if len(support.rows) < 5:
             break
         one = fit(lines.chosen(support.rows), one)
-        support = supports_of(lines, one, LOOSE_PX if i < NUM_FITS // 2 else CLOSE_PX)[0]
+        support = support_of(lines, one, LOOSE_PX if i < NUM_FITS // 2 else CLOSE_PX)
     return one, support
 
 
