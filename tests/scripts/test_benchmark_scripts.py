@@ -97,6 +97,6 @@ def test_a_city_on_a_cluster():
     )
     alone, one = dict(zip(names, alone, strict=True)), dict(zip(names, one, strict=True))
     assert alone["edges"] == one["edges"] != "0"
-    assert (alone["tasks"], one["tasks"]) == ("0", str(5 * 2 * 2))
+    assert (alone["tasks"], one["tasks"]) == ("0", str(5 * (2 * 2 + 1)))
     assert float(one["in tasks"]) > 0
     assert 0 <= int(one["no work"].rstrip("%")) < 100

@@ -97,7 +97,7 @@ def write_config(folder: Path) -> None:
     (folder / "config.toml").write_text(
         'num_threads = 2\nrandom_seed = 7\nuse_edges = true\noutput_type = "TXT"\n'
         'method = "chains"\n[EdgeGraph]\nmax_gap_points = 2.5\nfilter_regular_length = true\n'
-        '[Tracing]\nmin_curve_points = 2\n[Meshing]\nmethod = "carve"\n'
+        '[Tracing]\nmin_observations = 4\n[Meshing]\nmethod = "carve"\n'
         "quality_weight = 1e0\n"
     )
 
