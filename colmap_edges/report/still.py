@@ -15,6 +15,7 @@ from colmap_edges.report.viewpoint import FOV, Viewpoint, viewpoint
 SIZE_PX = (1280, 800)  # width and height
 FINER = 2  # supersampling factor
 EDGE_BGR = (40, 60, 225)
+WEBP = [cv2.IMWRITE_WEBP_QUALITY, 85]
 
 
 def still_picture(contents: Contents) -> bytes:
@@ -26,7 +27,7 @@ def still_picture(contents: Contents) -> bytes:
         draw_points(canvas, contents, view)
     draw_faces_and_edges(canvas, contents, view)
     reduced = cv2.resize(canvas, SIZE_PX, interpolation=cv2.INTER_AREA)
-    return encoded(".webp", reduced, [cv2.IMWRITE_WEBP_QUALITY, 85])
+    return encoded(".webp", reduced, WEBP)
 
 
 def projected(
