@@ -186,8 +186,8 @@ def run_edges(
         if options.use_faces:
             is_bounded = found.background is not None and found.background.bounds_bodies
             in_mesh = bool(len(faces.points.points)) and not is_bounded
-            path, round_ = folder / "faces.json", faces.cylinders
-            write_faces(faces.faces, model, path, in_mesh=in_mesh, cylinders=round_)
+            path = folder / "faces.json"
+            write_faces(faces.faces, model, path, in_mesh=in_mesh, cylinders=faces.cylinders)
         patches = found.patches if options.use_patches else NO_PATCHES
         given = (found.traced, extended, options, stages, found.background)
         mesh = mesh_stage(model, *given, faces, patches, cloud)

@@ -102,8 +102,8 @@ def mesh(
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     cloud = given_cloud(points, visibility, model, dense or DenseOptions(), num_threads)
     plain = faces.points if faces else NO_POINTS
-    round_ = faces.cylinder_points if faces else NO_POINTS
-    given = (background, plain, patches or NO_PATCHES, refine, cloud, round_)
+    cylinders = faces.cylinder_points if faces else NO_POINTS
+    given = (background, plain, patches or NO_PATCHES, refine, cloud, cylinders)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 

@@ -78,9 +78,8 @@ def trace_edges(
             return trace_edges(model, graphs, options, num_threads, advance, workers)
     near = select_views(model, options.view_selection)
     whole = with_side_likelihoods(make_input(model, graphs, near), near, options, num_threads)
-    (pieces, outlines), stats = trace_pieces(
-        model, whole, near, options, num_threads, advance, workers
-    )
+    given = (model, whole, near, options, num_threads, advance, workers)
+    pieces, outlines, stats = trace_pieces(*given)
     graphs.trim()
     result, linked = link(whole, pieces, options, num_threads)
     seen = seen_outlines(outlines, result.edges, model, near.observing_views, options, num_threads)
@@ -111,7 +110,7 @@ def trace_pieces(
     num_threads: int,
     advance: Callable[[], None],
     workers: Workers,
-) -> tuple[tuple[TracedEdges, Envelopes], dict[str, Any]]:
+) -> tuple[TracedEdges, Envelopes, dict[str, Any]]:
     """The pieces of all rounds without duplicates, the outlines of smooth bodies, and counts.
 
     Tables are released on return.
@@ -123,7 +122,7 @@ def trace_pieces(
     whole.graphs.trim()
     pieces, merged = merged_pieces(whole, kept, options, num_threads)
     counts = {"points_of_outlines": len(outlines.points)}
-    return (pieces, outlines), stats | counts | repeated | merged
+    return pieces, outlines, stats | counts | repeated | merged
 
 
 def trace_rounds(

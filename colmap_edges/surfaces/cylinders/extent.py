@@ -110,8 +110,9 @@ def points_on(
     A view sees it where it shows both outlines: a body before it would hide one of them.
     """
     axis, radius = one.axes[0], one.radii[0]
-    seen = seen_bins(extent, sight)
-    centers = np.array([view.center for view in views])
+    showing = np.flatnonzero(extent.both)
+    seen = seen_bins(extent, sight)[showing]
+    centers = np.array([view.center for view in views])[showing]
     middle = one.points[0] + extent.starts.mean() * axis
     sizes = [np.linalg.norm(middle - view.center) / view.focal_px for view in views]
     step = min(SPACING_PX * float(np.quantile(sizes, 0.25)), 2 * np.pi * radius / MIN_STEPS)
@@ -137,7 +138,7 @@ def points_on(
     near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
     some = kept.any(axis=1) & np.isinf(near)
     offsets = offsets_of(kept[some].sum(axis=1))
-    return SeenPoints(points[some], offsets, order[some][kept[some]].astype(np.int32))
+    return SeenPoints(points[some], offsets, showing[order[some][kept[some]]].astype(np.int32))
 
 
 def seen_bins(extent: Extent, sight: Sight) -> BoolArray:

@@ -19,7 +19,7 @@ from colmap_edges.surfaces.cylinders.extent import (
     points_on,
     sight_of_extent,
 )
-from colmap_edges.surfaces.cylinders.hypotheses import MAX_FIXED, Cylinders, find_hypotheses
+from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, find_hypotheses
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.cylinders.support import (
     ENOUGH_PX,
@@ -31,6 +31,8 @@ from colmap_edges.surfaces.cylinders.support import (
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints, joined_seen
 
+# Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
+MAX_FIXED = 0.6
 MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
@@ -67,13 +69,15 @@ def find_cylinders(
         evidence: observed points, which lie on cylinders or contradict them.
         random_seed: of the choice of hypotheses where there are many.
     """
-    tried, bases = chosen_hypotheses(*find_hypotheses(lines, len(views)), random_seed)
-    near = free_lines_near(lines, views, np.unique(bases))
-    lines_near = {base: lines.chosen(rows) for base, rows in near.items()}
+    by_view = rows_by_view(lines.views, len(views))
+    free = [rows[lines.fixed[rows] <= MAX_FIXED] for rows in by_view]
+    tried, bases = chosen_hypotheses(*find_hypotheses(lines, free), random_seed)
+    near = lines_near(free, views, np.unique(bases))
+    chosen = {base: lines.chosen(rows) for base, rows in near.items()}
     supports = []
     for h, base in enumerate(bases.tolist()):
         one = Cylinders(*(part[h : h + 1] for part in tried))
-        support = support_of(lines_near[base], one, LOOSE_PX)
+        support = support_of(chosen[base], one, LOOSE_PX)
         supports.append(replace(support, rows=near[base][support.rows]))
     scores = np.array([support.score for support in supports])
     used, refused = np.zeros((2, len(lines.views)), bool)
@@ -115,16 +119,15 @@ def chosen_hypotheses(
     return Cylinders(*(part[chosen] for part in found)), bases[chosen]
 
 
-def free_lines_near(lines: Lines, views: Sequence[View], bases: IntArray) -> dict[int, IntArray]:
-    """The lines of the `NUM_NEAR` views nearest to each of (B,) views that are no fixed edges."""
-    rows_of = [
-        rows[lines.fixed[rows] <= MAX_FIXED] for rows in rows_by_view(lines.views, len(views))
-    ]
+def lines_near(
+    free: Sequence[IntArray], views: Sequence[View], bases: IntArray
+) -> dict[int, IntArray]:
+    """Of (V,) lines by view, those of the `NUM_NEAR` views nearest to each of (B,) views."""
     centers = np.array([view.center for view in views])
     count = min(NUM_NEAR, len(views))
     nearest = cKDTree(centers).query(centers[bases], count)[1].reshape(len(bases), count)
     return {
-        base: np.concatenate([rows_of[view] for view in np.sort(own)])
+        base: np.concatenate([free[view] for view in np.sort(own)])
         for base, own in zip(bases.tolist(), nearest, strict=True)
     }
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import unit
-from colmap_edges.core.view import rows_by_view
 from colmap_edges.surfaces.cylinders.lines import Lines
 
 MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
@@ -20,8 +20,6 @@ MAX_BASES = 200  # maximum number of views that are combined with others, evenly
 MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
 NUM_PARTNERS = 4  # number of other views with which a view is combined
 MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the middle planes of two views
-# Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
-MAX_FIXED = 0.6
 SLACK_PX = 2.0  # maximum distance of the four outlines from those of a hypothesis
 
 
@@ -152,9 +150,14 @@ def tangencies(
     return distances, places, depths
 
 
-def find_hypotheses(lines: Lines, num_views: int) -> tuple[Cylinders, IntArray]:
-    """All cylinders whose four outlines two views show, and the first of these; no fixed edges."""
-    rows = [longest(lines, own) for own in rows_by_view(lines.views, num_views)]
+def find_hypotheses(lines: Lines, free: Sequence[IntArray]) -> tuple[Cylinders, IntArray]:
+    """All cylinders whose four outlines two views show, and the first of these views.
+
+    Args:
+        lines: all lines.
+        free: (V,) the lines of each view that are no fixed edges.
+    """
+    rows = [longest(lines, own) for own in free]
     pairs = [pairs_of(lines, own) for own in rows]
     seen = np.flatnonzero([len(of.rows) for of in pairs])
     found, views = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))], [0]
@@ -169,8 +172,7 @@ def find_hypotheses(lines: Lines, num_views: int) -> tuple[Cylinders, IntArray]:
 
 
 def longest(lines: Lines, rows: IntArray) -> IntArray:
-    """The `MAX_LINES` longest of the (n,) lines of a view that are no fixed edges, in order."""
-    rows = rows[lines.fixed[rows] <= MAX_FIXED]
+    """The `MAX_LINES` longest of the (n,) lines of a view, in order."""
     return np.sort(rows[np.argsort(-lines.lengths[rows], kind="stable")[:MAX_LINES]])
 
 
