@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -107,22 +108,9 @@ def compute_chain_depths(
     """
     graph, neighbors = given.graph(view), given.neighbors[view]
     samples, offsets = sample_chains(graph, options.sample_step_points)
+    matched = matching(given, view, samples, offsets, depth_range, options)
     found = _kernels.chain_depths(
-        given.index(view),
-        [given.index(neighbor) for neighbor in neighbors.tolist()],
-        samples,
-        offsets,
-        depth_range.at(graph.undistorted[samples].astype(np.float64)),
-        steps=float(options.sample_step_points),
-        max_disagreement_px=options.max_disagreement_px,
-        side_likelihoods=given.sides.table,
-        min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
-        visibility_rate=options.visibility_rate,
-        detection_rate=options.detection_rate,
-        min_log_likelihood_ratio=options.min_log_likelihood_ratio,
-        break_penalty=options.break_penalty,
-        max_clusters=options.max_clusters,
-        num_threads=num_threads,
+        **matched, steps=float(options.sample_step_points), num_threads=num_threads
     )
     depths, sigmas, scores, support_offsets, support_neighbors, positions = found
     return ChainDepths(
@@ -135,6 +123,41 @@ def compute_chain_depths(
         support_views=np.asarray(neighbors, np.int32)[support_neighbors],
         support_positions=positions,
     )
+
+
+def matching(
+    given: TracingInput,
+    view: int,
+    samples: IntArray,
+    offsets: IntArray,
+    depth_range: DepthRange,
+    options: ChainDepthOptions,
+) -> dict[str, Any]:
+    """The arguments of the kernels that match a view's samples with its neighbours, by name.
+
+    Args:
+        given: the edge graphs of the view and its neighbours.
+        view: index of the view.
+        samples: (S,) int64 points of its graph.
+        offsets: (C + 1,) int64 offsets of the samples by chain.
+        depth_range: the inverse depths visible in it.
+        options: agreement and continuity.
+    """
+    return {
+        "source": given.index(view),
+        "neighbors": [given.index(neighbor) for neighbor in given.neighbors[view].tolist()],
+        "samples": samples,
+        "sample_offsets": offsets,
+        "inverse_depths": depth_range.at(given.graph(view).undistorted[samples].astype(np.float64)),
+        "max_disagreement_px": options.max_disagreement_px,
+        "side_likelihoods": given.sides.table,
+        "min_angle_sin": float(np.sin(np.radians(options.min_epipolar_angle_deg))),
+        "visibility_rate": options.visibility_rate,
+        "detection_rate": options.detection_rate,
+        "min_log_likelihood_ratio": options.min_log_likelihood_ratio,
+        "break_penalty": options.break_penalty,
+        "max_clusters": options.max_clusters,
+    }
 
 
 def learn_side_likelihoods(

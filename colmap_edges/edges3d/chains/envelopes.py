@@ -27,7 +27,7 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.outlines import Outlines
 from colmap_edges.core.view import in_images, lift, rows_by_view, views_with_rows
 from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges3d.chains.depths import sample_chains
+from colmap_edges.edges3d.chains.depths import matching, sample_chains
 from colmap_edges.edges3d.chains.occlusion import find_hidden
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.chains.view_selection import DepthRange, Neighborhood
@@ -103,22 +103,8 @@ def envelopes_of(
     """Find the outlines on the chains of a view."""
     graph, own = given.graph(view), given.views[view]
     samples, offsets = samples_on_long_chains(graph)
-    columns, supports = _kernels.envelopes(
-        given.index(view),
-        [given.index(neighbor) for neighbor in given.neighbors[view].tolist()],
-        samples,
-        offsets,
-        depth_range.at(graph.undistorted[samples].astype(np.float64)),
-        max_disagreement_px=options.max_disagreement_px,
-        side_likelihoods=given.sides.table,
-        min_angle_sin=float(np.sin(np.radians(options.min_epipolar_angle_deg))),
-        visibility_rate=options.visibility_rate,
-        detection_rate=options.detection_rate,
-        min_log_likelihood_ratio=options.min_log_likelihood_ratio,
-        break_penalty=options.break_penalty,
-        max_clusters=options.max_clusters,
-        num_threads=num_threads,
-    )
+    matched = matching(given, view, samples, offsets, depth_range, options)
+    columns, supports = _kernels.envelopes(**matched, num_threads=num_threads)
     inverse_depths, radii, sigmas = columns[:3]
     runs = find_runs(radii, sigmas, *supports)
     rows = np.flatnonzero(runs >= 0)

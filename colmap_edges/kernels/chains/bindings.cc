@@ -23,6 +23,26 @@ namespace {
 
 using namespace nb::literals;
 
+// Samples on the chains of a view, by chain, with the inverse depths visible at them.
+struct Samples {
+  std::vector<int64_t> points, offsets;
+  std::vector<DepthRange> ranges;
+};
+
+Samples ToSamples(const EdgeIndex& source, const Longs& samples, const Longs& sample_offsets,
+                  const InArray<double, nb::shape<-1, 2>>& inverse_depths) {
+  CheckOffsets(sample_offsets, samples.size());
+  Require(inverse_depths.shape(0) == samples.size(), "inverse_depths and samples differ in length");
+  Samples found{ToVector(samples), ToVector(sample_offsets), {}};
+  found.ranges.reserve(samples.size());
+  for (size_t i = 0; i < samples.size(); ++i) {
+    Require(samples(i) >= 0 && samples(i) < source.num_points(),
+            "a sample is not a point of the source");
+    found.ranges.push_back({inverse_depths(i, 0), inverse_depths(i, 1)});
+  }
+  return found;
+}
+
 nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const EdgeIndex*>& neighbors,
                             Longs samples, Longs sample_offsets,
                             InArray<double, nb::shape<-1, 2>> inverse_depths, double steps,
@@ -31,29 +51,17 @@ nb::tuple ChainDepthsArrays(const EdgeIndex& source, const std::vector<const Edg
                             double min_angle_sin, double visibility_rate, double detection_rate,
                             double min_log_likelihood_ratio, double break_penalty, int max_clusters,
                             int num_threads) {
-  CheckOffsets(sample_offsets, samples.size());
-  for (size_t i = 0; i < samples.size(); ++i) {
-    if (samples(i) < 0 || samples(i) >= source.num_points()) {
-      throw std::invalid_argument("a sample is not a point of the source");
-    }
-  }
-  if (inverse_depths.shape(0) != samples.size()) {
-    throw std::invalid_argument("inverse_depths and samples differ in length");
-  }
-  const std::vector<int64_t> starts = ToVector(samples), offsets = ToVector(sample_offsets);
-  std::vector<DepthRange> ranges(starts.size());
-  for (size_t i = 0; i < ranges.size(); ++i)
-    ranges[i] = {inverse_depths(i, 0), inverse_depths(i, 1)};
+  const Samples given = ToSamples(source, samples, sample_offsets, inverse_depths);
   ChainDepths result;
   {
     nb::gil_scoped_release release;
     result = ComputeChainDepths(
-        source, neighbors, starts, offsets, ranges, steps,
+        source, neighbors, given.points, given.offsets, given.ranges, steps,
         {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
          detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
         num_threads);
   }
-  const size_t count = starts.size(), total = result.positions.size();
+  const size_t count = given.points.size(), total = result.positions.size();
   return nb::make_tuple(
       ToArray(std::move(result.inverse_depths), {count}),
       ToArray(std::move(result.sigmas), {count}), ToArray(std::move(result.scores), {count}),
@@ -69,22 +77,14 @@ nb::tuple EnvelopesArrays(const EdgeIndex& source, const std::vector<const EdgeI
                           double min_angle_sin, double visibility_rate, double detection_rate,
                           double min_log_likelihood_ratio, double break_penalty, int max_clusters,
                           int num_threads) {
-  CheckOffsets(sample_offsets, samples.size());
-  Require(inverse_depths.shape(0) == samples.size(), "inverse_depths and samples differ in length");
-  const std::vector<int64_t> points = ToVector(samples), offsets = ToVector(sample_offsets);
-  std::vector<DepthRange> ranges(points.size());
-  for (size_t i = 0; i < ranges.size(); ++i) {
-    Require(points[i] >= 0 && points[i] < source.num_points(),
-            "a sample is not a point of the source");
-    ranges[i] = {inverse_depths(i, 0), inverse_depths(i, 1)};
-  }
-  const size_t count = points.size();
+  const Samples given = ToSamples(source, samples, sample_offsets, inverse_depths);
+  const size_t count = given.points.size();
   std::vector<double> columns(6 * count);
   std::vector<int32_t> supports(2 * count);
   {
     nb::gil_scoped_release release;
     const std::vector<Envelope> found =
-        FindEnvelopes(source, neighbors, points, offsets, ranges,
+        FindEnvelopes(source, neighbors, given.points, given.offsets, given.ranges,
                       {max_disagreement_px, side_likelihoods.data(), min_angle_sin, visibility_rate,
                        detection_rate, min_log_likelihood_ratio, break_penalty, max_clusters},
                       num_threads);
