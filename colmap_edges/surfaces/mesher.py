@@ -12,6 +12,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, joined_offsets
 from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import DenseOptions, MeshingOptions
@@ -25,7 +26,7 @@ from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints, joined_seen
+from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.simplify import simplify
 
 if TYPE_CHECKING:

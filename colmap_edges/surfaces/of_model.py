@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.patches.finding import Patches
-from colmap_edges.surfaces.silhouettes import Background, SeenPoints
+from colmap_edges.surfaces.silhouettes import Background
 
 if TYPE_CHECKING:
     from colmap_edges.colmap.model import Model

@@ -11,6 +11,7 @@ import pytest
 
 import colmap_edges
 from colmap_edges import ColmapEdgesError, Curves3D, Edges3D, Mesh, fit_curves, mesh, read_edges
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.export.dxf import write_dxf
 from colmap_edges.export.edges import write_obj
 from colmap_edges.export.edges_json import write_json
@@ -20,7 +21,7 @@ from colmap_edges.export.ply import write_ply
 from colmap_edges.export.svg import write_svg
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.surfaces.faces.finding import NO_FACES
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, SeenPoints
+from colmap_edges.surfaces.silhouettes import Background
 
 NOT_DATA = (None, 5, "x", [], {}, np.zeros((3, 3)), object, True)
 NOT_PATHS = (None, 5, b"x", [], "", "a\0b", "\ud800", "x" * 5000, Path("a\0"), np.zeros(2))

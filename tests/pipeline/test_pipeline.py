@@ -17,6 +17,7 @@ import colmap_edges
 from colmap_edges.cli.info import describe
 from colmap_edges.colmap.clouds import image_names
 from colmap_edges.colmap.model import load_model
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.declared_options import derived
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.errors import ColmapEdgesError
@@ -30,7 +31,6 @@ from colmap_edges.runtime.output import check_output_path, new_folder
 from colmap_edges.runtime.ownership import file_sizes
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.patches.finding import NO_PATCHES
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 

@@ -10,9 +10,9 @@ from plain_rooms import upright_view
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.mesher import mesh_with_curves
-from colmap_edges.surfaces.silhouettes import SeenPoints
 from colmap_edges.surfaces.sky.colours import Colors, upward
 from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.surfaces.sky.regions import below_structure, smooth_regions

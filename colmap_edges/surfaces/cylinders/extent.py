@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from colmap_edges.core.polylines import unit
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.cylinders.sight import Sight, rays_that_meet
 from colmap_edges.surfaces.cylinders.support import MAX_GAP, Support
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
 BINS_PER_RADIUS = 12  # bins along the axis
 COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number

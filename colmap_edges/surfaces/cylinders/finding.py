@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, IntArray
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.cylinders.extent import (
@@ -29,7 +30,6 @@ from colmap_edges.surfaces.cylinders.support import (
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints, joined_seen
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
 MAX_FIXED = 0.6

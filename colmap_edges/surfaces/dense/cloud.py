@@ -25,6 +25,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.checks import check_arrays
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import nearest_pixel_sizes
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options.meshing import DenseOptions
@@ -33,7 +34,6 @@ from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
 from colmap_edges.surfaces.dense.seeing import seen_by
 from colmap_edges.surfaces.information import MIN_NOISE_PX
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 
 @dataclass(frozen=True, kw_only=True)

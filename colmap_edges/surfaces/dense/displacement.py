@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, owners_of
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import views_with_rows
 from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 MIN_POINTS = 100  # of the model on planes of the cloud
 

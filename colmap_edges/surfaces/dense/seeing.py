@@ -17,9 +17,9 @@ from colmap_edges.core.arrays import (
     owners_of,
     row_numbers,
 )
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 
 def seen_by(

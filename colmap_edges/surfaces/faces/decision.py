@@ -22,11 +22,11 @@ from colmap_edges.core.arrays import (
     ranks_of,
     row_numbers,
 )
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, cells_in
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
 MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agreeing view

@@ -10,6 +10,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.errors import check_type
 from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.decision import (
@@ -32,7 +33,7 @@ from colmap_edges.surfaces.faces.labelling import (
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Body, SeenPoints, within
+from colmap_edges.surfaces.silhouettes import Body, within
 
 NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
 

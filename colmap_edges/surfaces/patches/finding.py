@@ -26,6 +26,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges3d.chains.view_selection import Neighborhood, select_views
 from colmap_edges.errors import ColmapEdgesError, check_type
@@ -40,7 +41,6 @@ from colmap_edges.surfaces.patches.sites import (
     textured_sites,
 )
 from colmap_edges.surfaces.patches.smoothing import smoothed
-from colmap_edges.surfaces.silhouettes import NO_POINTS, SeenPoints
 
 
 @dataclass(frozen=True, kw_only=True)

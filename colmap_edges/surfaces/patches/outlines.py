@@ -8,8 +8,8 @@ import numpy as np
 
 from colmap_edges.core.arrays import joined_offsets
 from colmap_edges.core.outlines import Outlines
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.surfaces.patches.finding import Patches
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 
 def with_outlines(patches: Patches, outlines: Outlines) -> Patches:

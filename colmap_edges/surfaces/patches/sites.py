@@ -10,9 +10,9 @@ from scipy.spatial import Delaunay, QhullError
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Float32Array, FloatArray, owners_of, row_numbers
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.surfaces.faces.grids import Grid
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 STEP_PX = 6  # between sites, pixels of the pictures; 8 lost a third of what patches add
 RADIUS_PX = 3  # of windows, as in the kernel

@@ -9,6 +9,7 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Picture, parts_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import NO_POINTS
 from colmap_edges.images.background import (
     NO_BACKGROUND_MASK,
     BackgroundMask,
@@ -18,7 +19,7 @@ from colmap_edges.images.background import (
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Background
+from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
 from colmap_edges.surfaces.sky.regions import Regions, find_regions

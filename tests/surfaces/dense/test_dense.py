@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 
 import colmap_edges
 from colmap_edges.colmap.clouds import CloudFile, SeenRows, image_names
+from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options import DenseOptions
 from colmap_edges.surfaces.dense.cloud import dense_cloud
 from colmap_edges.surfaces.dense.displacement import measured_shift, movements
 from colmap_edges.surfaces.dense.planes import planes_at
 from colmap_edges.surfaces.dense.seeing import by_depth_test
-from colmap_edges.surfaces.silhouettes import SeenPoints
 
 ALL = DenseOptions(max_proj_dist=0)
 

@@ -8,6 +8,7 @@ import pytest
 from plain_rooms import DOOR, distance_to_room, model_of, render, room_edges, room_views
 
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.seen_points import NO_POINTS
 from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
@@ -17,7 +18,7 @@ from colmap_edges.surfaces.faces.grids import cells_in, make_grid
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, split_by_view
 from colmap_edges.surfaces.mesher import mesh_with_curves
-from colmap_edges.surfaces.silhouettes import NO_POINTS, Background, Body
+from colmap_edges.surfaces.silhouettes import Background, Body
 
 
 @pytest.fixture(scope="module")
