@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from colmap_edges.core.arrays import ByteArray, FloatArray, Int32Array, IntArray
-from colmap_edges.core.checks import check_arrays, check_offsets
-from colmap_edges.core.observations import check_views
+from colmap_edges.core.checks import check_arrays
+from colmap_edges.core.seen_points import SeenPoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,11 @@ class Outlines:
     track_offsets: Annotated[IntArray, "N+1"]
     track_views: Annotated[Int32Array, "T"]
 
+    @property
+    def seen(self) -> SeenPoints:
+        """The points with the views that see them."""
+        return SeenPoints(self.points, self.track_offsets, self.track_views)
+
     def check(self, name: str, num_views: int | None = None) -> None:
         """Check shapes, dtypes and values.
 
@@ -40,8 +45,7 @@ class Outlines:
             ColmapEdgesError: naming the first array that does not fit.
         """
         check_arrays(name, self)
-        check_offsets(f"{name}.track_offsets", self.track_offsets, len(self.track_views))
-        check_views(f"{name}.track_views", self.track_views, num_views)
+        self.seen.check(name, num_views)
 
 
 NO_OUTLINES = Outlines(

@@ -6,22 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import joined_offsets
 from colmap_edges.core.outlines import Outlines
-from colmap_edges.core.seen_points import SeenPoints
+from colmap_edges.core.seen_points import joined_seen
 from colmap_edges.surfaces.patches.finding import Patches
 
 
 def with_outlines(patches: Patches, outlines: Outlines) -> Patches:
     """The patches, and the points of outlines as further ones."""
-    own = patches.points
     return replace(
         patches,
-        points=SeenPoints(
-            np.concatenate([own.points, outlines.points]),
-            joined_offsets([own.track_offsets, outlines.track_offsets]),
-            np.concatenate([own.track_views, outlines.track_views]),
-        ),
+        points=joined_seen([patches.points, outlines.seen]),
         normals=np.concatenate([patches.normals, outlines.normals]),
         sigmas=np.concatenate([patches.sigmas, outlines.sigmas]),
         tolerances=np.concatenate([patches.tolerances, outlines.sigmas]),
