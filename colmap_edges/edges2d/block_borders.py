@@ -13,9 +13,14 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray
 from colmap_edges.edges2d.detection import Chains
 from colmap_edges.images.files import JPEG
 
+BLOCK_PX = 8
 QUANTISATION, SCAN = 0xDB, 0xDA  # markers of JPEG's quantisation tables, and of the image's data
 # Zigzag order of the coefficients that vary along one axis only: along x, along y.
 ALONG = ((0, 1, 5, 6, 14, 15, 27, 28), (0, 2, 3, 9, 10, 20, 21, 35))
+MAX_SIGMAS = 3.0  # standard deviations of a border's step up to which it is due to quantisation
+NEAR_PX = 0.5  # distance from a border or the middle of blocks of a chain that lies on it
+MIN_EXCESS = 2.0  # times as many weak chain points on borders as between show that they are steps
+MIN_ALIGNMENT = 0.99  # cosine of the angle between a chain's normal and an axis of the image
 
 
 def off_block_borders(chains: Chains, data: ByteArray, scale: float) -> BoolArray | None:
@@ -29,22 +34,20 @@ def off_block_borders(chains: Chains, data: ByteArray, scale: float) -> BoolArra
     table = quantisation_of(data)
     if table is None:
         return None
-    # Steps of up to three standard deviations are due to quantisation.
-    limits = 3.0 * np.array([step_sigma(table[list(along)]) for along in ALONG])
+    limits = MAX_SIGMAS * np.array([step_sigma(table[list(along)]) for along in ALONG])
     steps = np.abs(np.diff(chains.sides.astype(np.int16), axis=1))
-    # Within 8 degrees of an axis of the image.
-    weak = (np.abs(chains.normals) > 0.99) & (steps <= limits)
-    on, off = (weak & are_near(chains.points / scale + shift) for shift in (0, 2))
+    weak = (np.abs(chains.normals) > MIN_ALIGNMENT) & (steps <= limits)
+    between = BLOCK_PX / 4
+    on, off = (weak & are_near(chains.points / scale + shift) for shift in (0, between))
     # True edges are as frequent between the borders and middles of blocks as on them.
-    # Twice as many weak chain points on borders as between show that they are steps.
-    on &= on.sum(axis=0) > 2.0 * off.sum(axis=0)
+    on &= on.sum(axis=0) > MIN_EXCESS * off.sum(axis=0)
     return np.asarray(~on.any(axis=1))
 
 
 def are_near(places: FloatArray) -> BoolArray:
-    """(N, 2) whether coordinates (N, 2) are near a border or the middle of blocks of 8 pixels."""
-    half = 4.0
-    return np.asarray(np.abs(places - half * np.round(places / half)) < 0.5)
+    """(N, 2) whether coordinates (N, 2) are near a border or the middle of blocks."""
+    half = BLOCK_PX / 2
+    return np.asarray(np.abs(places - half * np.round(places / half)) < NEAR_PX)
 
 
 def step_sigma(quantisation: FloatArray) -> float:

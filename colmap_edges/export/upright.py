@@ -14,6 +14,13 @@ from colmap_edges.declared_options import shown
 from colmap_edges.errors import OptionError
 from colmap_edges.export.units import AXES
 
+LEVEL = 0.1  # weight of the images' upward directions against that of their level rows
+ROLLED = 0.5  # images whose upward directions agree less than this share of where they look
+NEAR_DEG = 30.0  # the images' estimate is that precise
+LINE_DEG = 1.5  # lines this close to vertical or horizontal count as such
+AXIS_DEG = 5.0  # an axis of the model this close is taken itself: the model has been aligned
+MAX_LINES = 200  # the longest ones
+
 
 def direction(up: Any) -> FloatArray:
     """(3,) a direction given by an axis such as "-y", or by three numbers.
@@ -42,11 +49,10 @@ def up_direction(views: Sequence[View]) -> FloatArray:
     rotations = np.array([view.rotation for view in views])
     right, up, forward = rotations[:, 0], -rotations[:, 1], rotations[:, 2].mean(axis=0)
     mean = up.mean(axis=0)
-    # Upward directions of rolled images agree less than half as much as where they look.
-    if np.linalg.norm(mean) < 0.5 * np.linalg.norm(forward):
+    if np.linalg.norm(mean) < ROLLED * np.linalg.norm(forward):
         return np.asarray(-forward / np.linalg.norm(forward))
-    # The least squares of right . v, and of |v - up| with a tenth of the weight.
-    level = right.T @ right / len(views) + 0.1 * np.eye(3)
+    # The least squares of right . v and of LEVEL * |v - up|.
+    level = right.T @ right / len(views) + LEVEL * np.eye(3)
     found = np.linalg.solve(level, mean)
     return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
 
@@ -56,7 +62,7 @@ def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:
 
     Most straight edges of what people build are vertical or horizontal: of all directions near
     the images' estimate, the one is chosen to which the largest length of lines is parallel or
-    perpendicular. An axis of the model within 5 degrees is taken itself.
+    perpendicular. An axis of the model within `AXIS_DEG` is taken itself.
 
     Args:
         views: posed images.
@@ -66,12 +72,12 @@ def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:
     if curves is not None:
         lines = curves.frames[curves.kinds == LINE, 1]
         lengths = np.linalg.norm(lines, axis=1)
-        longest = np.argsort(-lengths, kind="stable")[:200]
+        longest = np.argsort(-lengths, kind="stable")[:MAX_LINES]
         longest = longest[lengths[longest] > 0]
         if len(longest):
             found = along_lines(found, lines[longest])
     axis = np.array(AXES[nearest_axis(found)], float)
-    return axis if axis @ found > np.cos(np.radians(5.0)) else found
+    return axis if axis @ found > np.cos(np.radians(AXIS_DEG)) else found
 
 
 def along_lines(prior: FloatArray, lines: FloatArray) -> FloatArray:
@@ -85,11 +91,9 @@ def along_lines(prior: FloatArray, lines: FloatArray) -> FloatArray:
     crossing = normals[sizes > 0.5] / sizes[sizes > 0.5, None]
     tried = np.concatenate([prior[None], ways, crossing])
     tried *= np.where(tried @ prior < 0, -1.0, 1.0)[:, None]
-    # The images' estimate is that precise.
-    tried = tried[tried @ prior > np.cos(np.radians(30.0))]
+    tried = tried[tried @ prior > np.cos(np.radians(NEAR_DEG))]
     dots = np.abs(tried @ ways.T)
-    # Lines this close to vertical or horizontal count as such.
-    tolerance = np.radians(1.5)
+    tolerance = np.radians(LINE_DEG)
     fit = (dots < np.sin(tolerance)) | (dots > np.cos(tolerance))
     # Of directions that fit equally well, the images' choice.
     best = int((fit @ lengths + 0.01 * lengths.sum() * (tried @ prior)).argmax())

@@ -20,7 +20,16 @@ from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.files import square
 
+NUM_SAMPLES = 10_000  # background rays per image, on a grid
 MAX_DEVIATION = 3  # maximum deviation of a plain backdrop from its median, in any channel
+MIN_BORDER_RATIO = 0.95  # minimum share of plain pixels in the border of an image
+MIN_VIEWS_RATIO = 0.9  # minimum share of images with a backdrop, else it is ignored in all
+# A body of the backdrop's colour also has pixels of nearly that colour. If it has none, enclosed
+# pixels of the backdrop's colour are holes.
+NEAR_LEVELS = 2  # deviation beyond MAX_DEVIATION of pixels of nearly the backdrop's colour
+MAX_NEAR_RATIO = 1e-3  # maximum share of such pixels in the body, over all images
+BORDER_PX = 2  # width of the mixed pixels around a body
+MAX_MASK_PX = 2000  # maximum side of a stored mask
 
 
 class BackgroundRays(NamedTuple):
@@ -85,16 +94,13 @@ def plain_background(image: Picture) -> BackgroundMask:
     color = np.rint(np.median(border, axis=0))
     low, high = color - MAX_DEVIATION, color + MAX_DEVIATION
     on_border = ((border >= low) & (border <= high)).all(axis=1)
-    if on_border.mean() < 0.95:
+    if on_border.mean() < MIN_BORDER_RATIO:
         return NO_BACKGROUND_MASK
     plain = cv2.inRange(image, low, high)
-    # Two mixed pixels around a body.
-    inner = cv2.erode(255 - plain, square(2)) > 0
+    inner = cv2.erode(255 - plain, square(BORDER_PX)) > 0
     if not inner.any():
         return NO_BACKGROUND_MASK  # a blank image
-    # A body of the backdrop's colour also has pixels of nearly that colour. If it has none,
-    # enclosed pixels of the backdrop's colour are holes.
-    near = cv2.inRange(image, low - 2, high + 2) > 0
+    near = cv2.inRange(image, low - NEAR_LEVELS, high + NEAR_LEVELS) > 0
     return kept(plain == 0, np.array([inner.sum(), (inner & near).sum()]))
 
 
@@ -105,8 +111,7 @@ def masked_background(mask: BoolArray) -> BackgroundMask:
 
 def kept(body: BoolArray, body_pixels: IntArray) -> BackgroundMask:
     """The background mask of a foreground mask (H, W)."""
-    # Stored masks have at most 2000 pixels a side.
-    factor = min(1.0, 2000 / max(body.shape))
+    factor = min(1.0, MAX_MASK_PX / max(body.shape))
     size = [max(1, round(side * factor)) for side in body.shape[::-1]]
     smaller = cv2.resize(255 * body.astype(np.uint8), size, interpolation=cv2.INTER_AREA) >= 128
     return BackgroundMask(
@@ -130,8 +135,7 @@ def background_rays(
         The rays in the order of the views; empty if too few images show a backdrop.
     """
     seen = sum(mask.is_seen for mask in background_masks)
-    # A backdrop of fewer images is ignored in all.
-    if seen == 0 or not (are_masks or seen >= 0.9 * len(background_masks)):
+    if seen == 0 or not (are_masks or seen >= MIN_VIEWS_RATIO * len(background_masks)):
         return None
     with_holes = shows_holes(background_masks)
     cameras, directions = [], []
@@ -150,7 +154,7 @@ def background_rays(
 def shows_holes(background_masks: Sequence[BackgroundMask]) -> bool:
     """Whether enclosed pixels of the backdrop's colour are holes of the body."""
     body, near = np.sum([mask.body_pixels for mask in background_masks], axis=0).tolist()
-    return bool(near <= 1e-3 * body)
+    return bool(near <= MAX_NEAR_RATIO * body)
 
 
 def shown_pixels(body: BoolArray, with_holes: bool) -> IntArray:
@@ -166,7 +170,6 @@ def shown_pixels(body: BoolArray, with_holes: bool) -> IntArray:
         _, labels = cv2.connectedComponents(plain, connectivity=4)
         outside = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
         inner &= np.isin(labels, outside)
-    # About 10,000 background rays per image, on a grid.
-    step = max(1, round(float(np.sqrt(body.size / 10_000))))
+    step = max(1, round(float(np.sqrt(body.size / NUM_SAMPLES))))
     rows, columns = np.nonzero(inner[step // 2 :: step, step // 2 :: step])
     return np.column_stack([columns, rows]) * step + step // 2

@@ -39,7 +39,21 @@ from colmap_edges.images.files import square
 
 logger = logging.getLogger(__name__)
 
+# Maximum share of edge points that project onto the background: 0.03 to 0.3 % for true backdrops,
+# 1.7 % and more for black frames around photographs and fisheye images.
+MAX_CONTRADICTED = 0.01
+NUM_CHECKED = 5000  # number of edge points checked
+NUM_LINES = 4000  # number of viewing rays tried, over all views
+NUM_VIEWS = 100  # number of views with silhouettes, spread around
+NUM_TESTED = 40  # number of views that test for foreground, spread around
 NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
+MAX_STRETCH = 0.25  # maximum length of the interval, relative to that sphere's diameter
+NUM_SEEING = 8  # maximum number of views of a point, the most frontal ones
+# minimum cosine of the angle between the surface normal and the direction to a view
+MIN_COSINE = 0.5
+NUM_SIGHT_STEPS = 40  # steps from the point to the view, all of which must be free
+EDGE_PX = 10  # distance from a projected edge within which a silhouette belongs to the edge
+DIRECTION_PX = 2.5  # standard deviation of the blur for the silhouette's direction
 
 
 @dataclass(frozen=True)
@@ -129,9 +143,7 @@ def find_background(
     known = edges.points if edges.num_points else model.points3D_xyz
     bodies = spread_bodies(model.views, background_masks, known)
     contradicted = contradicted_share(list(bodies.values()), known)
-    # 0.03 to 0.3 % for true backdrops, 1.7 % and more for black frames around photographs and
-    # fisheye images.
-    if contradicted > 0.01:
+    if contradicted > MAX_CONTRADICTED:
         if not are_masks:
             return None  # probably a frame around the images
         logger.warning(
@@ -150,17 +162,17 @@ def find_background(
 def spread_bodies(
     views: Sequence[View], background_masks: Sequence[BackgroundMask], known: FloatArray
 ) -> dict[int, Body]:
-    """Foregrounds of up to 100 views, spread around (N, 3) points, by index of the view."""
+    """Foregrounds of `NUM_VIEWS` views, spread around (N, 3) points, by index of the view."""
     seen = [i for i, background_mask in enumerate(background_masks) if background_mask.is_seen]
     center = known.mean(axis=0) if len(known) else np.zeros(3)
     away = np.array([views[i].center for i in seen]) - center
-    chosen = np.sort(spread(away, 100)).tolist()
+    chosen = np.sort(spread(away, NUM_VIEWS)).tolist()
     return {seen[k]: Body(views[seen[k]], background_masks[seen[k]].body()) for k in chosen}
 
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
     """Share of the projections of (N, 3) points of bodies that lie on the background."""
-    points = known[:: max(1, len(known) // 5000)]
+    points = known[:: max(1, len(known) // NUM_CHECKED)]
     hidden = total = 0
     for body in bodies:
         _, is_body = body.dilated(1).at(points)
@@ -182,11 +194,9 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
     center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
     indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
     centers = np.array([body.view.center for body in seen])
-    # The views that test for foreground, spread around.
-    tested = [seen[i] for i in spread(centers - center, 40)]
+    tested = [seen[i] for i in spread(centers - center, NUM_TESTED)]
     around = [body.dilated(1) for body in tested]
-    # Viewing rays tried, over all views.
-    count = -(-4000 // len(bodies))
+    count = -(-NUM_LINES // len(bodies))
     found = [touched(body, around, known, (center, radius), count) for body in seen]
     points = np.concatenate([points for points, _ in found])
     normals = np.concatenate([normals for _, normals in found])
@@ -241,8 +251,7 @@ def touched(
     length = last - first + 1
     is_one = inside.any(axis=1) & (inside.sum(axis=1) == length)
     bounded = (first > 0) & (last < NUM_STEPS - 1)
-    # Up to a quarter of that sphere's diameter.
-    kept = np.flatnonzero(is_one & bounded & (length <= 0.25 * NUM_STEPS))
+    kept = np.flatnonzero(is_one & bounded & (length <= MAX_STRETCH * NUM_STEPS))
     middle = (depths[kept, first[kept]] + depths[kept, last[kept]]) / 2
     return view.center + middle[:, None] * directions[kept], normals[kept]
 
@@ -260,12 +269,11 @@ def contour(body: Body, known: FloatArray, count: int) -> tuple[FloatArray, Floa
     columns, rows = (pixels[body.view.holds(pixels, depths)] / scale).astype(np.int64).T
     near = np.zeros_like(mask)
     near[rows, columns] = 1
-    # Silhouettes within 10 pixels of a projected edge belong to the edge.
-    edge[cv2.dilate(near, square(10)) > 0] = 0
+    edge[cv2.dilate(near, square(EDGE_PX)) > 0] = 0
     rows, columns = np.nonzero(edge)
     chosen = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(np.int64)
     rows, columns = rows[chosen], columns[chosen]
-    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.5)
+    blurred = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), DIRECTION_PX)
     slope = [cv2.Sobel(blurred, cv2.CV_32F, *order) for order in ((1, 0), (0, 1))]
     outward = unit(-np.column_stack([each[rows, columns] for each in slope]).astype(np.float64))
     return (np.column_stack([columns, rows]) + 0.5) * scale, outward
@@ -302,11 +310,10 @@ def seeing(
     """
     away = unit(centers - points[:, None])
     cosines = np.einsum("pvi,pi->pv", away, normals)
-    # The most frontal views of a point.
-    straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :8]
-    rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= 0.5)
+    straightest = np.argsort(-cosines, axis=1, kind="stable")[:, :NUM_SEEING]
+    rows, ranks = np.nonzero(np.take_along_axis(cosines, straightest, axis=1) >= MIN_COSINE)
     columns = straightest[rows, ranks]
-    steps = radius * np.linspace(0.03, 1.5, 40)
+    steps = radius * np.linspace(0.03, 1.5, NUM_SIGHT_STEPS)
     way = points[rows][:, None] + steps[:, None] * away[rows, columns][:, None]
-    free = ~within(bodies, way.reshape(-1, 3)).reshape(-1, len(steps)).any(axis=1)
+    free = ~within(bodies, way.reshape(-1, 3)).reshape(-1, NUM_SIGHT_STEPS).any(axis=1)
     return rows[free], columns[free]

@@ -17,9 +17,16 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.texture.pictures import Images
 
+# Share of its depth by which a triangle may lie behind another one that does not hide it, as meshes
+# are rough.
+DEPTH_TOLERANCE = 0.005
 # Pixels of the reduced image around bodies in which what is behind them counts as hidden, since
 # outlines of a mesh are not exactly those in the image.
 RIM_PX = 3
+MIN_SHARE = 0.5  # minimum visible share of a triangle, for a view that may give its texture
+MIN_COSINE = 0.02  # minimum cosine of the angle between normal and line of sight
+# Depth at which triangles that reach behind a camera are cut, relative to the median depth.
+NEAREST = 0.01
 
 
 class SeenFaces(NamedTuple):
@@ -82,11 +89,9 @@ def seen_by(
     around = cv2.dilate(nearest, square(RIM_PX))
     areas, shares, means = _kernels.tally_faces(
         *(pixels, inverses, mesh.faces, nearest, around, with_slope(image)),
-        # Meshes are rough: triangles up to 0.5 % of the depth behind another one are not hidden.
-        *(usable.view(np.uint8), 0.005, RIM_PX),
+        *(usable.view(np.uint8), DEPTH_TOLERANCE, RIM_PX),
     )
-    # At least half of the triangle is visible, and not edge on.
-    seen = np.flatnonzero((shares[:, 0] >= 0.5) & (cosines(*directions, view) >= 0.02))
+    seen = np.flatnonzero((shares[:, 0] >= MIN_SHARE) & (cosines(*directions, view) >= MIN_COSINE))
     values = np.column_stack([areas / factor**2, shares, means[:, 3], means[:, :3]])
     return seen, values[seen].astype(float)
 
@@ -106,8 +111,7 @@ def projected(view: View, local: FloatArray, factor: float) -> tuple[FloatArray,
 def cut_in_front(local: FloatArray, faces: Int32Array) -> tuple[FloatArray, Int32Array]:
     """Points and triangles in front of a camera; triangles that reach behind it are cut."""
     ahead = local[:, 2][local[:, 2] > 0]
-    # Triangles that reach behind a camera are cut at a hundredth of the median depth.
-    near = 0.01 * float(np.median(ahead)) if len(ahead) else 1.0
+    near = NEAREST * float(np.median(ahead)) if len(ahead) else 1.0
     front = local[:, 2] > near
     count = front[faces].sum(axis=1)
     points, triangles = [local], [faces[count == 3]]

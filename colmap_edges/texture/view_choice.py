@@ -9,6 +9,19 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.gains import USABLE_LEVELS, gained
 from colmap_edges.texture.seen_faces import SeenFaces
 
+# What a triangle costs is the logarithm of the area and contrast that its view lacks to the best
+# one, and these terms; two neighbours of different views cost SEAM.
+SEAM = 1.0
+MAX_LACK = 4.0  # largest cost of too small an area; any seen texture is better than none
+HIDDEN = 20.0  # cost of a hidden triangle, multiplied by its hidden share
+NEAR = 3.0  # cost of one beside a body that hides what is behind it, multiplied by the share
+SATURATED = 2.0  # cost of a mean colour with a saturated channel, which gains cannot correct
+STRANGE = 5.0  # cost of a colour unlike that in other views, which shows something else
+STRANGE_SIGMAS = 1.0  # deviation that counts as unlike, in standard deviations
+MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
+MAX_CANDIDATES = 12  # most views that are compared for a triangle, the cheapest
+NUM_SWEEPS = 8  # sweeps of message passing, there and back
+
 
 def choose_views(seen: SeenFaces, gains: FloatArray, pairs: Int32Array) -> IntArray:
     """The chosen pair of each triangle.
@@ -24,30 +37,22 @@ def choose_views(seen: SeenFaces, gains: FloatArray, pairs: Int32Array) -> IntAr
     costs = costs_of(seen, gains)
     rows = cheapest(seen, costs)
     offsets = offsets_of(np.bincount(seen.faces[rows], minlength=len(seen.offsets) - 1))
-    # Two neighbours of different views cost 1; there are eight sweeps.
-    chosen = _kernels.label_views(offsets, seen.views[rows], costs[rows], pairs, 1.0, 8)
+    chosen = _kernels.label_views(offsets, seen.views[rows], costs[rows], pairs, SEAM, NUM_SWEEPS)
     if not len(rows):
         return np.full(len(chosen), -1)
     return np.where(chosen >= 0, rows[np.minimum(offsets[:-1] + chosen, len(rows) - 1)], -1)
 
 
 def costs_of(seen: SeenFaces, gains: FloatArray) -> FloatArray:
-    """(C,) the cost of each pair of a triangle and a view.
-
-    It is the logarithm of the area and contrast that the view lacks to the best one, and more.
-    """
+    """(C,) the cost of each pair of a triangle and a view."""
     if not len(seen.views):
         return np.zeros(0)
     # Noise and plain walls have slopes as well, so that a view is worth its area at least.
     qualities = np.log(seen.areas * (seen.slopes + np.median(seen.slopes) + 1e-6) + 1e-12)
-    # Any seen texture is better than none.
-    lacks = np.minimum(best_of(seen, qualities) - qualities, 4.0)
-    # Hidden shares, and those beside a body that hides what is behind it.
-    hidden = 20.0 * (1 - seen.shares) + 3.0 * (1 - seen.clear)
-    # Gains cannot correct saturated channels.
-    saturated = 2.0 * (seen.colors > USABLE_LEVELS[1]).any(axis=1)
-    # A colour unlike that in other views shows something else.
-    return np.asarray(lacks + hidden + saturated + 5.0 * strangeness(seen, gains))
+    lacks = np.minimum(best_of(seen, qualities) - qualities, MAX_LACK)
+    hidden = HIDDEN * (1 - seen.shares) + NEAR * (1 - seen.clear)
+    saturated = SATURATED * (seen.colors > USABLE_LEVELS[1]).any(axis=1)
+    return np.asarray(lacks + hidden + saturated + STRANGE * strangeness(seen, gains))
 
 
 def best_of(seen: SeenFaces, values: FloatArray) -> FloatArray:
@@ -71,8 +76,8 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
         lower = np.clip(seen.offsets[:-1] + (counts - 1) // 2, 0, len(order) - 1)
         medians = (channel[order[middle]] + channel[order[lower]]) / 2
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
-    sigma = max(1.4826 * float(np.median(residuals)), 0.03)
-    unlike = np.log(np.maximum(residuals / sigma, 1))
+    sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
+    unlike = np.log(np.maximum(residuals / (STRANGE_SIGMAS * sigma), 1))
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 
 
@@ -83,10 +88,10 @@ def by_face(seen: SeenFaces, values: FloatArray) -> IntArray:
 
 
 def cheapest(seen: SeenFaces, costs: FloatArray) -> IntArray:
-    """Ascending rows of the cheapest pairs of each triangle, at most twelve."""
+    """Ascending rows of the cheapest pairs of each triangle, at most `MAX_CANDIDATES`."""
     order = by_face(seen, costs)
     ranks = np.arange(len(order)) - np.repeat(seen.offsets[:-1], np.diff(seen.offsets))
-    return np.sort(order[ranks < 12])
+    return np.sort(order[ranks < MAX_CANDIDATES])
 
 
 def neighbours(faces: Int32Array) -> tuple[Int32Array, IntArray]:

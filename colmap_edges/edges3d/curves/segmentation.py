@@ -22,6 +22,15 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 
 NOTHING = -1  # kind of ranges of outliers
 FACTORS = 2.0 ** (np.arange(-8, 13) / 2)  # candidate factors of the standard deviations
+TAILS = 3.0  # factor for heavy tails: 1 point in 100 has errors this many times as large
+MAX_SAMPLE = 400  # maximum number of edges from which the noise is estimated
+MIN_SAMPLE_POINTS = 8  # minimum number of points of such an edge
+MAX_PLACES = 64  # candidate cuts of an edge in the exact search; the others are refined afterwards
+FIRST_CORRELATION = 2.0  # initial number of correlated points that count as one
+MAX_LAG = 2  # maximum lag of the correlation; beyond it errors of poses dominate
+# Cost of an outlier while the factor is estimated: 4 standard deviations, squared.
+FIRST_OUTLIER_COST = 16.0
+MIN_RELATIVE_SIGMA = 1e-7  # minimum deviation relative to the scene's size, for rounding errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,10 +79,8 @@ def segmented_by_factor(
     costs[:, :, 2] = np.maximum(outlier_cost - 4 * np.log(factors), 1)[:, None] / noise.correlation
     costs[:, :, 3] = (factors**2 * noise.correlation)[:, None]
     costs[:, :, 4] = MAX_INDEPENDENT * noise.correlation
-    # At most 64 cuts of an edge are candidates of the exact search; the others are refined
-    # afterwards.
     totals, bounds, kinds, piece_offsets = _kernels.cut_pieces(
-        points, noise.weights, offsets, costs, 64, num_threads
+        points, noise.weights, offsets, costs, MAX_PLACES, num_threads
     )
     return totals.sum(axis=1), Segmentation(bounds=bounds, kinds=kinds, offsets=piece_offsets)
 
@@ -81,20 +88,17 @@ def segmented_by_factor(
 def learn_noise(edges: Edges3D, num_threads: int) -> Noise:
     """Estimate the factor of the standard deviations and the correlation from the edges."""
     lengths = np.diff(edges.edge_offsets)
-    noise = Noise(sigmas=stated_sigmas(edges), correlation=2.0)
-    # The noise is estimated from at most 400 edges of eight points and more.
-    long = np.flatnonzero(lengths >= 8)
+    noise = Noise(sigmas=stated_sigmas(edges), correlation=FIRST_CORRELATION)
+    long = np.flatnonzero(lengths >= MIN_SAMPLE_POINTS)
     if not len(long):
         return noise
-    chosen = long[:: -(-len(long) // 400)]
+    chosen = long[:: -(-len(long) // MAX_SAMPLE)]
     rows = ranges_of(edges.edge_offsets[chosen], edges.edge_offsets[chosen + 1])
     points, offsets = edges.points[rows], offsets_of(lengths[chosen])
     part = replace(noise, sigmas=noise.sigmas[rows])
-    # Until the factor is known, an outlier costs 4 standard deviations, squared.
-    totals, _ = segmented_by_factor(points, offsets, part, FACTORS, 16.0, num_threads)
-    misses = 4 * np.log(FACTORS) * len(rows) / noise.correlation
-    # Heavy tails: 1 point in 100 has errors three times as large.
-    factor = 3.0 * FACTORS[int(np.argmin(totals + misses))]
+    totals, _ = segmented_by_factor(points, offsets, part, FACTORS, FIRST_OUTLIER_COST, num_threads)
+    misses = 4 * np.log(FACTORS) * len(rows) / FIRST_CORRELATION
+    factor = TAILS * FACTORS[int(np.argmin(totals + misses))]
     part = replace(part, sigmas=factor * part.sigmas)
     pieces = segmented(points, offsets, part, num_threads)
     return Noise(sigmas=factor * noise.sigmas, correlation=correlation_of(points, part, pieces))
@@ -108,8 +112,7 @@ def stated_sigmas(edges: Edges3D) -> FloatArray:
     within = edges.edge_ids[2:] == edges.edge_ids[:-2]
     rough = np.linalg.norm(bends[within], axis=1) / np.sqrt(6)
     usual = float(np.median(rough)) if len(rough) else 0.0
-    # Rounding errors relative to the scene's size.
-    smallest = 1e-7 * float(np.ptp(points, axis=0).max(initial=0)) or 1.0
+    smallest = MIN_RELATIVE_SIGMA * float(np.ptp(points, axis=0).max(initial=0)) or 1.0
     return np.maximum(np.where(known, edges.sigmas, usual), smallest)
 
 
@@ -126,8 +129,7 @@ def correlation_of(points: FloatArray, noise: Noise, pieces: Segmentation) -> fl
     off *= np.sqrt(lines.weights)[:, None]
     off /= np.maximum(1, np.linalg.norm(off, axis=1) / OUTLIER_SIGMAS)[:, None]
     total = 1.0
-    # Beyond a lag of two, errors of poses dominate.
-    for lag in (1, 2):
+    for lag in range(1, MAX_LAG + 1):
         same = lines.owners[lag:] == lines.owners[:-lag]
         products = np.einsum("ij,ij->i", off[lag:][same], off[:-lag][same]).sum()
         shared = products / max((off[lag:][same] ** 2).sum(), 1e-300)

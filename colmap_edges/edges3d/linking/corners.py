@@ -26,6 +26,9 @@ from colmap_edges.edges3d.linking.ends import (
 
 FIT_POINTS = 8  # points next to the last one to which the line of an end is fitted
 BEND_RATIO = 2.0  # ratio of squared residuals of a bend; F test of 8 points at 99 %
+APART_RATIO = 1.5  # maximum distance of two ends, in maximum extensions to the corner
+MAX_PAST_SPACINGS = 0.75  # maximum length by which an edge overshoots the corner
+MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +61,7 @@ class EndLines:
     def may_reach(self, of: IntArray, points: FloatArray, limit: float) -> BoolArray:
         """Whether (n,) ends may be extended to (n, 3) points, by at most `limit` spacings."""
         along, miss = self.reaches(of, points)
-        # An edge overshoots the corner by at most 0.75 spacings.
-        near = (along >= -0.75) & (along <= limit) & (miss <= MAX_MISS_SPACINGS)
+        near = (along >= -MAX_PAST_SPACINGS) & (along <= limit) & (miss <= MAX_MISS_SPACINGS)
         return np.asarray(near)
 
 
@@ -145,8 +147,7 @@ def find_corners(edges: Edges3D, lines: EndLines, max_extension: float) -> Meeti
         lines: the lines of their ends.
         max_extension: maximum extension of an edge to a corner, in spacings.
     """
-    # In maximum extensions of two ends to their corner.
-    a, b, _ = near_pairs(lines.ends, 1.5 * max_extension)
+    a, b, _ = near_pairs(lines.ends, APART_RATIO * max_extension)
     is_open = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
     cosines = np.abs(np.einsum("ij,ij->i", lines.outward[a], lines.outward[b]))
     keep = is_open[a] & is_open[b] & (a // 2 != b // 2)
@@ -194,7 +195,7 @@ def meeting_points(
     outward, spacings = lines.outward[members], lines.ends.spacings[members]
     spacings = np.maximum(spacings, 1e-6 * spacings.max(initial=0.0))
     across = np.eye(3) - outward[:, :, None] * outward[:, None, :]
-    across /= np.maximum(sigmas, 1e-3 * spacings)[:, None, None] ** 2
+    across /= np.maximum(sigmas, MIN_SIGMA_SPACINGS * spacings)[:, None, None] ** 2
     stay = 1 / spacings**2
     information, pulls = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(information, meetings.owners, across + stay[:, None, None] * np.eye(3))

@@ -36,6 +36,13 @@ from colmap_edges.edges3d.linking.ends import (
 from colmap_edges.edges3d.linking.gaps import observed_along
 from colmap_edges.options import PipelineOptions
 
+# Minimum number of points of an edge that ends on another one: two or three points fit any line.
+MIN_JUNCTION_POINTS = 4
+MIN_GAP_SPACINGS = 0.5  # distance within which the node replaces an edge point
+# positions at which an edge must be observed, from the node back to the end, as fractions
+WAY = np.array([0, 1 / 3, 2 / 3])
+MIN_SEEN_RATIO = 0.5  # minimum share of an end's observing views that observe the extension
+
 
 def meet_at_nodes(
     edges: Edges3D, given: IndexedGraphs, options: PipelineOptions, num_threads: int
@@ -123,8 +130,7 @@ def node_sigmas(edges: Edges3D, lines: EndLines, meetings: Meetings) -> FloatArr
 
 def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings, reach: float) -> Meetings:
     """Add T junctions: ends that meet no other end, but the inside of another edge."""
-    # An edge that ends on another one has at least four points: two or three fit any line.
-    known = np.diff(edges.edge_offsets) >= 4
+    known = np.diff(edges.edge_offsets) >= MIN_JUNCTION_POINTS
     free = np.repeat(~edges.closed & known, 2)
     free[meetings.members] = False
     of, onto = pairs_beside(edges, lines, np.flatnonzero(free), reach)
@@ -189,8 +195,7 @@ def observe(
     observed = observed_along(
         given,
         asked,
-        # From the node back to the end, as fractions.
-        meetings.points[:, None] - np.array([0, 1 / 3, 2 / 3])[:, None] * away[:, None],
+        meetings.points[:, None] - WAY[:, None] * away[:, None],
         np.stack([lines.ends.outward[meetings.members], away, away], axis=1),
         options.refinement.max_residual_px,
         (90.0, angle, angle),
@@ -198,8 +203,7 @@ def observe(
         np.column_stack([np.ones(len(far), bool), far, far]),
     )
     num_asked = np.bincount(asked.indices, minlength=len(meetings.members))
-    # At least half of an end's observing views observe the extension.
-    return observed, np.maximum(options.tracing.min_observations, 0.5 * num_asked)
+    return observed, np.maximum(options.tracing.min_observations, MIN_SEEN_RATIO * num_asked)
 
 
 def observed_meetings(
@@ -240,8 +244,7 @@ def extended(edges: Edges3D, lines: EndLines, meetings: Meetings, nodes: Nodes) 
         colors=np.concatenate([edges.colors, nodes.colors[owners]]),
     )
     # Points beyond a node or next to it are left out.
-    # The node replaces an edge point within half a spacing.
-    limits = 0.5 * lines.ends.spacings[members]
+    limits = MIN_GAP_SPACINGS * lines.ends.spacings[members]
     skip = num_behind(edges, members, meetings.points, -lines.ends.outward[members], limits)
     begins, stops = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     points = np.concatenate([ranges_of(begins, stops), edges.num_points + np.arange(len(members))])

@@ -17,6 +17,9 @@ from colmap_edges.core.view import views_with_rows
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.patches.finding import Patches
 
+MAX_SIGMAS = 4.0  # distance of a patch from a mesh that explains it, in standard deviations
+MIN_OFF, MIN_OFF_SHARE = 2, 0.25  # views in which a mesh is elsewhere
+
 
 def what_they_add(
     patches: Patches, model: Model, vertices: FloatArray, faces: Int32Array, num_threads: int
@@ -50,6 +53,6 @@ def what_they_add(
         num_threads,
     )
     with np.errstate(divide="ignore"):
-        off = np.abs(1 / inverse - depths) > 4.0 * patches.tolerances[owners]
+        off = np.abs(1 / inverse - depths) > MAX_SIGMAS * patches.tolerances[owners]
     away = np.bincount(owners, off, len(seen.points))
-    return np.flatnonzero(away >= np.maximum(2, 0.25 * np.diff(seen.track_offsets)))
+    return np.flatnonzero(away >= np.maximum(MIN_OFF, MIN_OFF_SHARE * np.diff(seen.track_offsets)))

@@ -42,6 +42,28 @@ from colmap_edges.surfaces.patches.sites import (
 )
 from colmap_edges.surfaces.patches.smoothing import smoothed
 
+NUM_NEIGHBORS = 4  # views that windows are compared with
+MAX_ANGLE_DEG = 40.0  # between the views of a patch
+MIN_COSINE = 0.17  # of the angle between normal and ray: 80 degrees
+NUM_SWEEPS = 3  # over all sites; a fourth finds 0.5 % more
+BELIEVED = 0.75  # correlation of windows of one place
+# Maximum distance of the patches of two views that agree, in pixels of parallax and in standard
+# deviations, and minimum cosine of the angle between their normals.
+MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE = 1.0, 4.0, 0.75
+MIN_AGREEING = 2  # other views
+MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
+# Sites to each side around a patch, number of patches that must be there, itself included, and
+# their share of the sites with texture.
+SUPPORT_SITES, MIN_SUPPORT, MIN_SUPPORT_SHARE = 2, 3, 0.3
+# The same share over all views, below which a scene has no patches: 0 to 0.20 in plain rooms and on
+# glossy parts, where few of them add anything, 0.56 to 0.84 where surfaces have texture.
+MIN_AGREED_SHARE = 0.25
+# Maximum standard deviation of depth, relative to the distance of sites on the surface: beyond it
+# points make the surface rough.
+MAX_SPREAD = 0.25
+MAX_COLUMNS = 256  # cells along the longer side of a picture, of 4 pixels each
+MAX_BYTES = 1e9  # of all pictures
+
 
 @dataclass(frozen=True, kw_only=True)
 class Patches:
@@ -104,11 +126,9 @@ NO_PATCHES = Patches(
 
 def picture_columns(model: Model) -> int:
     """Cells along the longer side of the pictures of a model's views: fewer if there are many."""
-    # One gigabyte for all pictures.
-    pixels = 1e9 / max(len(model.views), 1)
+    pixels = MAX_BYTES / max(len(model.views), 1)
     sides = [max(view.width, view.height) for view in model.views]
-    # Cells of 4 pixels along the longer side.
-    return max(8, min(256, int(np.sqrt(pixels)) // 4, max(sides, default=0) // 4))
+    return max(8, min(MAX_COLUMNS, int(np.sqrt(pixels)) // 4, max(sides, default=0) // 4))
 
 
 def find_patches(
@@ -124,7 +144,7 @@ def find_patches(
         num_threads: threads; the result does not depend on them.
     """
     grids = [pictures.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
-    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=40.0))
+    neighborhood = select_views(model, ViewSelectionOptions(max_angle_deg=MAX_ANGLE_DEG))
     known = SeenPoints.of_model(model), SeenPoints.of_edges(edges)
     sfm, on_edges = (places_in(model, grids, of) for of in known)
     active = [textured_sites(grid, at) for grid, (at, _) in zip(grids, on_edges, strict=True)]
@@ -134,18 +154,12 @@ def find_patches(
     ]
     scene = make_scene(model, grids, neighborhood)
     ranges = np.array([of.overall for of in neighborhood.ranges]).reshape(-1, 2)
-    # At most 80 degrees between normal and ray; three sweeps over all sites, as a fourth finds
-    # 0.5 % more; and the correlation of windows of one place.
-    steps = (LEAST_VARIANCE, 0.17, 3, 0.75, seed, num_threads)
+    steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed, num_threads)
     num_found = scene.search([of.view(np.uint8) for of in active], hypotheses, ranges, *steps)
-    # Patches of two views agree up to a pixel of parallax, four standard deviations, and this
-    # cosine of the angle between their normals.
-    tolerances = (1.0, 4.0, 0.75, num_threads)
+    tolerances = (MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE, num_threads)
     agreed = Agreed(*scene.agreed(*around(neighborhood.observing_views), *tolerances))
     accepted, num_sites = are_accepted(agreed, active), sum(int(of.sum()) for of in active)
-    # The share is 0 to 0.20 in plain rooms and on glossy parts, where few patches add anything,
-    # 0.56 to 0.84 where surfaces have texture.
-    if accepted.sum() < 0.25 * num_sites:
+    if accepted.sum() < MIN_AGREED_SHARE * num_sites:
         accepted[:] = False
     chosen = np.flatnonzero(accepted & (agreed.rows[:, 3] > 0))
     return replace(
@@ -177,8 +191,7 @@ class Agreed(NamedTuple):
 def are_accepted(agreed: Agreed, active: Sequence[BoolArray]) -> BoolArray:
     """(P,) whether enough views agree on a patch, and enough patches are around it."""
     agreeing = np.diff(agreed.offsets)
-    # Half as many views as agree may see through a patch.
-    accepted = (agreeing >= 2) & (agreed.rows[:, 4] <= 0.5 * agreeing)
+    accepted = (agreeing >= MIN_AGREEING) & (agreed.rows[:, 4] <= MAX_THROUGH * agreeing)
     return accepted & are_supported(active, agreed.rows, accepted)
 
 
@@ -187,8 +200,7 @@ def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntA
     rows, values = agreed.rows[chosen], agreed.values[chosen]
     planes, *deviations = smoothed(rows, values)
     focals = np.array([grid.focal_px for grid in grids])
-    # Depths of larger deviation, relative to the distance of sites on the surface, make it rough.
-    exact = deviations[0] * focals[rows[:, 0]] < 0.25 * STEP_PX * planes[:, 0]
+    exact = deviations[0] * focals[rows[:, 0]] < MAX_SPREAD * STEP_PX * planes[:, 0]
     chosen, rows, values, planes = (of[exact] for of in (chosen, rows, values, planes))
     sigmas, single = (of[exact] for of in deviations)
     points, normals, lengths = in_world(model, grids, rows, values, planes)
@@ -213,7 +225,7 @@ def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntA
 
 def make_scene(model: Model, grids: Sequence[Grid], neighborhood: Neighborhood) -> Any:
     """The kernel's scene."""
-    near = [of[:4] for of in neighborhood.neighbors]
+    near = [of[:NUM_NEIGHBORS] for of in neighborhood.neighbors]
     return _kernels.PatchScene(
         np.array([view.rotation for view in model.views]),
         np.array([view.translation for view in model.views]),
@@ -243,7 +255,7 @@ def are_supported(active: Sequence[BoolArray], rows: Int32Array, accepted: BoolA
     of several views agree by accident.
     """
     supported = np.zeros(len(rows), bool)
-    side = (5, 5)  # sites around a patch
+    side = (2 * SUPPORT_SITES + 1,) * 2
     for v, own in enumerate(rows_by_view(rows[:, 0], len(active))):
         at = rows[own, 1], rows[own, 2]
         agreed = np.zeros(active[v].shape, np.float32)
@@ -252,7 +264,7 @@ def are_supported(active: Sequence[BoolArray], rows: Int32Array, accepted: BoolA
             cv2.boxFilter(of, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
             for of in (agreed, active[v].astype(np.float32))
         )
-        supported[own] = (found >= np.maximum(3, 0.3 * tried))[at]
+        supported[own] = (found >= np.maximum(MIN_SUPPORT, MIN_SUPPORT_SHARE * tried))[at]
     return supported
 
 

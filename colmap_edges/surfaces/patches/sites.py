@@ -16,8 +16,12 @@ from colmap_edges.surfaces.faces.grids import Grid
 
 STEP_PX = 6  # between sites, pixels of the pictures; 8 lost a third of what patches add
 RADIUS_PX = 3  # of windows, as in the kernel
-# Least variance of gray that is texture, in levels squared (of rounding and compression).
-LEAST_VARIANCE = 1.0
+EDGE_PX = 5.0  # distance of sites from edges, so that no blurred edge is in a window
+# Least variance of gray that is texture, in levels squared (of rounding and compression), and in
+# variances of the noise around it.
+LEAST_VARIANCE, NOISE_FACTOR = 1.0, 4.0
+NOISE_SIDE_PX = 15  # of the square in which noise is measured
+MIN_KNOWN = 4  # points that a view must observe for hypotheses from them
 
 
 def places_in(
@@ -45,13 +49,12 @@ def shape_of(grid: Grid) -> tuple[int, int]:
 def textured_sites(grid: Grid, edge_pixels: FloatArray) -> BoolArray:
     """(rows, columns) of sites whose windows have texture and no edge."""
     gray = grid.gray.astype(np.float32)
-    textured = texture_of(gray) > np.maximum(LEAST_VARIANCE, 4.0 * noise_of(gray))
+    textured = texture_of(gray) > np.maximum(LEAST_VARIANCE, NOISE_FACTOR * noise_of(gray))
     away = np.ones(gray.shape, np.uint8)
     columns, rows = np.rint(edge_pixels).astype(np.int64).T
     inside = (columns >= 0) & (rows >= 0) & (columns < gray.shape[1]) & (rows < gray.shape[0])
     away[rows[inside], columns[inside]] = 0
-    # No blurred edge shall be in a window.
-    textured &= cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_5) >= 5.0
+    textured &= cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_5) >= EDGE_PX
     if grid.usable is not None:
         whole = np.ones((2 * RADIUS_PX + 1,) * 2, np.uint8)
         textured &= cv2.erode(grid.usable.astype(np.uint8), whole) > 0
@@ -80,7 +83,7 @@ def noise_of(gray: Float32Array) -> Float32Array:
     """(H, W) variance of the noise around each pixel, by second differences (Immerkaer, 1996)."""
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
     high = cv2.filter2D(gray, -1, mask)
-    return np.asarray(cv2.blur(high * high, (15, 15)), np.float32)
+    return np.asarray(cv2.blur(high * high, (NOISE_SIDE_PX, NOISE_SIDE_PX)), np.float32)
 
 
 def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArray) -> Float32Array:
@@ -95,8 +98,7 @@ def hypotheses_at(sites: BoolArray, pixels: FloatArray, inverse_depths: FloatArr
     cells = np.floor(pixels / 12).astype(np.int64)
     _, first = np.unique(row_numbers(cells), return_index=True)
     pixels, inverse = pixels[first], inverse_depths[first]
-    # Fewer than four points observed give no hypotheses.
-    if len(pixels) < 4 or not len(rows):
+    if len(pixels) < MIN_KNOWN or not len(rows):
         return found
     try:
         triangles = Delaunay(pixels)

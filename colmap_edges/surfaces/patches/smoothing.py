@@ -8,6 +8,10 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, row_numbers
 
+NUM_LEVELS = 5  # planes of up to 32 by 32 sites
+MIN_ON_PLANE = 6  # patches
+MAX_ROUGHNESS, MAX_RESIDUAL = 1.5, 4.0  # of patches on a plane, in standard deviations
+
 
 def smoothed(rows: Int32Array, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Patches moved onto the planes that they share with their neighbours, where there are such.
@@ -24,8 +28,7 @@ def smoothed(rows: Int32Array, values: FloatArray) -> tuple[FloatArray, FloatArr
     values[:, 5] *= noise_factor(rows, values)
     planes, sigmas = values[:, 2:5].copy(), values[:, 5].copy()
     left = np.arange(len(rows))
-    # Planes of up to 32 by 32 sites.
-    for level in range(5, 0, -1):
+    for level in range(NUM_LEVELS, 0, -1):
         fits = fitted_planes(values[left], cells_of(rows[left], level))
         moved = fits.is_plane
         planes[left[moved]], sigmas[left[moved]] = fits.planes[moved], fits.sigmas[moved]
@@ -86,7 +89,7 @@ def fitted_planes(values: FloatArray, own: IntArray) -> PlaneFits:
             matrix[:, i, j] = np.bincount(own, weights * design[:, i] * design[:, j], count)
     scale = 1 / np.sqrt(np.maximum(matrix[:, [0, 1, 2], [0, 1, 2]], 1e-300))
     matrix *= scale[:, :, None] * scale[:, None]
-    fits = (size >= 6) & (np.linalg.det(matrix) > 1e-3)
+    fits = (size >= MIN_ON_PLANE) & (np.linalg.det(matrix) > 1e-3)
     matrix[~fits] = np.eye(3)
     inverse = np.linalg.inv(matrix) * scale[:, :, None] * scale[:, None]
     plane = np.einsum("gij,gj->gi", inverse, right)
@@ -99,5 +102,5 @@ def fitted_planes(values: FloatArray, own: IntArray) -> PlaneFits:
     rough = np.sqrt(np.bincount(own, residuals**2, count) / np.maximum(size, 1))
     most = np.zeros(count)
     np.maximum.at(most, own, np.nan_to_num(np.abs(residuals)))
-    is_plane = fits & (rough <= 1.5) & (most <= 4.0)  # standard deviations
+    is_plane = fits & (rough <= MAX_ROUGHNESS) & (most <= MAX_RESIDUAL)
     return PlaneFits(planes, sigmas, residuals, is_plane[own])

@@ -12,7 +12,18 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray,
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
+TURNED_GAIN = 0.05  # minimum gain in the length of their mean for which all images are turned
+MEAN_WEIGHT = 0.1  # weight of the mean of the upward axes relative to that of the side axes
+MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
 BLUE = 1.03  # minimum ratio of blue to red
+# Minimum sum of the shares of structure that are darker, in blue, and less blue ...
+BRIGHT_AND_BLUE = 1.4
+DEEP_BLUE = 1.3  # ... unless the ratio of blue to red is this, and ...
+BLUER = 0.95  # ... this share of structure is less blue
+MIN_LEVEL = 64  # minimum level of a sky's blue
+CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
+CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
+LOWEST = 0.05  # share of a region's pixels that may lie below the horizon
 
 
 def upward(views: Sequence[View]) -> list[FloatArray]:
@@ -33,9 +44,9 @@ def upward(views: Sequence[View]) -> list[FloatArray]:
         means.append(mean)
         levels.append(axes[(chosen + 1) % 4, rows])
     upright, sideways = np.linalg.norm(means, axis=1)
-    turned = int(sideways > upright + 0.05)
+    turned = int(sideways > upright + TURNED_GAIN)
     mean, level = means[turned], levels[turned]
-    moments = level.T @ level / len(views) - 0.1 * np.outer(mean, mean)
+    moments = level.T @ level / len(views) - MEAN_WEIGHT * np.outer(mean, mean)
     up: FloatArray = np.linalg.eigh(moments)[1][:, 0]
     up = up if up @ mean > 0 else -up
     return [up, -up] if turned else [up]
@@ -79,8 +90,9 @@ def is_above(view: View, picture: Picture, inside: IntArray, up: FloatArray) -> 
     """Whether pixels (n,) of a flattened picture lie above the horizon."""
     rays = rays_of(view, picture, inside)
     sines = rays[np.isfinite(rays).all(axis=1)] @ up
-    # Above the horizon, but for 5 % of pixels and an error of the upward direction of 10 degrees.
-    return bool(len(sines)) and bool(np.quantile(sines, 0.05) > np.sin(np.radians(-10.0)))
+    return bool(len(sines)) and bool(
+        np.quantile(sines, LOWEST) > np.sin(np.radians(MIN_ELEVATION_DEG))
+    )
 
 
 class Colors(NamedTuple):
@@ -100,19 +112,18 @@ class Colors(NamedTuple):
         return cls(np.sort(pixels[:, 0]), np.sort(blue_of(pixels)))
 
     def below_white(self, color: FloatArray) -> bool:
-        """Whether a colour (3,) is overexposed, and brighter than 90 % of the structure."""
+        """Whether a colour (3,) is overexposed, and brighter than most of the structure."""
         darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
-        return bool(color.min() >= 250 and darker >= 0.9)
+        return bool(color.min() >= CLIPPED and darker >= CLIPPED_BRIGHTER)
 
     def below_blue(self, color: FloatArray) -> bool:
         """Whether a colour (3,) is between blue and white, and bluer than the structure."""
         blue = float(blue_of(color[None])[0])
         darker = np.searchsorted(self.levels, color[0]) / len(self.levels)
         less_blue = np.searchsorted(self.blues, blue) / len(self.blues)
-        is_blue = blue >= BLUE and color[0] >= 64 and (np.diff(color) <= 1).all()
-        # Nearly all structure is less blue than a deep blue sky, or darker than a bright one.
-        is_deep = blue >= 1.3 and less_blue >= 0.95
-        return bool(is_blue and (is_deep or darker + less_blue >= 1.4))
+        is_blue = blue >= BLUE and color[0] >= MIN_LEVEL and (np.diff(color) <= 1).all()
+        is_deep = blue >= DEEP_BLUE and less_blue >= BLUER
+        return bool(is_blue and (is_deep or darker + less_blue >= BRIGHT_AND_BLUE))
 
 
 def blue_of(pixels: NDArray[Any]) -> FloatArray:

@@ -24,6 +24,9 @@ from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
 from colmap_edges.surfaces.sky.regions import Regions, find_regions
 
+# Minimum share of the images that show blue sky: 0.5 to 1 of facades, below 0.1 of rooms.
+MIN_VIEWS_SHARE = 1 / 4
+
 
 def find_sky(
     model: Model, edges: Edges3D, pictures: Mapping[int, Picture]
@@ -45,8 +48,7 @@ def find_sky(
     for up in upward(model.views):
         regions = find_regions(model.views, pictures, points, observed, up)
         blue, white = looks_like_sky(model.views, regions, up)
-        # 0.5 to 1 of the images of facades show blue sky, below 0.1 of those of rooms.
-        if len(np.unique(regions.views[blue])) >= max(len(pictures) / 4, 2):
+        if len(np.unique(regions.views[blue])) >= max(MIN_VIEWS_SHARE * len(pictures), 2):
             break
     else:
         return None

@@ -14,6 +14,18 @@ from colmap_edges.surfaces.sky.regions import Regions, rays_of, small_pixels
 MIN_COMMON = 20  # minimum number of common points that tell the exposures of two views
 MIN_MATCHES = 0.3  # minimum number of agreeing views of a pixel, in the mean of a region
 
+NUM_SAMPLES = 100  # number of pixels of a region that are looked up in other views
+MAX_CHANGE = 0.04  # maximum difference of logarithms of the colours of one place
+MAX_EXPOSURE = 0.15  # maximum error of the exposure that common points tell
+DARKEST = 8.0  # added to levels: the noise of dark pixels is no large change
+LIMITS = (0.7, 0.5, 0.3, 0.15)  # maximum shares of contradictions, in turn
+# Minimum share of sky among the regions that other views show in the directions of the sky: 0.4 to
+# 1 of true skies, where walls and roofs hide it, 0 to 0.2 of bluish walls; and their minimum number
+# per pixel.
+MIN_SKY_SHARE = 0.3
+MIN_SEEN = 0.1
+ADJACENT_PX = 8  # maximum width of the border between adjacent regions
+
 
 class Matches(NamedTuple):
     """Pixels of R regions that other views see in their regions if they are at infinity.
@@ -43,9 +55,8 @@ def moves_as_sky(matches: Matches, is_sky: BoolArray) -> bool:
     A blue wall is elsewhere in views from other places.
     """
     seen = is_sky[matches.targets[is_sky[matches.sources]]]
-    enough = seen.sum() >= 0.1 * matches.sampled[is_sky].sum()
-    # 0.4 to 1 of true skies, where walls and roofs hide it, 0 to 0.2 of bluish walls.
-    return bool(enough and seen.mean() >= 0.3)
+    enough = seen.sum() >= MIN_SEEN * matches.sampled[is_sky].sum()
+    return bool(enough and seen.mean() >= MIN_SKY_SHARE)
 
 
 def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
@@ -68,8 +79,7 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
         agree=matches.agree[counted],
     )
     far = np.ones(len(is_sky), bool)
-    # Maximum shares of contradictions.
-    for limit in (0.7, 0.5, 0.3, 0.15):
+    for limit in LIMITS:
         against, agreeing = counts_of(matches, far)
         far = is_sky | (far & (against <= limit * (against + agreeing)))
     far = is_sky | (far & (counts_of(matches, far)[1] >= MIN_MATCHES * matches.sampled))
@@ -114,8 +124,7 @@ def match_regions(
         observed: (V,) indices of the points that each view observes.
         neighbors: (V,) views that each view is compared with.
     """
-    # The noise of dark pixels shall be no large change.
-    colors = [np.log(picture + 8.0).reshape(-1, 3) for picture in regions.pictures]
+    colors = [np.log(picture + DARKEST).reshape(-1, 3) for picture in regions.pictures]
     seen = []
     for view, picture, own in zip(views, regions.pictures, observed, strict=True):
         inside, there = small_pixels(view, picture, points[own])
@@ -142,10 +151,10 @@ def match_regions(
                 is_common[observed[w]] = False
             change = colors[index][pixels[inside]] - colors[other][there]
             change -= exposure(*common)
-            alike = largest(change) <= 0.15
+            alike = largest(change) <= MAX_EXPOSURE
             if alike.sum() >= MIN_COMMON:
                 change -= np.median(change[alike], axis=0)
-            agree = largest(change) <= 0.04
+            agree = largest(change) <= MAX_CHANGE
             kept = targets >= 0
             found.append((owners[inside][kept], targets[kept], agree[kept]))
     return Matches(sampled, *(np.concatenate(parts) for parts in zip(*found, strict=True)))
@@ -169,9 +178,8 @@ def exposure(one: FloatArray, other: FloatArray) -> FloatArray:
 def samples_of(regions: Regions, view: int) -> tuple[IntArray, IntArray]:
     """(n,) regions of a view, and (n,) pixels spread over each."""
     own, pixels = regions.pixels(view)
-    # Up to 100 pixels of a region are looked up in other views.
     spread = [
-        inside[np.linspace(0, len(inside) - 1, min(100, len(inside))).astype(np.int64)]
+        inside[np.linspace(0, len(inside) - 1, min(NUM_SAMPLES, len(inside))).astype(np.int64)]
         for inside in pixels
     ]
     owners = np.repeat(own, [len(inside) for inside in spread])
@@ -184,12 +192,12 @@ def border_of(labels: Int32Array) -> Int32Array:
 
 
 def adjacent_pairs(labels: Int32Array, near: BoolArray) -> Int32Array:
-    """(n, 2) pairs, both ways, of regions with a border of 8 pixels without structure."""
-    pairs, width = [np.zeros((0, 2), np.int32)], 8
+    """(n, 2) pairs, both ways, of regions with a narrow border without structure between them."""
+    pairs = [np.zeros((0, 2), np.int32)]
     for one, between in ((labels, near), (labels.T, near.T)):
-        count = len(one) - width
+        count = len(one) - ADJACENT_PX
         if count > 0:
-            free = ~np.any([between[i : i + count] for i in range(width + 1)], axis=0)
+            free = ~np.any([between[i : i + count] for i in range(ADJACENT_PX + 1)], axis=0)
             pairs.append(np.stack([one[:count][free], one[-count:][free]], axis=-1))
     found = np.concatenate(pairs)
     found = np.unique(found[(found >= 0).all(axis=1) & (found[:, 0] != found[:, 1])], axis=0)

@@ -22,6 +22,15 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View
 from colmap_edges.images.files import square
 
+PICTURE_PX = 320  # longer side of a small picture
+BLUR_PX = 1.0  # standard deviation of the blur before gradients are taken
+SMOOTH_LEVELS = 4.0  # maximum gradient of a smooth region, levels per pixel
+NEAR_PX = 2  # distance from projected points within which pixels count as structure
+PLAIN_LEVELS = 1.5  # ... if there is structure above it
+PASSAGE_PX = 3  # narrower passages do not connect regions, in radii
+MIN_AREA = 0.002  # minimum share of a picture that a region covers
+NUM_POINTS = 20_000  # maximum number of points projected to every view
+
 
 @dataclass(frozen=True, kw_only=True)
 class Regions:
@@ -52,8 +61,8 @@ class Regions:
 
 
 def small_picture(image: Picture) -> Picture:
-    """An image (H, W, 3) reduced to 320 pixels a side; smaller images stay as they are."""
-    factor = min(1.0, 320 / max(image.shape[:2]))
+    """An image (H, W, 3) reduced to `PICTURE_PX`; smaller images stay as they are."""
+    factor = min(1.0, PICTURE_PX / max(image.shape[:2]))
     size = [max(1, round(side * factor)) for side in image.shape[1::-1]]
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
@@ -121,7 +130,7 @@ def find_regions(
         observed: (V,) indices of the points that each view observes.
         up: (3,) upward direction.
     """
-    everywhere = points[:: -(-len(points) // 20_000) or 1]
+    everywhere = points[:: -(-len(points) // NUM_POINTS) or 1]
     blank = np.zeros((1, 1, 3), np.uint8)
     given, labels, nears = [], [], []
     owners: list[int] = []
@@ -131,7 +140,7 @@ def find_regions(
         near = np.zeros(picture.shape[:2], np.uint8)
         for part in (everywhere, points[own]):
             near.ravel()[small_pixels(view, picture, part)[1]] = 1
-        near = cv2.dilate(near, square(2)) > 0
+        near = cv2.dilate(near, square(NEAR_PX)) > 0
         below = below_structure(near, angle_of(view, up))
         regions, counts = smooth_regions(picture, near, below)
         labels.append(np.where(regions >= 0, regions + len(owners), -1).astype(np.int32))
@@ -179,19 +188,17 @@ def smooth_regions(
     Returns:
         (h, w) region of each pixel, -1 where there is none, and the numbers of both kinds.
     """
-    blurred = cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32)
+    blurred = cv2.GaussianBlur(picture, (0, 0), BLUR_PX).astype(np.float32)
     slopes = [cv2.Scharr(blurred, cv2.CV_32F, *order) / 32 for order in ((1, 0), (0, 1))]
     steep = np.maximum.reduce(cv2.split(np.hypot(*slopes)))
     regions = np.full(steep.shape, -1, np.int32)
     counts: list[int] = []
-    # The maximum gradient of a smooth region, levels per pixel, is less below structure.
-    for part, limit in ((~below, 4.0), (below, 1.5)):
+    for part, limit in ((~below, SMOOTH_LEVELS), (below, PLAIN_LEVELS)):
         smooth = ((steep < limit) & part & ~near).astype(np.uint8)
-        # Passages narrower than three radii do not connect regions.
-        smooth = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, square(3))
+        smooth = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, square(PASSAGE_PX))
         _, labels, stats, _ = cv2.connectedComponentsWithStats(smooth, connectivity=4)
         sizes = stats[:, cv2.CC_STAT_AREA]
-        kept = 1 + np.flatnonzero(sizes[1:] >= 0.002 * labels.size)
+        kept = 1 + np.flatnonzero(sizes[1:] >= MIN_AREA * labels.size)
         numbers = np.full(len(sizes), -1, np.int32)
         numbers[kept] = np.arange(sum(counts), sum(counts) + len(kept))
         regions = np.maximum(regions, numbers[labels])
