@@ -64,6 +64,5 @@ class EdgeGraphOptions(Options):
     )
     # Maximum turn between two joined chains, in degrees (below the smallest corner, 45 degrees).
     max_join_angle_deg: float = 30.0
-    # Minimum turn at which a chain is cut as a corner, in degrees; 180 disables cutting (above the
-    # turns that joined chains may have).
+    # Minimum turn at which a chain is cut as a corner, in degrees; 180 disables cutting.
     min_corner_angle_deg: float = 45.0
