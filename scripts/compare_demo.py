@@ -8,6 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import trimesh
+from trials.pictures import looking
 
 from colmap_edges.colmap.model import Model, load_model
 from colmap_edges.core.polylines import unit
@@ -33,7 +35,7 @@ def main() -> None:
     for index in range(0, len(model.views), max(len(model.views) // 4, 1)):
         path = arguments.output / f"{Path(model.views[index].name).stem}.jpg"
         cv2.imwrite(str(path), picture(arguments.demo, arguments.output, model, index))
-        print(f"{path}: photograph, 3D edges; mesh without edges, with edges")
+        print(f"{path}: photograph, 3D edges, textured; mesh without and with edges, from aside")
 
 
 def depth_errors(demo: Path, output: Path) -> str:
@@ -51,12 +53,24 @@ def depth_errors(demo: Path, output: Path) -> str:
 
 
 def picture(demo: Path, output: Path, model: Model, index: int) -> np.ndarray:
-    """Four pictures of one view: photograph, 3D edges it observes, the two meshes."""
+    """Photograph of a view, its 3D edges, textured mesh; both meshes, the textured from aside."""
     view = model.views[index]
     image = read_image(view, demo / "images")
     edges = draw_edges(image, index, model, load_edges(output / MESHES[1], model))
-    meshes = [shade(output / name / "mesh.ply", view) for name in MESHES]
-    return np.vstack([np.hstack([image, edges]), np.hstack(meshes)])
+    without, plain = (shade(output / name / "mesh.ply", view) for name in MESHES)
+    glb = output / MESHES[1] / "mesh.glb"
+    top = [image, edges, textured(glb, view)]
+    return np.vstack(
+        [np.hstack(top), np.hstack([without, plain, textured(glb, aside(model, view))])]
+    )
+
+
+def aside(model: Model, view: View) -> View:
+    """A view from where no camera stood: half as far again to the side, towards the points."""
+    target = np.median(model.points3D_xyz, axis=0)
+    offset = view.center - target
+    across = np.cross(offset, view.rotation[1])
+    return looking(view, view.center + across / 2, target)
 
 
 def shade(mesh_path: Path, view: View) -> np.ndarray:
@@ -67,6 +81,19 @@ def shade(mesh_path: Path, view: View) -> np.ndarray:
     light = np.abs(np.einsum("ij,ij->i", normals, rays))
     gray = np.where(np.isfinite(light), 40 + 200 * light, 255).astype(np.uint8)
     return cv2.cvtColor(gray.reshape(view.height, view.width), cv2.COLOR_GRAY2BGR)
+
+
+def textured(mesh_path: Path, view: View) -> np.ndarray:
+    """The mesh with its texture seen by a view, (H, W, 3) uint8."""
+    mesh = load_mesh(mesh_path)
+    rays = view.rays(pixel_centers((view.height, view.width)))
+    centers = np.broadcast_to(view.center, rays.shape)
+    places, seen, faces = mesh.ray.intersects_location(centers, rays, multiple_hits=False)
+    weights = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], places)
+    coordinates = np.einsum("ni,nij->nj", weights, mesh.visual.uv[mesh.faces[faces]])
+    colors = np.full((len(rays), 3), 255, np.uint8)
+    colors[seen] = mesh.visual.material.to_color(coordinates)[:, 2::-1]
+    return colors.reshape(view.height, view.width, 3)
 
 
 if __name__ == "__main__":
