@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from colmap_edges.core.arrays import ByteArray, FloatArray, IntArray, offsets_of, ranges_of
+from colmap_edges.core.arrays import (
+    ByteArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    blocks,
+    offsets_of,
+    ranges_of,
+)
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import read_bytes
 
@@ -19,6 +27,7 @@ TYPES = {
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
+BLOCK = 1_000_000  # points or numbers that are handled at once, which bounds memory
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
@@ -27,11 +36,11 @@ class SeenRows(NamedTuple):
 
     Attributes:
         offsets: (N + 1,) int64; the images of point i are images[offsets[i]:offsets[i + 1]].
-        images: (T,) int64 indices in the order of the model that the cloud was made from.
+        images: (T,) int32 indices in the order of the model that the cloud was made from.
     """
 
     offsets: IntArray
-    images: IntArray
+    images: Int32Array
 
 
 class CloudFile(NamedTuple):
@@ -75,18 +84,28 @@ def read_visibility(path: Path) -> SeenRows:
     count = int(np.frombuffer(data, "<u8", 1)[0]) if len(data) >= 8 else -1
     if len(data) % 4 or not 0 <= count <= len(words):
         raise ColmapEdgesError(f"{path} is no visibility of a point cloud; give a fused.ply.vis")
-    starts, end = np.empty(count, np.int64), 2
-    lengths = words.tolist()
-    for row in range(count):
-        if end >= len(lengths):
-            raise damaged(path, row, count)
-        starts[row] = end + 1
-        end += 1 + lengths[end]
-    if end != len(words):
-        raise damaged(path, count, count)
-    numbers = words[starts - 1].astype(np.int64)
-    images = words[ranges_of(starts, starts + numbers)].astype(np.int64)
-    return SeenRows(offsets_of(numbers), images)
+    starts = track_starts(path, words, count)
+    is_image = np.ones(len(words), bool)
+    is_image[:2] = is_image[starts] = False
+    return SeenRows(offsets_of(words[starts].astype(np.int64)), words[is_image].astype(np.int32))
+
+
+def track_starts(path: Path, words: NDArray[np.uint32], count: int) -> IntArray:
+    """(count,) places of the numbers of images among the words of a file of visibility.
+
+    Raises:
+        ColmapEdgesError: if they do not end where the file ends.
+    """
+    starts, row, end = np.empty(count, np.int64), 0, 2
+    for part in blocks(len(words), BLOCK):  # as a list, which is read faster, but is large
+        lengths = words[part].tolist()
+        while end < part.stop and row < count:
+            starts[row] = end
+            end += 1 + lengths[end - part.start]
+            row += 1
+    if row < count or end != len(words):
+        raise damaged(path, row, count)
+    return starts
 
 
 def damaged(path: Path, row: int, count: int) -> ColmapEdgesError:
@@ -182,70 +201,90 @@ def binary_columns(
 ) -> tuple[dict[str, NDArray[Any]], SeenRows | None]:
     """The columns of a binary PLY, and the images of OpenMVS's list.
 
-    Rows with lists differ in size: a first pass finds where each part of them begins.
+    Rows with lists differ in size: a first pass finds where their parts begin.
 
     Raises:
         ColmapEdgesError: if it is damaged.
     """
-    blocks, row_bytes = split_at_lists(properties, order)
-    starts = block_starts(path, data, count, blocks, row_bytes, order)
+    parts, row_bytes = split_at_lists(properties, order)
+    starts = part_starts(path, data, count, parts, row_bytes, order)
+    if starts is None:
+        table = np.frombuffer(data, parts[0][0], count)
+        return {name: table[name] for name in table.dtype.names or ()}, None
     content, seen = np.frombuffer(data, np.uint8), None
     columns: dict[str, NDArray[Any]] = {}
-    for at, (dtype, listed) in enumerate(blocks):
-        places = starts[:, at, None] + np.arange(dtype.itemsize)
-        table = content[places.ravel()].view(dtype) if dtype.itemsize else None
-        columns |= {name: table[name] for name in dtype.names or ()} if table is not None else {}
+    for at, (dtype, listed) in enumerate(parts):
+        table = gathered(content, starts[:, at], dtype)
+        columns |= {name: table[name] for name in dtype.names or ()}
         # OpenMVS's list property.
         if listed and listed.name == "view_indices":
-            head, kind = np.dtype(order + listed.length), np.dtype(order + listed.kind)
-            first = starts[:, at] + dtype.itemsize
-            numbers = content[(first[:, None] + np.arange(head.itemsize)).ravel()].view(head)
-            ends = first + head.itemsize + numbers.astype(np.int64) * kind.itemsize
-            images = content[ranges_of(first + head.itemsize, ends)].view(kind)
-            seen = SeenRows(offsets_of(numbers.astype(np.int64)), images.astype(np.int64))
+            kinds = np.dtype(order + listed.length), np.dtype(order + listed.kind)
+            seen = listed_rows(content, starts[:, at] + dtype.itemsize, *kinds)
     return columns, seen
+
+
+def gathered(content: ByteArray, starts: IntArray, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """(N,) values of a type that begin at (N,) places of bytes."""
+    values = np.empty((len(starts), dtype.itemsize), np.uint8)
+    for rows in blocks(len(starts), BLOCK):
+        values[rows] = content[starts[rows, None] + np.arange(dtype.itemsize)]
+    return values.view(dtype)[:, 0] if dtype.itemsize else np.zeros(len(starts), dtype)
+
+
+def listed_rows(
+    content: ByteArray, starts: IntArray, length: np.dtype[Any], kind: np.dtype[Any]
+) -> SeenRows:
+    """Lists of images that begin with their lengths, at (N,) places of bytes."""
+    numbers = gathered(content, starts, length).astype(np.int64)
+    starts = starts + length.itemsize
+    parts = [np.zeros(0, np.int32)]
+    for rows in blocks(len(starts), BLOCK):
+        ends = starts[rows] + numbers[rows] * kind.itemsize
+        images = content[ranges_of(starts[rows], ends)].view(kind)
+        parts.append(images.astype(np.int32))
+    return SeenRows(offsets_of(numbers), np.concatenate(parts))
 
 
 def split_at_lists(
     properties: Sequence[Property], order: str
 ) -> tuple[list[tuple[np.dtype[Any], Property | None]], int]:
-    """Blocks of properties of fixed size, each with the list after it, and the least row size."""
-    blocks: list[tuple[np.dtype[Any], Property | None]] = []
+    """Parts of properties of fixed size, each with the list after it, and the least row size."""
+    parts: list[tuple[np.dtype[Any], Property | None]] = []
     fixed: list[tuple[str, str]] = []
     for entry in properties:
         if entry.length:
-            blocks.append((np.dtype(fixed), entry))
+            parts.append((np.dtype(fixed), entry))
             fixed = []
         else:
             fixed.append((entry.name, order + entry.kind))
-    blocks.append((np.dtype(fixed), None))
-    least = sum(dtype.itemsize for dtype, _ in blocks)
-    return blocks, least + sum(np.dtype(e.length).itemsize for _, e in blocks if e)
+    parts.append((np.dtype(fixed), None))
+    least = sum(dtype.itemsize for dtype, _ in parts)
+    return parts, least + sum(np.dtype(e.length).itemsize for _, e in parts if e)
 
 
-def block_starts(
+def part_starts(
     path: Path,
     data: bytes,
     count: int,
-    blocks: Sequence[tuple[np.dtype[Any], Property | None]],
+    parts: Sequence[tuple[np.dtype[Any], Property | None]],
     row_bytes: int,
     order: str,
-) -> IntArray:
-    """(N, B) byte at which each block of each row begins.
+) -> IntArray | None:
+    """(N, B) byte at which each part of each row begins; None without lists, row after row.
 
     Raises:
         ColmapEdgesError: if the data ends before.
     """
     if count * row_bytes > len(data):
         raise damaged(path, len(data) // max(row_bytes, 1), count)
-    if len(blocks) == 1:
-        return (np.arange(count, dtype=np.int64) * row_bytes)[:, None]
-    starts, end = np.empty((count, len(blocks)), np.int64), 0
+    if len(parts) == 1:
+        return None
+    starts, end = np.empty((count, len(parts)), np.int64), 0
     byte_order = "little" if order == "<" else "big"
     sizes = [
         (d.itemsize, np.dtype(e.length).itemsize, np.dtype(e.kind).itemsize) if e else
         (d.itemsize, 0, 0)
-        for d, e in blocks
+        for d, e in parts
     ]  # fmt: skip
     for row in range(count):
         for at, (fixed, head, item) in enumerate(sizes):

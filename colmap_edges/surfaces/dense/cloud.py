@@ -31,7 +31,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options.meshing import DenseOptions
 from colmap_edges.surfaces.dense.displacement import measured_shift, movements
 from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
-from colmap_edges.surfaces.dense.seeing import seen_by
+from colmap_edges.surfaces.dense.seeing import BLOCK, seen_by
 from colmap_edges.surfaces.information import MIN_NOISE_PX
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -129,39 +129,51 @@ def dense_cloud(
     Raises:
         ColmapEdgesError: if no image sees a point, or the visibility is of another model.
     """
-    finite = np.flatnonzero(np.isfinite(file.points).all(axis=1))
-    points, seen = file.points[finite], file.seen
-    if seen is not None:
-        images = seen.images[entries_of(seen.offsets, finite)]
-        seen = SeenRows(offsets_of(np.diff(seen.offsets)[finite]), images)
-    cloud = seen_by(points, seen, model, image_names)
+    num_read = len(file.points)
+    file = finite(file)
+    cloud = seen_by(file.points, file.seen, model, image_names)
     if len(cloud.points) <= NUM_NEIGHBORS or not len(cloud.track_views):
         raise ColmapEdgesError(
-            f"no image sees the cloud of {len(file.points):,} points; give the model in whose "
+            f"no image sees the cloud of {num_read:,} points; give the model in whose "
             "coordinates it is"
         )
     pixels = pixel_sizes(cloud, model)
     kept = thinned(cloud, pixels, options.max_proj_dist)
     tree = cKDTree(cloud.points)
     shift = measured_shift(cloud, tree, model).shift_px
-    moves = movements(cloud, model) @ shift if shift.any() else np.zeros_like(cloud.points)
-    moved, sigmas = averaged(cloud.points, moves, kept, tree, num_threads or os.cpu_count() or 1)
+    moved, sigmas = averaged(cloud, kept, tree, model, shift, num_threads or os.cpu_count() or 1)
     return DenseCloud(
         points=cloud.chosen(kept)._replace(points=moved),
-        colors=file.colors[finite][kept],
+        colors=file.colors[kept],
         sigmas=np.maximum(sigmas, MIN_NOISE_PX * pixels[kept]),
         pixels=pixels[kept],
-        num_read=len(file.points),
+        num_read=num_read,
         shift_px=shift,
         edge_dist=options.edge_dist,
         is_scan=file.seen is None,
     )
 
 
+def finite(file: CloudFile) -> CloudFile:
+    """The points whose coordinates are finite."""
+    rows = np.flatnonzero(np.isfinite(file.points).all(axis=1))
+    seen = file.seen
+    if len(rows) == len(file.points):
+        return file
+    if seen is not None:
+        images = seen.images[entries_of(seen.offsets, rows)]
+        seen = SeenRows(offsets_of(np.diff(seen.offsets)[rows]), images)
+    return CloudFile(file.points[rows], file.colors[rows], seen)
+
+
 def pixel_sizes(seen: SeenPoints, model: Model) -> FloatArray:
     """(N,) size of a pixel at points, in the nearest view that sees them; infinite without any."""
-    owners = owners_of(seen.track_offsets)
-    return nearest_pixel_sizes(model.views, seen.points, owners, seen.track_views)
+    sizes = np.empty(len(seen.points))
+    for rows in blocks(len(sizes), BLOCK):
+        offsets = seen.track_offsets[rows.start : rows.stop + 1]
+        views = seen.track_views[offsets[0] : offsets[-1]]
+        sizes[rows] = nearest_pixel_sizes(model.views, seen.points[rows], owners_of(offsets), views)
+    return sizes
 
 
 def thinned(cloud: SeenPoints, pixels: FloatArray, max_proj_dist: float) -> IntArray:
@@ -182,26 +194,35 @@ def thinned(cloud: SeenPoints, pixels: FloatArray, max_proj_dist: float) -> IntA
 
 
 def averaged(
-    points: FloatArray, moves: FloatArray, kept: IntArray, tree: cKDTree, num_threads: int
+    cloud: SeenPoints,
+    kept: IntArray,
+    tree: cKDTree,
+    model: Model,
+    shift: FloatArray,
+    num_threads: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Positions of kept points on the planes of their neighbours, and deviations from these.
 
     Args:
-        points: (N, 3) all points.
-        moves: (N, 3) corrections, of which the median around a point is added to it.
+        cloud: all points with their views.
         kept: (K,) indices of points.
         tree: of all points.
+        model: the model.
+        shift: (2,) of the images, pixels; points are moved by the median of what it moves their
+            neighbours.
         num_threads: threads.
     """
     moved, sigmas = np.empty((len(kept), 3)), np.empty(len(kept))
     for rows in blocks(len(kept), 50_000):
-        own = points[kept[rows]]
+        own = cloud.points[kept[rows]]
         near = tree.query(own, NUM_NEIGHBORS, workers=num_threads)[1]
-        planes = planes_at(points[near])
+        planes = planes_at(cloud.points[near])
         off = np.einsum("ni,ni->n", own - planes.centers, planes.normals)
         moved[rows] = own - off[:, None] * planes.normals
-        if moves.any():
-            moved[rows] += np.median(moves[near], axis=1)
+        if shift.any():
+            used, places = np.unique(near, return_inverse=True)
+            moves = movements(cloud.chosen(used), model) @ shift
+            moved[rows] += np.median(moves[places.reshape(near.shape)], axis=1)
         sigmas[rows] = planes.sigmas
     return moved, sigmas
 

@@ -71,7 +71,8 @@ def given_rows(visibility: Any, count: int) -> SeenRows:
     """
     where = "visibility"
     if isinstance(visibility, SeenRows):
-        rows = SeenRows(*(np.asarray(of, np.int64) for of in visibility))
+        offsets, images = visibility
+        rows = SeenRows(np.asarray(offsets, np.int64), np.asarray(images, np.int32))
         check_offsets("visibility.offsets", rows.offsets, len(rows.images))
     else:
         where = str(Path(path_of("visibility", visibility)))

@@ -11,7 +11,9 @@ from colmap_edges.colmap.clouds import SeenRows
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
     FloatArray,
+    Int32Array,
     IntArray,
+    blocks,
     offsets_of,
     order_of,
     owners_of,
@@ -20,6 +22,8 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
+
+BLOCK = 1_000_000  # points whose observations are handled at once, which bounds memory
 
 
 def seen_by(
@@ -45,30 +49,33 @@ def seen_by(
             f"{len(image_names)} images with poses; give the model that the cloud was made from"
         )
     numbers = {view.name: index for index, view in enumerate(model.views)}
-    views = np.array([numbers.get(name, -1) for name in image_names], np.int64)[seen.images]
-    owners = owners_of(seen.offsets)
-    pairs = np.unique((owners * len(model.views) + views)[views >= 0])
-    owners, views = np.divmod(pairs, len(model.views))
-    check_inside(model, points, owners, views)
-    offsets = offsets_of(np.bincount(owners, minlength=len(points)))
-    return SeenPoints(points, offsets, views.astype(np.int32))
-
-
-def check_inside(model: Model, points: FloatArray, owners: IntArray, views: IntArray) -> None:
-    """Check that points lie in the images that see them.
-
-    Raises:
-        ColmapEdgesError: if many do not.
-    """
-    inside = 0
-    for view, rows in views_with_rows(model.views, views.astype(np.int32)):
-        inside += int(np.count_nonzero(view.holds(*view.project(points[owners[rows]]))))
+    views_of_images = np.array([numbers.get(name, -1) for name in image_names], np.int64)
+    counts, tracks, inside = [np.zeros(0, np.int64)], [np.zeros(0, np.int32)], 0
+    for rows in blocks(len(points), BLOCK):
+        offsets = seen.offsets[rows.start : rows.stop + 1]
+        views = views_of_images[seen.images[offsets[0] : offsets[-1]]]
+        pairs = (owners_of(offsets) * len(model.views) + views)[views >= 0]
+        pairs.sort(kind="stable")  # nearly sorted already
+        owners, views = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], len(model.views))
+        counts.append(np.bincount(owners, minlength=len(offsets) - 1))
+        tracks.append(views.astype(np.int32))
+        inside += num_inside(model, points[rows], owners, tracks[-1])
+    total = sum(len(track) for track in tracks)
     # With the images in another order, fewer observations lie in their images.
-    if inside < 0.9 * len(views):
+    if inside < 0.9 * total:
         raise ColmapEdgesError(
-            f"only {inside / len(views):.0%} of the cloud's observations lie in the images that "
+            f"only {inside / total:.0%} of the cloud's observations lie in the images that "
             "its visibility names; give the model that the cloud was made from"
         )
+    return SeenPoints(points, offsets_of(np.concatenate(counts)), np.concatenate(tracks))
+
+
+def num_inside(model: Model, points: FloatArray, owners: IntArray, views: Int32Array) -> int:
+    """Number of observations of points, given their points and views, that lie in their images."""
+    return sum(
+        int(np.count_nonzero(view.holds(*view.project(points[owners[rows]]))))
+        for view, rows in views_with_rows(model.views, views)
+    )
 
 
 def by_depth_test(points: FloatArray, model: Model) -> SeenPoints:
