@@ -12,6 +12,7 @@
 #include "intersections.h"
 #include "mesher.h"
 #include "refinement.h"
+#include "shaping.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -127,6 +128,23 @@ class BoundRefiner {
   mesher::Refiner core_;
 };
 
+// Vertices, their indices in the given ones, faces and creases.
+nb::tuple Shape(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& faces,
+                const Matrix<Index, 2>& creases, const Matrix<double, 6>& information,
+                double min_angle, double max_sigmas, double max_turn, double turn_sigmas,
+                int num_threads) {
+  const mesher::RefinementInput input{ToPoints(vertices), ToItems<std::array<Index, 3>>(faces),
+                                      ToItems<std::array<Index, 2>>(creases),
+                                      ToItems<mesher::Symmetric>(information)};
+  mesher::ShapedMesh result;
+  {
+    nb::gil_scoped_release release;
+    result = mesher::Shape(input, {min_angle, max_sigmas, max_turn, turn_sigmas}, num_threads);
+  }
+  return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 1>(result.sources),
+                        ToArray<Index, 3>(result.faces), ToArray<Index, 2>(result.creases));
+}
+
 // Pairs of faces that intersect, beyond common vertices and sides.
 nb::ndarray<nb::numpy, Index> Intersections(const Matrix<double, 3>& vertices,
                                             const Matrix<Index, 3>& faces, int num_threads) {
@@ -152,6 +170,8 @@ NB_MODULE(_mesher, m) {
       .def("refine", &BoundRefiner::Refine, "strength"_a, "angle"_a, "num_rounds"_a)
       .def("held_out_errors", &BoundRefiner::HeldOutErrors, "held_out"_a, "strength"_a, "angle"_a,
            "num_rounds"_a);
+  m.def("shape", &Shape, "vertices"_a, "faces"_a, "creases"_a, "information"_a, nb::kw_only(),
+        "min_angle"_a, "max_sigmas"_a, "max_turn"_a, "turn_sigmas"_a, "num_threads"_a);
   m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,

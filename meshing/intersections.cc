@@ -6,6 +6,8 @@
 #include <CGAL/intersections.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
 #include <numeric>
 
 #include "parallel.h"
@@ -107,6 +109,78 @@ std::vector<Pair> MeetingBoxes(const Faces3& faces, const std::vector<Vec3>& bef
   return pairs;
 }
 
+struct Extent {
+  Vec3 low, high;
+
+  bool Meets(const Extent& other) const {
+    for (int axis = 0; axis < 3; ++axis)
+      if (low[axis] > other.high[axis] || high[axis] < other.low[axis]) return false;
+    return true;
+  }
+};
+
+Extent ExtentOf(const std::array<Index, 3>& face, const std::vector<Vec3>& at) {
+  Extent extent{at[face[0]], at[face[0]]};
+  for (const Index v : face)
+    for (int axis = 0; axis < 3; ++axis) {
+      extent.low[axis] = std::min(extent.low[axis], at[v][axis]);
+      extent.high[axis] = std::max(extent.high[axis], at[v][axis]);
+    }
+  return extent;
+}
+
+// Tells most of the extents that meet none of some given ones, by the cells of a grid, of which
+// several share a bit.
+class Occupancy {
+ public:
+  explicit Occupancy(const std::vector<Extent>& extents) : is_taken_(std::size_t{1} << 18) {
+    std::vector<double> sizes;
+    for (const Extent& e : extents)
+      sizes.push_back(std::max({e.high.x - e.low.x, e.high.y - e.low.y, e.high.z - e.low.z}));
+    const auto middle = sizes.begin() + sizes.size() / 2;
+    std::nth_element(sizes.begin(), middle, sizes.end());
+    scale_ = *middle > 0 ? 0.5 / *middle : 0;
+    for (const Extent& e : extents)
+      if (!Visit(e, [&](std::size_t bit) { return is_taken_[bit] = true; })) large_.push_back(e);
+  }
+
+  bool MayMeet(const Extent& extent) const {
+    bool is_met = false;
+    if (!Visit(extent, [&](std::size_t bit) { return !(is_met = is_taken_[bit]); }) || is_met)
+      return true;
+    return std::any_of(large_.begin(), large_.end(),
+                       [&](const Extent& e) { return e.Meets(extent); });
+  }
+
+ private:
+  // Calls a function with the bit of each cell of an extent until it returns false; returns whether
+  // the extent has few cells, otherwise none is visited.
+  template <typename Function>
+  bool Visit(const Extent& extent, const Function& function) const {
+    std::int64_t low[3], high[3], count = 1;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double first = std::floor(scale_ * extent.low[axis]);
+      const double last = std::floor(scale_ * extent.high[axis]);
+      if (!(std::abs(first) < 1e9 && std::abs(last) < 1e9 && last - first < 64)) return false;
+      low[axis] = static_cast<std::int64_t>(first);
+      high[axis] = static_cast<std::int64_t>(last);
+      count *= high[axis] - low[axis] + 1;
+    }
+    if (count > 64) return false;
+    for (auto x = low[0]; x <= high[0]; ++x)
+      for (auto y = low[1]; y <= high[1]; ++y)
+        for (auto z = low[2]; z <= high[2]; ++z) {
+          const auto hash = static_cast<std::uint64_t>(x * 73856093 ^ y * 19349663 ^ z * 83492791);
+          if (!function(hash % is_taken_.size())) return true;
+        }
+    return true;
+  }
+
+  double scale_ = 0;
+  std::vector<bool> is_taken_;
+  std::vector<Extent> large_;
+};
+
 // Those of the pairs that share more than a vertex or a side.
 std::vector<Pair> Intersecting(const Tester& tester, const std::vector<Pair>& pairs,
                                int num_threads) {
@@ -145,6 +219,35 @@ std::vector<Pair> Intersections(const Faces3& faces, const std::vector<Vec3>& ve
       MeetingBoxes(faces, vertices, vertices, std::vector<char>(faces.size(), 1)), num_threads);
   std::sort(found.begin(), found.end());
   return found;
+}
+
+std::vector<char> Collisions(const Faces3& new_faces, const std::vector<Index>& groups,
+                             const Faces3& faces, const std::vector<Index>& replaced_by,
+                             const std::vector<Vec3>& vertices, int num_threads) {
+  if (new_faces.empty()) return {};
+  std::vector<Extent> extents;
+  for (const auto& face : new_faces) extents.push_back(ExtentOf(face, vertices));
+  const Occupancy occupancy(extents);
+  Faces3 all = new_faces;
+  std::vector<Index> group_of = groups;  // those that the faces belong to, or are replaced by
+  for (std::size_t f = 0; f < faces.size(); ++f)
+    if (occupancy.MayMeet(ExtentOf(faces[f], vertices))) {
+      all.push_back(faces[f]);
+      group_of.push_back(replaced_by[f]);
+    }
+  const auto count = static_cast<Index>(new_faces.size());
+  std::vector<char> is_new(all.size());
+  std::fill_n(is_new.begin(), count, 1);
+  std::vector<Pair> pairs = MeetingBoxes(all, vertices, vertices, is_new);
+  const auto is_replaced = [&](const Pair& pair) {
+    return pair.second >= count && group_of[pair.second] == group_of[pair.first];
+  };
+  pairs.erase(std::remove_if(pairs.begin(), pairs.end(), is_replaced), pairs.end());
+  const std::vector<Index> same = FirstAtPlace(vertices);
+  std::vector<char> collides(*std::max_element(groups.begin(), groups.end()) + 1);
+  for (const auto& [f, g] : Intersecting(Tester(all, vertices, same), pairs, num_threads))
+    collides[g < count ? std::max(group_of[f], group_of[g]) : group_of[f]] = 1;
+  return collides;
 }
 
 void TakeBack(const Faces3& faces, const std::vector<Vec3>& before, int num_threads,

@@ -150,6 +150,14 @@ double Similarity(double q) {
 
 }  // namespace
 
+void CheckInput(const RefinementInput& input) {
+  const std::size_t count = input.vertices.size();
+  if (input.information.size() != count)
+    throw std::invalid_argument("vertices and information differ in number");
+  for (const auto& f : input.faces) CheckVertices(f.data(), f.data() + 3, count, "faces");
+  for (const auto& c : input.creases) CheckVertices(c.data(), c.data() + 2, count, "creases");
+}
+
 struct Refiner::Face {
   Vec3 normal;           // smoothed
   double variance = 0;   // of the measured normal, by the noise of the corners
@@ -161,10 +169,7 @@ Refiner::Refiner(RefinementInput input, int num_threads)
       num_threads_(num_threads),
       across_(input_.faces.size(), {kNone, kNone, kNone}) {
   const std::size_t count = input_.vertices.size();
-  if (input_.information.size() != count)
-    throw std::invalid_argument("vertices and information differ in number");
-  for (const auto& f : input_.faces) CheckVertices(f.data(), f.data() + 3, count, "faces");
-  for (const auto& c : input_.creases) CheckVertices(c.data(), c.data() + 2, count, "creases");
+  CheckInput(input_);
   faces_of_ = FacesOfVertices(input_);
   const std::vector<Side> sides = SortedSides(input_);
   std::vector<Index> stay = Duplicates(input_.vertices);

@@ -20,6 +20,9 @@ struct RefinementInput {
   std::vector<Symmetric> information;  // inverse covariance of each vertex; 0 for one that stays
 };
 
+// Throws std::invalid_argument for faces, creases or information that do not fit the vertices.
+void CheckInput(const RefinementInput& input);
+
 struct Smoothness {
   double strength;  // weight of the smoothness of normals
   double angle;     // between faces, in radians, up to which they are smoothed, besides by noise

@@ -1,4 +1,4 @@
-"""Refinement of a mesh: its vertices move within their noise, so that faces become smooth."""
+"""Refinement of a mesh within its noise: vertices move until faces are smooth, needles vanish."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from colmap_edges.core.view import View
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.information import Tracks, information_of, isotropic, mean_of
 from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.shaping import shaped
 
 # What is tried: the weight of smoothness, and the angle between neighbouring faces, in radians, up
 # to which they are smoothed, besides by noise. The first keeps relief, the last is for plain walls.
@@ -74,10 +75,7 @@ class Measured:
 
 
 def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int) -> Mesh:
-    """A mesh with its vertices moved within their noise, so that faces between edges are smooth.
-
-    How smooth is learned: a tenth of the vertices is predicted from the others with each of
-    `SMOOTHNESS`, and the one that predicts best is taken.
+    """A mesh with smooth faces between edges and well-shaped triangles, within its noise.
 
     Args:
         mesh: a mesh whose `point3D_ids` are indices of points.
@@ -86,9 +84,29 @@ def refined(mesh: Mesh, measured: Measured, other_sigma: float, num_threads: int
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The refined mesh; the given one if it has too few measured vertices to learn from.
+        The refined mesh; the given one if none of its vertices was measured.
     """
     information, certain = measured.of_vertices(mesh, other_sigma)
+    if not information.any():
+        return mesh
+    return shaped(smoothed(mesh, information, certain, num_threads), information, num_threads)
+
+
+def smoothed(mesh: Mesh, information: FloatArray, certain: BoolArray, num_threads: int) -> Mesh:
+    """A mesh with its vertices moved within their noise, so that faces between edges are smooth.
+
+    How smooth is learned: a tenth of the vertices is predicted from the others with each of
+    `SMOOTHNESS`, and the one that predicts best is taken.
+
+    Args:
+        mesh: a mesh.
+        information: (V, 6) information of its vertices.
+        certain: (V,) which vertices may be predicted.
+        num_threads: threads to use; the result does not depend on it.
+
+    Returns:
+        The mesh; the given one if it has too few measured vertices to learn from.
+    """
     held_out = chosen_apart(certain, mesh.faces)
     if len(held_out) < MIN_HELD_OUT:
         return mesh

@@ -352,7 +352,9 @@ def test_the_result_does_not_depend_on_threads():
 def test_few_points_tell_nothing():
     _, mesh, measured = measured_mesh(lambda x, y: 0 * x, 0.05)
     measured.num_certain = 100
-    assert refinement.refined(mesh, measured, 0.1, 1) is mesh
+    refined = refinement.refined(mesh, measured, 0.1, 1)
+    np.testing.assert_array_equal(refined.vertices, mesh.vertices)
+    assert "smooth_angle_rad" not in refined.stats
 
 
 def test_points_without_measurement_take_that_next_to_them():
