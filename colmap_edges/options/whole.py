@@ -56,7 +56,7 @@ class PipelineOptions(Options):
     )
     use_sky: bool = option(
         True,
-        "Find the sky in images without a background; its rays keep the mesh open",
+        "Find the sky or a far backdrop in images without a plain one; its rays keep the mesh open",
         stage="mesh",
     )
     use_patches: bool = option(

@@ -70,8 +70,8 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
         texts["Cylinders"] = cylinders_text(found)
     if (sky := counts.get("sky", {})) and sky["images_with_sky"]:
         texts["Sky"] = (
-            f"in {sky['images_with_sky']:,} of {counted(sky['images'], 'image')}: its rays keep "
-            "the mesh open"
+            f"sky or far backdrop in {sky['images_with_sky']:,} of "
+            f"{counted(sky['images'], 'image')}: its rays keep the mesh open"
         )
     if mesh is not None:
         vertices = counted(mesh["vertices"], "vertex", "vertices")

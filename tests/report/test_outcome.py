@@ -65,7 +65,9 @@ def test_outcome_says_in_how_many_images_the_sky_is():
     stages = {"read": READ, "sky": {"images": 24, "images_with_sky": 0, "sky_rays": 0}}
     assert "Sky" not in outcome(record(**stages))
     stages["sky"] |= {"images_with_sky": 21, "sky_rays": 30_000}
-    assert outcome(record(**stages))["Sky"] == "in 21 of 24 images: its rays keep the mesh open"
+    assert outcome(record(**stages))["Sky"] == (
+        "sky or far backdrop in 21 of 24 images: its rays keep the mesh open"
+    )
 
 
 def test_outcome_names_missing_results():

@@ -20,6 +20,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
 from colmap_edges.surfaces.silhouettes import Background
+from colmap_edges.surfaces.sky.backdrop import is_backdrop
 from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
 from colmap_edges.surfaces.sky.regions import Regions, find_regions
@@ -47,6 +48,9 @@ def find_sky(
     observed = parts_of(rows, offsets)
     for up in upward(model.views):
         regions = find_regions(model.views, pictures, points, observed, up)
+        backdrop = is_backdrop(model.views, regions)
+        if backdrop.any():
+            return open_through(model, masks_of(regions, backdrop))
         blue, white = looks_like_sky(model.views, regions, up)
         if len(np.unique(regions.views[blue])) >= max(MIN_VIEWS_SHARE * len(pictures), 2):
             break
@@ -60,7 +64,13 @@ def find_sky(
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None
-    masks = masks_of(regions, spread(matches, regions, is_sky))
+    return open_through(model, masks_of(regions, spread(matches, regions, is_sky)))
+
+
+def open_through(
+    model: Model, masks: list[BackgroundMask]
+) -> tuple[Background, list[BackgroundMask]] | None:
+    """The rays of the sky in masks of all views, and these; None without any ray."""
     rays = background_rays(model.views, masks, True)
     return None if rays is None else (Background(rays, NO_POINTS, is_sky=True), masks)
 

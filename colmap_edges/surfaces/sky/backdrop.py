@@ -1,0 +1,109 @@
+"""Regions of a far backdrop: their colours depend on nothing but the viewing direction.
+
+What is far away looks the same from all places, apart from the exposure of each image. The walls of
+a room do not: the same direction meets another place of them, or another wall, from each camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.view import View
+from colmap_edges.images.background import MAX_DEVIATION, MIN_VIEWS_RATIO
+from colmap_edges.surfaces.sky.regions import Regions, rays_of
+
+NUM_SAMPLES = 100_000  # pixels of all regions whose colours are compared
+NUM_ROUNDS = 12  # of reweighting; the first ones still follow regions that are no backdrop
+AGREEING = 0.8  # minimum share of a region's samples that agree
+# Minimum share of the samples in agreeing regions: 0.6 to 1 before backdrops, at most 0.35 of
+# facades with their sky, below 0.2 of rooms.
+MIN_SHARE = 0.5
+# Maximum length of the mean direction: cameras go round bodies before a backdrop. One wall, seen
+# from one side only, may look the same from all places, too.
+MAX_MEAN_LENGTH = 0.8
+
+
+def is_backdrop(views: Sequence[View], regions: Regions) -> BoolArray:
+    """(R,) regions of a backdrop that nearly all views show; none if there is no such backdrop.
+
+    Colours are modelled by smooth functions of the direction and a factor of each view.
+
+    Args:
+        views: the V views.
+        regions: R regions of them; those below structure are no backdrop.
+    """
+    found = np.zeros(len(regions.views), bool)
+    owners, directions, colors = samples(views, regions)
+    if not len(owners):
+        return found
+    seen_by = regions.views[owners]
+    agree = deviations(seen_by, harmonics(directions), colors) <= MAX_DEVIATION
+    counts = np.bincount(owners, minlength=len(found))
+    found = np.bincount(owners, agree, minlength=len(found)) > AGREEING * counts
+    chosen = found[owners]
+    shown = len(np.unique(seen_by[chosen])) >= MIN_VIEWS_RATIO * len(views)
+    if chosen.mean() < MIN_SHARE or not shown:
+        return np.zeros(len(found), bool)
+    is_round = np.linalg.norm(directions[chosen].mean(axis=0)) <= MAX_MEAN_LENGTH
+    return found & is_round
+
+
+def samples(views: Sequence[View], regions: Regions) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Pixels of regions with nothing above them, view after view.
+
+    Returns:
+        (n,) regions, (n, 3) unit viewing rays and (n, 3) levels.
+    """
+    parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
+    step = max(1, sum(labels.size for labels in regions.labels) // NUM_SAMPLES)
+    for index, view in enumerate(views):
+        picture = regions.pictures[index]
+        for region, pixels in zip(*regions.pixels(index), strict=True):
+            if not regions.below[region]:
+                chosen = pixels[step // 2 :: step]
+                rays = rays_of(view, picture, chosen)
+                kept = np.isfinite(rays).all(axis=1)
+                levels = picture.reshape(-1, 3)[chosen[kept]].astype(np.float64)
+                parts.append((np.full(len(levels), region), rays[kept], levels))
+    nothing = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3))
+    owners, rays, levels = (np.concatenate(of) for of in zip(nothing, *parts, strict=True))
+    return owners, rays, levels
+
+
+def harmonics(directions: FloatArray) -> FloatArray:
+    """(n, 15) polynomials of (n, 3) directions: of degree 3 on the sphere, without the constant."""
+    x, y, z = np.ascontiguousarray(directions.T)
+    second = [x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1]
+    third = [(x * x - y * y) * z, (x * x - 3 * y * y) * x, (3 * x * x - y * y) * y]
+    third += [x * y * z, (5 * z * z - 1) * x, (5 * z * z - 1) * y, (5 * z * z - 3) * z]
+    return np.column_stack([x, y, z, *second, *third])
+
+
+def deviations(seen_by: IntArray, design: FloatArray, colors: FloatArray) -> FloatArray:
+    """(n,) largest deviations of colours from the model, in levels.
+
+    Logarithms of colours are fitted by iteratively reweighted least squares; subtracting the mean
+    of each view takes its factor out of the equations.
+
+    Args:
+        seen_by: (n,) ascending views.
+        design: (n, k) terms of the model.
+        colors: (n, 3) levels.
+    """
+    logs = np.log(np.maximum(colors, 2.0))
+    starts = np.flatnonzero(np.diff(seen_by, prepend=-1))
+    numbers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(seen_by)))
+    values, weights = np.column_stack([design, logs]), np.ones(len(logs))
+    for _ in range(NUM_ROUNDS):
+        sums = np.add.reduceat(weights[:, None] * values, starts)
+        centered = values - (sums / np.add.reduceat(weights, starts)[:, None])[numbers]
+        terms, rest = centered[:, : design.shape[1]], centered[:, design.shape[1] :]
+        weighted = terms * weights[:, None]
+        model = terms @ np.linalg.lstsq(weighted.T @ terms, weighted.T @ rest, rcond=None)[0]
+        off = np.abs(colors - np.exp(logs - rest + model)).max(axis=1)
+        level = colors.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
+        weights = (level / (1 + (off / MAX_DEVIATION) ** 2)) ** 2 + 1e-12
+    return np.asarray(off)
