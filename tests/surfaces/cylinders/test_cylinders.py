@@ -11,10 +11,12 @@ from plain_rooms import model_of, upright_view
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.similarity import Similarity
+from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.export.alignment import moved_cylinder
 from colmap_edges.export.faces import read_faces, write_faces
+from colmap_edges.surfaces.cylinders import hypotheses
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
 from colmap_edges.surfaces.cylinders.lines import are_observed, find_lines
 from colmap_edges.surfaces.faces.evidence import gather_evidence
@@ -118,6 +120,20 @@ def test_its_points_lie_on_it_and_are_seen_from_outside(can, found):
     outwards -= (outwards @ AXIS)[:, None] * AXIS
     facing = np.einsum("ij,ij->i", centers - seen.points[owners], outwards[owners])
     assert np.all(facing > 0)
+
+
+def test_hypotheses_left_out_early_have_no_radius(can, monkeypatch):
+    lines, views = can.lines, can.views
+    rows = rows_by_view(lines.views, len(views))
+    found, bases = hypotheses.find_hypotheses(lines, rows)
+    monkeypatch.setattr(
+        hypotheses, "have_one_radius", lambda lines, rows, *_: np.ones(len(rows), bool)
+    )
+    all_found, all_bases = hypotheses.find_hypotheses(lines, rows)
+    assert len(bases) > 0
+    np.testing.assert_array_equal(bases, all_bases)
+    for own, other in zip(found, all_found, strict=True):
+        np.testing.assert_array_equal(own, other)
 
 
 def test_a_square_post_is_no_cylinder():
