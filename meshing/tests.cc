@@ -172,7 +172,8 @@ void TestWalkerOnGrids() {
   }
 }
 
-// Every ray is represented exactly once: by itself, or by one of a nearby edge point.
+// Every ray is represented exactly once: by itself, or by the first one of an edge point in its
+// cube.
 void TestFarWeights() {
   for (int round = 0; round < 20; ++round) {
     Random random(round);
@@ -183,29 +184,27 @@ void TestFarWeights() {
         if (random() % 2) rays.values.push_back(camera);
       rays.offsets.push_back(static_cast<std::int64_t>(rays.values.size()));
     }
-    const double radius = round == 0 ? 0 : 0.5;
+    const double side = round == 0 ? 0 : 0.5;
     std::vector<std::uint8_t> is_edge(points.size());
     for (auto& flag : is_edge) flag = random() % 4 > 0;
-    const auto weights = FarWeights(points, is_edge, rays, 5, radius);
-    for (Index camera = 0; camera < 5; ++camera) {
-      Index walker = kNone, left = 0;
-      for (Index v = 0; v < rays.size(); ++v)
-        for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
-          if (rays.values[ray] != camera) continue;
-          Check(is_edge[v] || weights[ray] == 1, "a lone ray does not walk for itself", round);
-          if (!is_edge[v]) continue;
-          if (weights[ray] > 0) {
-            Check(left == 0, "a ray is walked for twice, or never", round);
-            Check(walker == kNone || Norm(points[v] - points[walker]) > radius,
-                  "a ray walks that another may walk for", round);
-            walker = v, left = weights[ray];
-          }
-          Check(walker != kNone && Norm(points[v] - points[walker]) <= radius,
-                "a ray far away walks for another", round);
-          --left;
+    const auto are_near = [&](Index v, Index w) {
+      if (!is_edge[v] || !is_edge[w] || side == 0) return false;
+      for (int axis = 0; axis < 3; ++axis)
+        if (std::floor(points[v][axis] / side) != std::floor(points[w][axis] / side)) return false;
+      return true;
+    };
+    const auto weights = FarWeights(points, is_edge, rays, 5, side);
+    for (Index v = 0; v < rays.size(); ++v)
+      for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
+        Index expected = 0;
+        for (Index w = 0; w < rays.size(); ++w) {
+          if (w != v && !are_near(v, w)) continue;
+          if (std::count(rays.begin(w), rays.end(w), rays.values[ray]) == 0) continue;
+          if (w < v) expected = -1;  // an earlier point represents it
+          expected += expected >= 0;
         }
-      Check(left == 0, "rays are walked for that are not there", round);
-    }
+        Check(weights[ray] == std::max(expected, Index(0)), "a ray represents others", round);
+      }
   }
 }
 

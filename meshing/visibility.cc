@@ -2,6 +2,7 @@
 #include "visibility.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
 #include <utility>
@@ -204,6 +205,16 @@ void AddQuality(const Triangulation& triangulation, const VisibilityOptions& opt
   });
 }
 
+using Cube = std::array<double, 3>;
+
+// The cube of a grid that holds a point; without a side, the point itself.
+Cube CubeOf(const Vec3& point, double side) {
+  Cube cube;
+  for (int axis = 0; axis < 3; ++axis)
+    cube[axis] = side > 0 ? std::floor(point[axis] / side) : point[axis];
+  return cube;
+}
+
 }  // namespace
 
 double TypicalSpacing(const Triangulation& triangulation) {
@@ -226,22 +237,25 @@ double TypicalSpacing(const Triangulation& triangulation) {
 
 std::vector<Index> FarWeights(const std::vector<Vec3>& points,
                               const std::vector<std::uint8_t>& is_edge, const Rows& rays,
-                              std::size_t num_cameras, double radius) {
-  struct Run {
-    Index vertex = kNone;
+                              std::size_t num_cameras, double side) {
+  std::vector<std::pair<Cube, Index>> vertices;
+  for (Index v = 0; v < rays.size(); ++v)
+    if (is_edge[v]) vertices.emplace_back(CubeOf(points[v], side), v);
+  std::sort(vertices.begin(), vertices.end());
+  std::vector<Index> weights(rays.values.size(), 0);
+  for (Index v = 0; v < rays.size(); ++v)
+    if (!is_edge[v])
+      std::fill(weights.begin() + rays.offsets[v], weights.begin() + rays.offsets[v + 1], 1);
+  struct Walked {
+    const Cube* cube = nullptr;
     std::int64_t ray = 0;
   };
-  std::vector<Index> weights(rays.values.size(), 0);
-  std::vector<Run> runs(num_cameras);
-  for (Index v = 0; v < rays.size(); ++v)
+  std::vector<Walked> walked(num_cameras);  // by camera: in the last cube that it saw
+  for (const auto& [cube, v] : vertices)
     for (auto ray = rays.offsets[v]; ray < rays.offsets[v + 1]; ++ray) {
-      if (!is_edge[v]) {
-        weights[ray] = 1;
-        continue;
-      }
-      Run& run = runs[rays.values[ray]];
-      if (run.vertex == kNone || Norm(points[run.vertex] - points[v]) > radius) run = {v, ray};
-      ++weights[run.ray];
+      Walked& last = walked[rays.values[ray]];
+      if (!last.cube || *last.cube != cube) last = {&cube, ray};
+      ++weights[last.ray];
     }
   return weights;
 }

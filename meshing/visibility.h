@@ -23,12 +23,12 @@ constexpr std::int64_t kRayWeight = 1 << 20;
 double TypicalSpacing(const Triangulation& triangulation);
 
 // Number of rays that each ray represents far from its point; 0 for rays represented by another.
-// Rays from nearby edge points to the same camera cross nearly the same cells there. The first of a
-// run of such points, in order, represents those within `radius`; rays of other points represent
-// themselves.
+// Rays from nearby edge points to the same camera cross nearly the same cells there. The first of
+// the edge points in a cube of a grid with this side represents all that the camera sees there;
+// rays of other points represent themselves.
 std::vector<Index> FarWeights(const std::vector<Vec3>& points,
                               const std::vector<std::uint8_t>& is_edge, const Rows& rays,
-                              std::size_t num_cameras, double radius);
+                              std::size_t num_cameras, double side);
 
 // Soft visibility (Labatut et al. 2009) and surface quality as a minimum cut problem. Row v of
 // `rays` holds the cameras that see vertex v; none of them may coincide with the vertex. The cell
