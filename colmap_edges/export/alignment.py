@@ -16,9 +16,9 @@ from colmap_edges.export.units import METRES
 from colmap_edges.export.upright import direction, upward
 from colmap_edges.export.written import WrittenEdges
 from colmap_edges.runtime.input_files import DAMAGE, read_json
-from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
+from colmap_edges.surfaces.round_face import moved_round
 
 RECORD = "alignment.json"
 
@@ -134,13 +134,13 @@ def ground_of(faces: Sequence[Face], up: FloatArray) -> Face:
 
 
 def aligned(written: WrittenEdges, moved: Similarity) -> WrittenEdges:
-    """Edges, curves, faces and cylinders in a new frame; the model stays as it is."""
+    """Edges, curves and faces in a new frame; the model stays as it is."""
     return replace(
         written,
         edges=moved.edges(written.edges),
         curves=moved.curves(written.curves),
         faces=[moved_face(face, moved) for face in written.faces],
-        cylinders=[moved_cylinder(each, moved) for each in written.cylinders],
+        round_faces=[moved_round(face, moved) for face in written.round_faces],
     )
 
 
@@ -155,12 +155,6 @@ def moved_face(face: Face, moved: Similarity) -> Face:
         outline=moved.points(face.outline),
         holes=tuple(moved.points(hole) for hole in face.holes),
     )
-
-
-def moved_cylinder(cylinder: Cylinder, moved: Similarity) -> Cylinder:
-    """A cylinder in a new frame."""
-    start, end = moved.points(np.array([cylinder.start, cylinder.end]))
-    return replace(cylinder, start=start, end=end, radius=moved.scale * cylinder.radius)
 
 
 def moved_mesh(mesh: Mesh, moved: Similarity) -> Mesh:

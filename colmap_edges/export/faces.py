@@ -1,4 +1,4 @@
-"""Writing and reading of planar faces and cylinders as faces.json."""
+"""Writing and reading of planar and round faces as faces.json."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.runtime.input_files import DAMAGE, read_text
 from colmap_edges.runtime.output import write_whole
-from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.outlines import Face
+from colmap_edges.surfaces.round_face import KINDS, RoundFace
 
 
 def write_faces(
@@ -23,7 +23,7 @@ def write_faces(
     path: Path,
     *,
     in_mesh: bool = False,
-    cylinders: Sequence[Cylinder] = (),
+    round_faces: Sequence[RoundFace] = (),
 ) -> None:
     """Write faces as JSON, atomically.
 
@@ -32,14 +32,14 @@ def write_faces(
         model: whose views they are seen in.
         path: the file.
         in_mesh: whether points on them were added to the mesh.
-        cylinders: the cylinders.
+        round_faces: faces of revolution.
 
     Raises:
         ColmapEdgesError: if the file cannot be written.
     """
     records = {
         "faces": [record_of(face, model) | {"in_mesh": in_mesh} for face in faces],
-        "cylinders": [record_of_cylinder(each, model) for each in cylinders],
+        "round_faces": [record_of_round(face, model) for face in round_faces],
     }
     write_whole(path, json.dumps(records, allow_nan=False).encode(), "faces")
 
@@ -57,17 +57,18 @@ def record_of(face: Face, model: Model) -> dict[str, Any]:
     }
 
 
-def record_of_cylinder(cylinder: Cylinder, model: Model) -> dict[str, Any]:
-    """The entry of a cylinder in faces.json, with COLMAP's image ids."""
+def record_of_round(face: RoundFace, model: Model) -> dict[str, Any]:
+    """The entry of a face of revolution in faces.json, with COLMAP's image ids."""
     return {
-        "start": cylinder.start.tolist(),
-        "end": cylinder.end.tolist(),
-        "radius": cylinder.radius,
-        "image_ids": [model.views[view].image_id for view in cylinder.views.tolist()],
+        "kind": face.kind,
+        "point": face.point.tolist(),
+        "direction": face.direction.tolist(),
+        "profile": face.profile.tolist(),
+        "image_ids": [model.views[view].image_id for view in face.views.tolist()],
     }
 
 
-def read_faces(path: Path, model: Model) -> tuple[list[Face], list[Cylinder]]:
+def read_faces(path: Path, model: Model) -> tuple[list[Face], list[RoundFace]]:
     """Read faces.json.
 
     Args:
@@ -82,7 +83,7 @@ def read_faces(path: Path, model: Model) -> tuple[list[Face], list[Cylinder]]:
         records = json.loads(read_text(path))
         faces = [face_of(record, indices) for record in records["faces"]]
         # Files of earlier versions have none.
-        return faces, [cylinder_of(each, indices) for each in records.get("cylinders", [])]
+        return faces, [round_of(record, indices) for record in records.get("round_faces", [])]
     except (OSError, *DAMAGE) as error:
         raise ColmapEdgesError(f"{path} holds no faces of its model: {error}") from error
 
@@ -100,11 +101,12 @@ def face_of(record: dict[str, Any], indices: dict[int, int]) -> Face:
     )
 
 
-def cylinder_of(record: dict[str, Any], indices: dict[int, int]) -> Cylinder:
-    """The cylinder of a record of faces.json; `indices` maps image ids to views."""
-    return Cylinder(
-        start=np.array(record["start"], np.float64).reshape(3),
-        end=np.array(record["end"], np.float64).reshape(3),
-        radius=float(record["radius"]),
+def round_of(record: dict[str, Any], indices: dict[int, int]) -> RoundFace:
+    """The face of revolution of a record of faces.json; `indices` maps image ids to views."""
+    return RoundFace(
+        kind=KINDS[KINDS.index(record["kind"])],
+        point=np.array(record["point"], np.float64).reshape(3),
+        direction=np.array(record["direction"], np.float64).reshape(3),
+        profile=np.array(record["profile"], np.float64).reshape(-1, 2),
         views=np.array([indices[image_id] for image_id in record["image_ids"]], np.int64),
     )

@@ -53,8 +53,10 @@ def dxf(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, uni
 
 
 def step(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, unit: str) -> Any:
-    """Write curves as STEP."""
-    return write_step(written.curves, path, unit=unit, overwrite=overwrite)
+    """Write curves and faces of revolution as STEP."""
+    return write_step(
+        written.curves, path, round_faces=written.round_faces, unit=unit, overwrite=overwrite
+    )
 
 
 def svg(written: WrittenEdges, path: Path, overwrite: bool, _up: FloatArray, _unit: str) -> None:

@@ -1,7 +1,8 @@
-"""Export of curves as a STEP (AP214) wireframe: lines, circles, ellipses, B-splines."""
+"""Export as STEP (AP214): lines, circles, ellipses and B-splines, and faces of revolution."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -26,6 +27,7 @@ from colmap_edges.errors import ColmapEdgesError, extra
 from colmap_edges.export.units import metres
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.runtime.ownership import PROGRAM
+from colmap_edges.surfaces.round_face import RoundFace, moved_round
 
 SMALLEST = 1e-7  # millimetres: OpenCASCADE takes closer points as one (Precision::Confusion)
 
@@ -45,11 +47,18 @@ class StepFile:
 
 @checked
 def write_step(
-    curves: Curves3D, path: Path | str, *, unit: str = "", overwrite: bool = True
+    curves: Curves3D,
+    path: Path | str,
+    *,
+    round_faces: Sequence[RoundFace] = (),
+    unit: str = "",
+    overwrite: bool = True,
 ) -> StepFile:
-    """Write a STEP file with one edge per curve, using OpenCASCADE.
+    """Write a STEP file with one edge per curve, and faces of revolution, using OpenCASCADE.
 
-    Each curve has the name of its edge, such as "edge 12", and is on the layer of its kind. STEP
+    Each curve has the name of its edge, such as "edge 12", and is on the layer of its kind. Faces
+    are cylindrical, conical, spherical or toroidal surfaces, or surfaces of revolution of a
+    B-spline, with names such as "cylinder 1". STEP
     files are in millimetres, and programs take points closer than 1e-7 mm as one. Without a unit,
     one world unit becomes one millimetre; if that makes curves too short, a power of ten of
     millimetres. Curves without length, or of less than a ten-millionth of the longest, are left
@@ -58,6 +67,7 @@ def write_step(
     Args:
         curves: the curves.
         path: file to write.
+        round_faces: faces of revolution.
         unit: unit of the coordinates, such as "m", or empty if unknown.
         overwrite: replace an existing file.
 
@@ -73,7 +83,8 @@ def write_step(
     be_silent()
     unit_mm = 1000 * metres(unit) if unit else unit_of(curves.lengths())
     in_mm = Similarity(scale=unit_mm, rotation=np.eye(3), translation=np.zeros(3))
-    document, count = document_of(in_mm.curves(curves))
+    moved = [moved_round(face, in_mm) for face in round_faces]
+    document, count = document_of(in_mm.curves(curves), moved)
     writer = STEPCAFControl_Writer()
     Interface_Static.SetIVal_s("write.step.assembly", 0)  # a single part
     Interface_Static.SetIVal_s("write.stepcaf.subshapes.name", 1)
@@ -86,8 +97,11 @@ def write_step(
     return StepFile(num_curves=count, unit_mm=unit_mm)
 
 
-def document_of(curves: Curves3D) -> tuple[Any, int]:
-    """OpenCASCADE's document of curves in millimetres, with names and layers, and their number."""
+def document_of(curves: Curves3D, round_faces: Sequence[RoundFace] = ()) -> tuple[Any, int]:
+    """OpenCASCADE's document of curves and faces in millimetres, and the number of curves in it.
+
+    They have names and layers.
+    """
     from OCP import BRep, BRepBuilderAPI, TopoDS
     from OCP.TCollection import TCollection_ExtendedString as Text
     from OCP.TDataStd import TDataStd_Name
@@ -96,22 +110,27 @@ def document_of(curves: Curves3D) -> tuple[Any, int]:
 
     builder, compound = BRep.BRep_Builder(), TopoDS.TopoDS_Compound()
     builder.MakeCompound(compound)
-    made: list[tuple[int, Any]] = []
+    made: list[tuple[str, str, Any]] = []
     for curve in np.flatnonzero(curves.lengths() > 10 * SMALLEST).tolist():
         edge = BRepBuilderAPI.BRepBuilderAPI_MakeEdge(*geometry(curves, curve))
         if edge.IsDone():
-            made.append((curve, edge.Edge()))
-            builder.Add(compound, made[-1][1])
+            kind = KINDS[curves.kinds[curve]]
+            made.append((f"edge {curves.edges[curve]}", kind, edge.Edge()))
+    count = len(made)
+    for i, face in enumerate(round_faces):
+        made.append((f"{face.kind} {i + 1}", face.kind, turned_face(face)))
+    for *_, shape in made:
+        builder.Add(compound, shape)
     document = TDocStd_Document(Text(PROGRAM))
     shapes = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
     layers = XCAFDoc_DocumentTool.LayerTool_s(document.Main())
     part = shapes.AddShape(compound, False)
     TDataStd_Name.Set_s(part, Text("edges"))
-    for curve, edge in made:
-        label = shapes.AddSubShape(part, edge)
-        TDataStd_Name.Set_s(label, Text(f"edge {curves.edges[curve]}"))
-        layers.SetLayer(label, Text(KINDS[curves.kinds[curve]].upper()))
-    return document, len(made)
+    for name, kind, shape in made:
+        label = shapes.AddSubShape(part, shape)
+        TDataStd_Name.Set_s(label, Text(name))
+        layers.SetLayer(label, Text(kind.upper()))
+    return document, count
 
 
 def check_kernel() -> None:
@@ -166,6 +185,29 @@ def geometry(curves: Curves3D, curve: int) -> tuple[Any, ...]:
         round_ = gp.gp_Elips(axes, larger, min(smaller, larger))
     span = () if kind in (CIRCLE, ELLIPSE) else tuple(curves.spans[curve].tolist())
     return (round_, *span)
+
+
+def turned_face(face: RoundFace) -> Any:
+    """OpenCASCADE's face of a profile turned around its axis."""
+    from OCP import gp
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeRevol
+    from OCP.collections import Array1_gp_Pnt
+    from OCP.GC import GC_MakeArcOfCircle
+    from OCP.GeomAPI import GeomAPI_PointsToBSpline
+
+    aside = np.linalg.svd(face.direction[None])[2][1]
+    points = face.point + face.profile @ np.array([face.direction, aside])
+    corners = [gp.gp_Pnt(*point) for point in points.tolist()]
+    if face.kind in ("sphere", "torus"):
+        edge = BRepBuilderAPI_MakeEdge(GC_MakeArcOfCircle(*corners).Value())
+    elif len(corners) == 2:
+        edge = BRepBuilderAPI_MakeEdge(*corners)
+    else:
+        fitted = GeomAPI_PointsToBSpline(filled(Array1_gp_Pnt, corners))
+        edge = BRepBuilderAPI_MakeEdge(fitted.Curve())
+    axis = gp.gp_Ax1(gp.gp_Pnt(*face.point.tolist()), gp.gp_Dir(*face.direction.tolist()))
+    return BRepPrimAPI_MakeRevol(edge.Edge(), axis).Shape()
 
 
 def spline_of(spline: Any) -> Any:

@@ -20,8 +20,8 @@ from colmap_edges.export.curve_records import curves_of_records
 from colmap_edges.export.edges_json import edges_of_run
 from colmap_edges.export.faces import read_faces
 from colmap_edges.runtime.input_files import DAMAGE
-from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.outlines import Face
+from colmap_edges.surfaces.round_face import RoundFace
 
 FACES = "faces.json"
 
@@ -36,6 +36,7 @@ class WrittenEdges:
         point3D_ids: (N,) int64 ids of the edge points in the model; -1 for LIMAP's lines.
         model: the model with the edge points, to whose views observations refer by index.
         faces: planar faces between the edges, unless `use_faces` was 0.
+        round_faces: faces of revolution, likewise.
     """
 
     edges: Edges3D
@@ -43,7 +44,7 @@ class WrittenEdges:
     point3D_ids: IntArray
     model: Model
     faces: list[Face]
-    cylinders: list[Cylinder]
+    round_faces: list[RoundFace]
 
 
 @checked
@@ -57,7 +58,7 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
             folder or in `sparse` there.
 
     Returns:
-        Points, tracks, nodes, curves, faces, cylinders. Curves of early outputs and of LIMAP are
+        Points, tracks, nodes, curves, faces. Curves of early outputs and of LIMAP are
             fitted when read.
 
     Raises:
@@ -73,21 +74,21 @@ def read_edges(path: Path | str, model_path: Path | str | None = None) -> Writte
             raise ColmapEdgesError(f"{path} holds invalid curves: {error}") from error
         curves = fit_curves(edges) if curves is None else curves
         has_faces = (path / FACES).is_file()
-        faces, cylinders = read_faces(path / FACES, model) if has_faces else ([], [])
+        faces, round_faces = read_faces(path / FACES, model) if has_faces else ([], [])
         return WrittenEdges(
             edges=edges,
             curves=curves,
             point3D_ids=ids,
             model=model,
             faces=faces,
-            cylinders=cylinders,
+            round_faces=round_faces,
         )
     model = load_model(Path(model_path) if model_path else model_beside(path))
     edges = peers.load(path, model)
     unknown = np.full(edges.num_points, -1, np.int64)
     curves = fit_curves(edges)
     return WrittenEdges(
-        edges=edges, curves=curves, point3D_ids=unknown, model=model, faces=[], cylinders=[]
+        edges=edges, curves=curves, point3D_ids=unknown, model=model, faces=[], round_faces=[]
     )
 
 

@@ -90,8 +90,8 @@ def write_edges(written: WrittenEdges, model: Model, folder: Path) -> None:
     edges, curves, ids = written.edges, written.curves, written.point3D_ids
     residuals = observation_residuals(model, edges)
     write_json(edges, curves, model, ids, residuals, folder / "edges.json")
-    if written.faces or written.cylinders:
-        write_faces(written.faces, model, folder / FACES, cylinders=written.cylinders)
+    if written.faces or written.round_faces:
+        write_faces(written.faces, model, folder / FACES, round_faces=written.round_faces)
 
 
 def write_exports(run: Path, alignment: Alignment, folder: Path) -> None:

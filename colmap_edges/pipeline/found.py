@@ -13,7 +13,13 @@ from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.images.background import BackgroundMask
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection, detect_stage
-from colmap_edges.pipeline.mesh import background_stage, cylinder_stage, face_stage, sky_stage
+from colmap_edges.pipeline.mesh import (
+    background_stage,
+    face_stage,
+    find_outlines,
+    round_stage,
+    sky_stage,
+)
 from colmap_edges.pipeline.patches import patch_stage
 from colmap_edges.pipeline.paths import Paths, image_folder
 from colmap_edges.pipeline.trace import edge_stages
@@ -22,7 +28,6 @@ from colmap_edges.report.pictures import PictureVisitor
 from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
-from colmap_edges.surfaces.cylinders.lines import find_lines
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
@@ -39,7 +44,7 @@ class Found:
         traced: the 3D edges and the view-dependent contours.
         curves: the curves that fit the edges.
         background: rays to the background or the sky; None without one.
-        faces: planar faces between the edges, and cylinders.
+        faces: planar faces between the edges, and round faces.
         patches: points where images have texture.
         pictures: reduced pictures of the images, if they were wanted.
     """
@@ -91,7 +96,7 @@ def find_edges(
         viewer.show_picture(model.views[picture.view], picture)
     given = model
     model, traced = edge_stages(model, detection, settings, stages, workers)
-    lines = find_lines(model.views, detection.graphs, traced.edges) if grids else None
+    outlines = find_outlines(model.views, detection.graphs, traced.edges) if grids else None
     detection.graphs.release()
     if model is not given:
         viewer.show_model(model)
@@ -100,10 +105,10 @@ def find_edges(
     found = (model, traced.edges, detection, small, settings, stages)
     background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
-    if grids and lines:
+    if grids and outlines:
         faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
         viewer.show_faces(faces.faces)
-        faces = cylinder_stage(model, traced.edges, lines, faces, settings, stages)
+        faces = round_stage(model, traced.edges, curves, outlines, faces, settings, stages)
     if textures:
         patches = patch_stage(model, traced, textures.grids, settings, stages)
     return Found(model, traced, curves, background, faces, patches, pictures)

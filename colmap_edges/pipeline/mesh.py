@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, Picture
+from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
+from colmap_edges.core.seen_points import joined_seen
+from colmap_edges.core.view import View
+from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
 from colmap_edges.images.background import BackgroundMask
@@ -20,7 +25,7 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
-from colmap_edges.surfaces.cylinders.lines import Lines
+from colmap_edges.surfaces.cylinders.lines import Lines, find_lines
 from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.evidence import gather_evidence
@@ -29,6 +34,8 @@ from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
+from colmap_edges.surfaces.revolution.finding import find_bodies
+from colmap_edges.surfaces.revolution.samples import Samples, find_samples
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
 from colmap_edges.surfaces.sky.finding import find_sky
@@ -119,35 +126,58 @@ def face_stage(
     return faces
 
 
-def cylinder_stage(
+class Outlines2D(NamedTuple):
+    """What may be outlines of round bodies in the images.
+
+    Attributes:
+        lines: straight pieces of the chains of all views.
+        samples: samples of these chains.
+    """
+
+    lines: Lines
+    samples: Samples
+
+
+def find_outlines(views: Sequence[View], graphs: Graphs, edges: Edges3D) -> Outlines2D:
+    """What may be outlines of round bodies in the images of views with edge graphs."""
+    return Outlines2D(find_lines(views, graphs, edges), find_samples(views, graphs, edges))
+
+
+def round_stage(
     model: Model,
     edges: Edges3D,
-    lines: Lines,
+    curves: Curves3D,
+    outlines: Outlines2D,
     faces: Faces,
     options: PipelineOptions,
     stages: Stages,
 ) -> Faces:
-    """Add the cylinders of which lines are the outlines to the faces.
+    """Add cylinders and other faces of revolution to the faces.
 
     Args:
         model: gives the V views and the SfM points.
         edges: its 3D edges.
-        lines: straight pieces of the chains of all views.
+        curves: the curves of the edges.
+        outlines: what may be their outlines.
         faces: planar faces.
         options: options of all stages.
         stages: the stages of the run.
     """
-    with stages.stage("cylinders") as stage:
-        evidence = gather_evidence(model, edges)
-        found = find_cylinders(lines, model.views, evidence, options.random_seed)
+    with stages.stage("round_faces") as stage:
+        evidence, seed = gather_evidence(model, edges), options.random_seed
+        lines, samples = outlines
+        straight = find_cylinders(lines, model.views, evidence, seed)
+        turned = find_bodies(samples, curves, model.views, evidence, straight.cylinders, seed)
+        points = joined_seen([straight.points, turned.points])
+        found = [*straight.cylinders, *turned.faces]
         stage.counts = {
             "lines": len(lines.views),
-            "cylinders_tried": found.num_tried,
-            "cylinders_fitted": found.num_fitted,
-            "cylinders": len(found.cylinders),
-            "cylinder_points": len(found.points.points),
+            "axes_tried": straight.num_tried + turned.num_tried,
+            "axes_fitted": straight.num_fitted + turned.num_fitted,
+            "round_faces": len(found),
+            "round_points": len(points.points),
         }
-    return replace(faces, cylinders=found.cylinders, cylinder_points=found.points)
+    return replace(faces, round_faces=found, round_points=points)
 
 
 def mesh_stage(
@@ -194,7 +224,7 @@ def mesh_stage(
             patches,
             options.refine_mesh,
             cloud,
-            faces.cylinder_points,
+            faces.round_points,
         )
         mesh = finished(mesh, extended, options.meshing)
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

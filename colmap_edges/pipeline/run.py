@@ -187,7 +187,7 @@ def run_edges(
             is_bounded = found.background is not None and found.background.bounds_bodies
             in_mesh = bool(len(faces.points.points)) and not is_bounded
             path = folder / "faces.json"
-            write_faces(faces.faces, model, path, in_mesh=in_mesh, cylinders=faces.cylinders)
+            write_faces(faces.faces, model, path, in_mesh=in_mesh, round_faces=faces.round_faces)
         patches = found.patches if options.use_patches else NO_PATCHES
         given = (found.traced, extended, options, stages, found.background)
         mesh = mesh_stage(model, *given, faces, patches, cloud)

@@ -24,7 +24,7 @@ VIEWERS = {
     "mesh.obj": "triangle mesh: MeshLab, Blender, CloudCompare",
     "mesh.glb": "triangle mesh: Blender, any glTF viewer",
     "alignment.json": "unit, and the transform from the frame of the run: any text editor",
-    "faces.json": "planar faces between the edges, and cylinders, with their views",
+    "faces.json": "planar faces between the edges, and round ones, with their views",
     "edge_graphs": "2D edge graphs: numpy.load",
     "overlays": "pictures of the 2D edge graphs: any viewer of pictures",
     "report.html": "report with all results, which needs no network: any web browser",
@@ -66,8 +66,8 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
     if (faces := counts.get("faces")) is not None:
         has_background = "background_rays" in counts.get("background", {})
         texts["Faces"] = faces_text(faces, unit, has_background)
-    if (found := counts.get("cylinders")) and found["cylinders"]:
-        texts["Cylinders"] = cylinders_text(found)
+    if (found := counts.get("round_faces")) and found["round_faces"]:
+        texts["Round faces"] = round_text(found)
     if (sky := counts.get("sky", {})) and sky["images_with_sky"]:
         texts["Sky"] = (
             f"sky or far backdrop in {sky['images_with_sky']:,} of "
@@ -115,10 +115,10 @@ def faces_text(faces: Mapping[str, Any], unit: str, has_background: bool) -> str
     return f"{faces['planar_faces']:,} planar, total area {area} square {unit}; {used}"
 
 
-def cylinders_text(cylinders: Mapping[str, Any]) -> str:
-    """Number of the cylinders, and of points on them in the mesh."""
-    points = counted(cylinders["cylinder_points"], "point")
-    return f"{cylinders['cylinders']:,}; {points} on them added to the mesh"
+def round_text(found: Mapping[str, Any]) -> str:
+    """Number of the round faces, and of points on them in the mesh."""
+    points = counted(found["round_points"], "point")
+    return f"{found['round_faces']:,}; {points} on them added to the mesh"
 
 
 def headline(record: Mapping[str, Any]) -> str:

@@ -103,8 +103,8 @@ def mesh(
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     cloud = given_cloud(points, visibility, model, dense or DenseOptions(), num_threads)
     plain = faces.points if faces else NO_POINTS
-    cylinders = faces.cylinder_points if faces else NO_POINTS
-    given = (background, plain, patches or NO_PATCHES, refine, cloud, cylinders)
+    round_points = faces.round_points if faces else NO_POINTS
+    given = (background, plain, patches or NO_PATCHES, refine, cloud, round_points)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options)
 
@@ -119,9 +119,9 @@ def mesh_with_curves(
     patches: Patches = NO_PATCHES,
     refine: bool = True,
     cloud: DenseCloud | None = None,
-    cylinders: SeenPoints = NO_POINTS,
+    round_points: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, curves, cylinders, and faces, or silhouettes before a background.
+    """Mesh points of a model, curves, and faces, or silhouettes before a background.
 
     Silhouettes already bound bodies before a background other than the sky, so that no points of
     faces are added.
@@ -144,7 +144,7 @@ def mesh_with_curves(
     check_not_all_far(model, num_seen)
     is_bounded = bool(background and background.bounds_bodies and options.background_weight)
     others = background.silhouettes if background and is_bounded else faces
-    others = joined_seen([others, cylinders])
+    others = joined_seen([others, round_points])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 
     def meshed(added: SeenPoints) -> Mesh:

@@ -40,7 +40,7 @@ def folder(scene_model, tmp_path_factory):
     ids = np.full(edges.num_points, -1)
     curves = fit_curves(edges)
     given = WrittenEdges(
-        edges=edges, curves=curves, point3D_ids=ids, model=scene_model, faces=[], cylinders=[]
+        edges=edges, curves=curves, point3D_ids=ids, model=scene_model, faces=[], round_faces=[]
     )
     views = [replace_rotation(view, turn) for view in scene_model.views]
     given = replace(given, model=replace(scene_model, views=tuple(views)))

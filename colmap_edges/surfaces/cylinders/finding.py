@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
 from colmap_edges.core.view import View, rows_by_view
-from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.cylinders.extent import (
     MIN_BOTH,
     Extent,
@@ -30,6 +29,7 @@ from colmap_edges.surfaces.cylinders.support import (
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
 MAX_FIXED = 0.6
@@ -52,7 +52,7 @@ class FoundCylinders:
         num_fitted: number of those that were fitted to their support.
     """
 
-    cylinders: list[Cylinder]
+    cylinders: list[RoundFace]
     points: SeenPoints
     num_tried: int
     num_fitted: int
@@ -142,9 +142,13 @@ def may_be_outlines(lines: Lines, support: Support, used: BoolArray) -> bool:
     return bool(fixed <= MAX_FIXED and len(np.intersect1d(left, right)) >= MIN_BOTH)
 
 
-def cylinder_of(one: Cylinders, extent: Extent) -> Cylinder:
+def cylinder_of(one: Cylinders, extent: Extent) -> RoundFace:
     """A cylinder for the output."""
-    ends = one.points[0] + extent.starts[[0, -1], None] * one.axes[0]
-    return Cylinder(
-        start=ends[0], end=ends[1], radius=float(one.radii[0]), views=np.flatnonzero(extent.both)
+    ends = extent.starts[[0, -1]]
+    return RoundFace(
+        kind="cylinder",
+        point=one.points[0],
+        direction=one.axes[0],
+        profile=np.column_stack([ends, np.repeat(one.radii, 2)]),
+        views=np.flatnonzero(extent.both),
     )

@@ -12,7 +12,6 @@ from colmap_edges.core.arrays import Int32Array, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.errors import check_type
-from colmap_edges.surfaces.cylinder import Cylinder
 from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
     Samples,
@@ -33,6 +32,7 @@ from colmap_edges.surfaces.faces.labelling import (
     split_by_view,
 )
 from colmap_edges.surfaces.faces.outlines import Face, outline_faces
+from colmap_edges.surfaces.round_face import RoundFace
 from colmap_edges.surfaces.silhouettes import Body, within
 
 NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement between views
@@ -40,7 +40,7 @@ NUM_ROUNDS = 2  # rounds of labelling: first without, then with agreement betwee
 
 @dataclass(frozen=True, kw_only=True)
 class Faces:
-    """Planar faces and cylinders of a scene.
+    """Planar and round faces of a scene.
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
@@ -49,8 +49,8 @@ class Faces:
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
         num_believed: number of labelled cells accepted by the agreement of views.
-        cylinders: the cylinders.
-        cylinder_points: points on them with observing views.
+        round_faces: faces of revolution.
+        round_points: points on them with observing views.
     """
 
     faces: list[Face]
@@ -59,8 +59,8 @@ class Faces:
     num_cells: int
     num_labelled: int
     num_believed: int
-    cylinders: list[Cylinder] = field(default_factory=list)
-    cylinder_points: SeenPoints = NO_POINTS
+    round_faces: list[RoundFace] = field(default_factory=list)
+    round_points: SeenPoints = NO_POINTS
 
     def check(self, name: str = "faces", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.
@@ -73,8 +73,8 @@ class Faces:
             check_type(f"{name}.faces[{index}]", face, (Face,))
         check_type(f"{name}.points", self.points, (SeenPoints,))
         self.points.check(f"{name}.points", num_views)
-        check_type(f"{name}.cylinder_points", self.cylinder_points, (SeenPoints,))
-        self.cylinder_points.check(f"{name}.cylinder_points", num_views)
+        check_type(f"{name}.round_points", self.round_points, (SeenPoints,))
+        self.round_points.check(f"{name}.round_points", num_views)
 
     @property
     def area(self) -> float:

@@ -10,12 +10,9 @@ from plain_rooms import model_of, upright_view
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
-from colmap_edges.core.similarity import Similarity
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
-from colmap_edges.export.alignment import moved_cylinder
-from colmap_edges.export.faces import read_faces, write_faces
 from colmap_edges.surfaces.cylinders import hypotheses
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
 from colmap_edges.surfaces.cylinders.lines import are_observed, find_lines
@@ -103,10 +100,11 @@ def distances_from_axis(points):
 
 def test_a_cylinder_is_found_from_its_outlines(can, found):
     (one,) = found.cylinders
-    assert one.radius == pytest.approx(RADIUS, rel=2e-3)
-    assert distances_from_axis(np.array([one.start, one.end])) == pytest.approx(0, abs=2e-3)
-    length = np.linalg.norm(one.end - one.start)
-    assert 0.9 * HEIGHT < length < 1.01 * HEIGHT
+    places, radii = one.profile.T
+    assert (one.kind, radii.tolist()) == ("cylinder", [pytest.approx(RADIUS, rel=2e-3)] * 2)
+    ends = one.point + places[:, None] * one.direction
+    assert distances_from_axis(ends) == pytest.approx(0, abs=2e-3)
+    assert 0.9 * HEIGHT < np.ptp(places) < 1.01 * HEIGHT
     assert one.views.tolist() == list(range(len(can.views)))
 
 
@@ -182,19 +180,3 @@ def test_nothing_without_lines(can):
 def test_points_beside_observations_belong_to_edges():
     near = are_observed(20, np.array([2.3, 15.0, np.nan]))
     assert np.flatnonzero(near).tolist() == [*range(7), *range(11, 20)]
-
-
-def test_cylinders_are_written_and_moved(can, found, tmp_path):
-    moved = Similarity(
-        scale=2.0, rotation=np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), translation=np.ones(3)
-    )
-    one = moved_cylinder(found.cylinders[0], moved)
-    path = tmp_path / "faces.json"
-    write_faces([], can.model, path, cylinders=[one])
-    faces, (again,) = read_faces(path, can.model)
-    assert faces == []
-    assert again.radius == pytest.approx(2 * RADIUS, rel=2e-3)
-    assert again.start == pytest.approx(one.start)
-    assert again.views.tolist() == one.views.tolist()
-    path.write_text('{"faces": []}')  # of versions without cylinders
-    assert read_faces(path, can.model) == ([], [])

@@ -1,0 +1,236 @@
+"""Bodies of revolution: whether views believe a profile, its caps, and points on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
+from colmap_edges.core.polylines import unit
+from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile, closed_along
+from colmap_edges.surfaces.revolution.sight import (
+    Rays,
+    Shell,
+    Sight,
+    entries_of,
+    rays_that_meet,
+    shell_of,
+)
+
+MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
+MIN_BOTH = 6  # minimum number of views that show both outlines
+# Maximum of the least cosine between directions from the axis to such views: from one direction, a
+# post looks like a cylinder.
+MAX_COSINE = 0.5
+BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
+MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
+MAX_BEFORE = 0.3  # maximum share of rays that end before a place of the body that a view sees
+OUTLINED = 0.98  # maximum cosine of the angle around the axis at which an outline is seen
+CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
+CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in its deviations
+RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
+RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
+MIN_STEPS = 48  # minimum number of points around the full circle
+SPACING_PX = 8.0  # maximum distance of points
+MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
+END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
+NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
+
+
+def showing_both(profile: Profile) -> BoolArray:
+    """(V,) whether a view shows both outlines."""
+    sides: BoolArray = np.asarray(profile.shown.any(axis=2))
+    return np.asarray(sides[:, 0] & sides[:, 1])
+
+
+def is_believed(profile: Profile, sight: Sight, views: Sequence[View]) -> bool:
+    """Whether views all around show both outlines, and few rays pass through the body."""
+    axis = profile.axis
+    places = np.linspace(profile.places[0], profile.places[-1], 9) * axis.pixel
+    along = axis.point + places[:, None] * axis.direction
+    inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
+    showing = np.flatnonzero(showing_both(profile) & inside)
+    if len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
+        return False
+    away = np.array([views[v].center for v in showing.tolist()]) - axis.point
+    toward = unit(away - np.outer(away @ axis.direction, axis.direction))
+    met = int((~sight.before).sum()) + len(profile.rows)
+    return bool(
+        np.min(toward @ toward.T) <= MAX_COSINE and sight.through.sum() <= MAX_THROUGH * met
+    )
+
+
+def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:
+    """The profile continued to the axis at ends that close smoothly, as those of balls and eggs.
+
+    There the square of the radius is a quadratic function of the place. No rim may be around the
+    end, as around an opening, and few rays may pass through the cap.
+    """
+    for end in (1, -1):
+        found = cap_of(profile, end)
+        if found is None or has_rim(profile, end, evidence):
+            continue
+        whole = joined(profile, *found, end)
+        sight = rays_that_meet(shell_of(whole), rays)
+        last = profile.places[-1 if end > 0 else 0]
+        beyond = (sight.places - last) * end > 0
+        if sight.through[beyond].sum() <= MAX_THROUGH * (beyond & ~sight.before).sum():
+            profile = whole
+    return profile
+
+
+def joined(
+    profile: Profile, places: FloatArray, radii: FloatArray, normals: FloatArray, end: int
+) -> Profile:
+    """The profile with a part beyond its end, which is shown as the end is."""
+    edge = profile.shown[:, :, [-1 if end > 0 else 0]]
+    own = (profile.places, profile.radii, profile.normals, np.moveaxis(profile.shown, 2, 0))
+    more = (places, radii, normals, np.moveaxis(np.repeat(edge, len(places), axis=2), 2, 0))
+    arrays = [
+        np.concatenate([a, b] if end > 0 else [b[::-1], a]) for a, b in zip(own, more, strict=True)
+    ]
+    return replace(
+        profile,
+        places=arrays[0],
+        radii=arrays[1],
+        normals=arrays[2],
+        shown=np.moveaxis(arrays[3], 0, 2),
+    )
+
+
+def cap_of(profile: Profile, end: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Places, radii and normals from an end of a profile to the axis, outwards; or None."""
+    order = slice(None, None, -end)  # from the end inwards
+    places, radii = profile.places[order] * end, profile.radii[order]
+    own = np.flatnonzero(places[0] - places <= max(radii[0], 6 * BIN_PX))
+    if len(own) < 6 or profile.normals[order][0, 0] * end < 0.5:
+        return None
+    start = places[0]
+    curve = np.polynomial.Polynomial.fit(places[own] - start, radii[own] ** 2, 2).convert()
+    fitted = np.sqrt(np.maximum(curve(places[own] - start), 0))
+    off = (fitted - radii[own]) * profile.normals[order][own, 1]
+    roots = np.real(curve.roots()[np.isreal(curve.roots())])
+    tops = roots[(roots > BIN_PX) & (roots < CAP_REACH * radii[0])]
+    if (
+        not len(tops)
+        or curve.coef[2] > 0
+        or np.max(np.abs(off)) > CAP_DEVIATIONS * profile.deviation
+    ):
+        return None
+    top = float(tops.min())
+    # Evenly along the curve, nearly: places change with the square of the radius.
+    shares = np.linspace(1, 0, max(int(radii[0] / BIN_PX), 4))[1:]
+    heights = top * (1 - shares**2)
+    squares = np.maximum(curve(heights), 0)
+    normals = unit(np.column_stack([-curve.deriv()(heights) / 2, np.sqrt(squares)]))
+    normals[:, 0] *= end
+    return (heights + start) * end, np.sqrt(squares), normals
+
+
+def has_rim(profile: Profile, end: int, evidence: Evidence) -> bool:
+    """Whether edges run around an end of a profile, as around an opening."""
+    axis, last = profile.axis, -1 if end > 0 else 0
+    edges = evidence.points[evidence.edge_ids >= 0] - axis.point
+    along = edges @ axis.direction
+    across = edges - np.outer(along, axis.direction)
+    off = np.hypot(
+        along / axis.pixel - profile.places[last],
+        np.linalg.norm(across, axis=1) / axis.pixel - profile.radii[last],
+    )
+    near = across[off < 2 * RIM_PX]
+    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    angles = np.arctan2(near @ basis[0], near @ basis[1])
+    turn = len(np.unique(np.floor(angles / (2 * np.pi) * 36)))
+    return turn > RIM_SHARE * 36
+
+
+def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArray:
+    """(V, B) whether a view sees a bin: it shows both outlines there, and nothing lies before it.
+
+    Where a view can see no outline, on top of a body, those of the nearest bin count.
+    """
+    axis, count = profile.axis, len(profile.places)
+    sides = [closed_along(profile.shown[:, side], profile.gap) for side in range(2)]
+    seen = sides[0] & sides[1]
+    away = (np.array([view.center for view in views]) - axis.point) / axis.pixel
+    heights = away @ axis.direction
+    reach = np.linalg.norm(away - np.outer(heights, axis.direction), axis=1)
+    slopes, rises = profile.normals.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosines = rises * profile.radii + slopes * (profile.places - heights[:, None])
+        cosines /= rises * reach[:, None]
+        outlined = np.abs(cosines) < OUTLINED
+    outlined &= profile.shown.any(axis=(0, 1)) & (profile.normals[:, 1] > 0.25)
+    for view in range(len(views)):
+        own = np.flatnonzero(outlined[view])
+        if not len(own):
+            seen[view] = False
+            continue
+        nearest = own[np.argmin(np.abs(np.arange(count)[:, None] - own), axis=1)]
+        seen[view] = seen[view, nearest]
+    bins = np.argmin(np.abs(sight.places[:, None] - profile.places), axis=1)
+    before, every = np.zeros((2, len(views), count))
+    np.add.at(every, (sight.views, bins), 1)
+    np.add.at(before, (sight.views[sight.before], bins[sight.before]), 1)
+    before, every = (uniform_filter1d(of, 5, axis=1, mode="constant") for of in (before, every))
+    return np.asarray(seen & ~(before > MAX_BEFORE * every))
+
+
+def points_on(
+    profile: Profile, shell: Shell, seen: BoolArray, views: Sequence[View], evidence: Evidence
+) -> SeenPoints:
+    """Points on a body, away from its edges, with the views that see them."""
+    axis = profile.axis
+    showing = np.flatnonzero(seen.any(axis=1))
+    step = min(SPACING_PX, 2 * np.pi * np.median(profile.radii) / MIN_STEPS)
+    places, radii, slopes, bins = along_profile(profile, step)
+    if not len(showing) or not len(places):
+        return NO_POINTS
+    counts = np.maximum(np.ceil(2 * np.pi * radii / step), 3).astype(np.int64)
+    owners = np.repeat(np.arange(len(places)), counts)
+    turns = (np.arange(len(owners)) - offsets_of(counts)[owners] + owners % 2 / 2) / counts[owners]
+    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    away = np.column_stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)]) @ basis
+    local = places[owners, None] * axis.direction + radii[owners, None] * away
+    points = axis.point + axis.pixel * local
+    normals = slopes[owners, :1] * axis.direction + slopes[owners, 1:] * away
+    rays = unit(np.array([views[v].center for v in showing.tolist()]) - points[:, None])
+    cosines = np.einsum("pvj,pj->pv", rays, normals)
+    visible = seen[showing][:, bins[owners]].T & (cosines > MIN_COSINE)
+    order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
+    kept = np.take_along_axis(visible, order, axis=1)
+    rows, ranks = np.nonzero(kept)
+    toward = rays[rows, order[rows, ranks]]
+    hidden = np.isfinite(entries_of(shell, points[rows], toward, skipped=2.0)[0])
+    kept[rows[hidden], ranks[hidden]] = False
+    edges = evidence.points[evidence.edge_ids >= 0]
+    limit = step * axis.pixel
+    near = cKDTree(edges).query(points, distance_upper_bound=limit)[0] if len(edges) else np.inf
+    some = kept.any(axis=1) & np.isinf(near)
+    offsets = offsets_of(kept[some].sum(axis=1))
+    return SeenPoints(points[some], offsets, showing[order[some][kept[some]]].astype(np.int32))
+
+
+def along_profile(
+    profile: Profile, step: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Places, radii, normals (n, 2) and bins of points along a profile, away from its ends."""
+    lengths = np.hypot(np.diff(profile.places), np.diff(profile.radii))
+    arc = np.concatenate([[0], np.cumsum(lengths)])
+    first, last = (0.0 if radius == 0 else END_PX for radius in profile.radii[[0, -1]].tolist())
+    if arc[-1] - first - last < BIN_PX:
+        return np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros(0, np.int64)
+    count = max(int((arc[-1] - first - last) / step) + 1, 2)
+    at = np.linspace(first, arc[-1] - last, count)
+    places, radii, slopes, rises = (
+        np.interp(at, arc, column) for column in (profile.places, profile.radii, *profile.normals.T)
+    )
+    bins = np.rint(np.interp(at, arc, np.arange(len(arc)))).astype(np.int64)
+    return places, radii, unit(np.column_stack([slopes, rises])), bins
