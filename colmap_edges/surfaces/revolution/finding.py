@@ -33,6 +33,7 @@ from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.revolution.sight import Rays, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_face import RoundFace
 
+MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains
 MIN_VOTES = 6.0  # minimum of a hypothesis
 NEAR_PX = 3.0  # maximum distance of outlines from those of a cylinder
 MAX_NEAR, MIN_VIEWS = 10_000, 8  # number of samples and views around an axis that rank it
@@ -77,7 +78,9 @@ def find_bodies(
         known: cylinders that are found already, whose outlines are left out.
         random_seed: of the choice of mirrored outlines.
     """
-    free = samples.chosen(np.flatnonzero(~samples.fixed))
+    unfixed = np.flatnonzero(~samples.fixed)
+    smoothest = np.argsort(-samples.lengths[unfixed], kind="stable")[:MAX_SAMPLES]
+    free = samples.chosen(np.sort(unfixed[smoothest]))
     beside = [axis_of_face(face, views) for face in known]
     for axis, face in zip(beside, known, strict=True):
         free = free.chosen(np.flatnonzero(~are_on_cylinder(free, axis, face)))
