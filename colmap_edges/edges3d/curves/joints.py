@@ -13,7 +13,6 @@ from colmap_edges.edges3d.curves.point_sequences import OUTLIER_SIGMAS
 
 # maximum number of points between two curves that meet, such as at a rounded corner
 MAX_POINTS_BETWEEN = 8
-REACH = 3.0  # maximum extension of a curve beyond the gap, in distances between points
 
 
 def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Curves3D:
@@ -30,9 +29,6 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
     left, right = joints_of(curves)
     if not len(left):
         return curves
-    gaps = np.linalg.norm(
-        points[curves.ranges[right, 0]] - points[curves.ranges[left, 1] - 1], axis=1
-    )
     ends = curves.ends()
     at_left, at_right = ends[left, 1], ends[right, 0]
     starts = at_left.copy(), at_right.copy()
@@ -41,11 +37,7 @@ def joined_at_corners(curves: Curves3D, points: FloatArray, noise: Noise) -> Cur
         at_left = nearest_on(curves, left, middle, starts[0])
         at_right = nearest_on(curves, right, middle, starts[1])
     sigmas = noise.sigmas[curves.ranges[left, 1] - 1] + noise.sigmas[curves.ranges[right, 0]]
-    allowed = (1 + REACH) * np.maximum(gaps, np.median(gaps))
-    moved = at_left - starts[0], at_right - starts[1]
-    extended = np.maximum(*(np.linalg.norm(shift, axis=1) for shift in moved))
     meet = np.linalg.norm(at_left - at_right, axis=1) < OUTLIER_SIGMAS * sigmas
-    meet &= extended < allowed
     place = np.where(is_line(curves, right)[:, None], at_left, at_right)
     both = is_line(curves, left) & is_line(curves, right)
     place[both] = ((at_left + at_right) / 2)[both]
