@@ -42,10 +42,8 @@ logger = logging.getLogger(__name__)
 # Maximum share of edge points that project onto the background: 0.03 to 0.3 % for true backdrops,
 # 1.7 % and more for black frames around photographs and fisheye images.
 MAX_CONTRADICTED = 0.01
-NUM_CHECKED = 5000  # number of edge points checked
-NUM_LINES = 4000  # number of viewing rays tried, over all views
-NUM_VIEWS = 100  # number of views with silhouettes, spread around
-NUM_TESTED = 40  # number of views that test for foreground, spread around
+NUM_SAMPLES = 4000  # number of edge points checked, and of viewing rays tried, over all views
+NUM_VIEWS = 40  # number of views with silhouettes, which also test for foreground, spread around
 NUM_STEPS = 256  # steps along a viewing ray, across the sphere around all edges
 MAX_STRETCH = 0.25  # maximum length of the interval, relative to that sphere's diameter
 NUM_SEEING = 8  # maximum number of views of a point, the most frontal ones
@@ -172,7 +170,7 @@ def spread_bodies(
 
 def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
     """Share of the projections of (N, 3) points of bodies that lie on the background."""
-    points = known[:: max(1, len(known) // NUM_CHECKED)]
+    points = known[:: max(1, len(known) // NUM_SAMPLES)]
     hidden = total = 0
     for body in bodies:
         _, is_body = body.dilated(1).at(points)
@@ -194,15 +192,14 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
     center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
     indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
     centers = np.array([body.view.center for body in seen])
-    tested = [seen[i] for i in spread(centers - center, NUM_TESTED)]
-    around = [body.dilated(1) for body in tested]
-    count = -(-NUM_LINES // len(bodies))
+    around = [body.dilated(1) for body in seen]
+    count = -(-NUM_SAMPLES // len(bodies))
     found = [touched(body, around, known, (center, radius), count) for body in seen]
     points = np.concatenate([points for points, _ in found])
     normals = np.concatenate([normals for _, normals in found])
     if len(points) == 0:
         return NO_POINTS
-    rows, columns = seeing(points, normals, centers, [body.eroded(1) for body in tested], radius)
+    rows, columns = seeing(points, normals, centers, [body.eroded(1) for body in seen], radius)
     order = order_of(rows, len(points))
     offsets = offsets_of(np.bincount(rows, minlength=len(points)))
     return SeenPoints(points, offsets, indices[columns[order]])

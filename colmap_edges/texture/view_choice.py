@@ -12,12 +12,10 @@ from colmap_edges.texture.seen_faces import SeenFaces
 # What a triangle costs is the logarithm of the area and contrast that its view lacks to the best
 # one, and these terms; two neighbours of different views cost SEAM.
 SEAM = 1.0
-MAX_LACK = 4.0  # largest cost of too small an area; any seen texture is better than none
 HIDDEN = 20.0  # cost of a hidden triangle, multiplied by its hidden share
 NEAR = 3.0  # cost of one beside a body that hides what is behind it, multiplied by the share
 SATURATED = 2.0  # cost of a mean colour with a saturated channel, which gains cannot correct
 STRANGE = 5.0  # cost of a colour unlike that in other views, which shows something else
-STRANGE_SIGMAS = 1.0  # deviation that counts as unlike, in standard deviations
 MIN_SIGMA = 0.03  # least standard deviation of logarithms of colours between views
 MAX_CANDIDATES = 12  # most views that are compared for a triangle, the cheapest
 NUM_SWEEPS = 8  # sweeps of message passing, there and back
@@ -49,7 +47,7 @@ def costs_of(seen: SeenFaces, gains: FloatArray) -> FloatArray:
         return np.zeros(0)
     # Noise and plain walls have slopes as well, so that a view is worth its area at least.
     qualities = np.log(seen.areas * (seen.slopes + np.median(seen.slopes) + 1e-6) + 1e-12)
-    lacks = np.minimum(best_of(seen, qualities) - qualities, MAX_LACK)
+    lacks = best_of(seen, qualities) - qualities
     hidden = HIDDEN * (1 - seen.shares) + NEAR * (1 - seen.clear)
     saturated = SATURATED * (seen.colors > USABLE_LEVELS[1]).any(axis=1)
     return np.asarray(lacks + hidden + saturated + STRANGE * strangeness(seen, gains))
@@ -77,7 +75,7 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
         medians = (channel[order[middle]] + channel[order[lower]]) / 2
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
     sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
-    unlike = np.log(np.maximum(residuals / (STRANGE_SIGMAS * sigma), 1))
+    unlike = np.log(np.maximum(residuals / sigma, 1))
     return np.where(np.repeat(counts, counts) > 2, unlike, 0.0)
 
 

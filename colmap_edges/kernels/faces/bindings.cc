@@ -219,9 +219,8 @@ class BoundFaceScene {
   }
 
   OutArray<int32_t> Label(Doubles w, Doubles b, int num_rounds, int max_sweeps, int num_threads) {
-    Require(w.size() == 14 && b.size() == 4, "weights are missing");
-    scene_.weights = {w(0), w(1), w(2), w(3),  w(4),  w(5),  w(6),
-                      w(7), w(8), w(9), w(10), w(11), w(12), w(13)};
+    Require(w.size() == 11 && b.size() == 4, "weights are missing");
+    scene_.weights = {w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7), w(8), w(9), w(10)};
     const BorderCosts borders{b(0), b(1), b(2), b(3)};
     std::vector<int32_t> all;
     {

@@ -15,7 +15,7 @@ namespace colmap_edges {
 
 // Weights of what speaks for and against a plane; each saturates, see `Saturated`.
 struct EvidenceWeights {
-  double on, before, behind, seen_through, seen_there, unsupported, no_plane;
+  double on, before, seen_through, no_plane;
   double agree, disagree, hidden;  // of what neighbouring views were labelled
   double correlation;              // of the gray around the cell with that in neighbouring views
   double inside;                   // where a plane's points lie around
@@ -93,7 +93,7 @@ class FaceScene {
   const std::vector<ObservedPoint>& sights(int32_t v) const { return sights_[v]; }
   // The planes on which at least `min_cells` cells of a view have as many observed points as on
   // any.
-  std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells, std::vector<int32_t>* counts) const;
+  std::vector<int32_t> PlanesOf(int32_t v, int32_t min_cells) const;
 
   // By what is observed.
   ViewCosts Costs(int32_t v) const;
@@ -117,9 +117,7 @@ class FaceScene {
   std::vector<std::vector<Vec3>> inverse_depths_;  // of the planes, see `InverseDepthOf`
 };
 
-inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
-                                                std::vector<int32_t>* counts) const {
-  counts->assign(planes.size(), 0);
+inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells) const {
   std::vector<int32_t> here(planes.size(), 0), won(planes.size(), 0), touched;
   std::vector<std::pair<int32_t, int32_t>> by_cell;
   for (const ObservedPoint& sight : sights_[v]) by_cell.emplace_back(sight.cell, sight.point);
@@ -130,7 +128,6 @@ inline std::vector<int32_t> FaceScene::PlanesOf(int32_t v, int32_t min_cells,
       const int32_t point = by_cell[i].second;
       for (int64_t k = points.plane_offsets[point]; k < points.plane_offsets[point + 1]; ++k) {
         const int32_t plane = points.planes[k];
-        ++(*counts)[plane];
         if (here[plane]++ == 0) touched.push_back(plane);
       }
     }
@@ -149,13 +146,12 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
   const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
   const size_t size = size_t(view.num_cells()) * (num_planes + 1);
-  std::vector<float> on(size, 0), before(size, 0), behind(size, 0);
+  std::vector<float> on(size, 0), before(size, 0);
   const double tolerance = weights.depth_tolerance;
   std::vector<float> is_on(num_planes);
   for (const ObservedPoint& sight : sights_[v]) {
     for (int32_t k = 0; k < num_planes; ++k) is_on[k] = IsOn(sight.point, made->planes[k]);
     const float nearest = float(sight.depth * (1 - tolerance));
-    const float farthest = float(sight.depth * (1 + tolerance));
     const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
     for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
       for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
@@ -163,17 +159,14 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
         const size_t row = (size_t(j) * view.columns + i) * (num_planes + 1);
         const float* depths = &made->depths[row];
         for (int32_t k = 0; k < num_planes; ++k) {
-          const float off = weight * (1 - is_on[k]);
           on[row + k] += weight * is_on[k];
-          before[row + k] += depths[k] < nearest ? off : 0;
-          behind[row + k] += depths[k] > farthest ? off : 0;
+          before[row + k] += depths[k] < nearest ? weight * (1 - is_on[k]) : 0;
         }
       }
     }
   }
   for (size_t i = 0; i < size; ++i)
-    made->costs[i] += -weights.on * Saturated(on[i], 3) + weights.before * Saturated(before[i], 2) +
-                      weights.behind * Saturated(behind[i], 2);
+    made->costs[i] += weights.before * Saturated(before[i], 2) - weights.on * Saturated(on[i], 3);
 }
 
 // The more of the neighbours that could see a point observe it, the less probable it is to miss it.
@@ -348,24 +341,20 @@ inline void FaceScene::AddSights(int32_t v, ViewCosts* made) const {
     made->hopeless[i] = std::isnan(made->depths[i]) || made->costs[i] > kHopeless;
   const Neighborhood around(*this, v, made->planes);
   SeenPlaces seen;
-  std::vector<float> through, there;
+  std::vector<float> through;
   for (int32_t row = 0; row < views[v].rows; ++row) {
     const RowPlaces places(views[v], *made, row);
-    through.assign(places.size(), 0), there.assign(places.size(), 0);
+    through.assign(places.size(), 0);
     for (size_t j = 0; j < around.size(); ++j) {
       around.See(j, places, &seen);
       const std::vector<float>& nearest = nearest_[neighbors[v][j]];
       for (size_t i = 0; i < places.size(); ++i) {
         if (seen.cells[i] < 0) continue;
-        const float observed = nearest[seen.cells[i]], at = seen.depths[i];
-        through[i] += observed > at * (1 + 2 * tolerance);
-        there[i] +=
-            std::abs(observed - at) < tolerance / 2 * at && around.IsSameSide(j, places.planes[i]);
+        through[i] += nearest[seen.cells[i]] > seen.depths[i] * (1 + 2 * tolerance);
       }
     }
     for (size_t i = 0; i < places.size(); ++i)
-      made->costs[places.entries[i]] += float(weights.seen_through * Saturated(through[i], 2) -
-                                              weights.seen_there * Saturated(there[i], 2));
+      made->costs[places.entries[i]] += float(weights.seen_through * Saturated(through[i], 2));
   }
 }
 
@@ -450,8 +439,7 @@ inline void FaceScene::AddLabels(int32_t v, const std::vector<std::vector<int32_
 inline ViewCosts FaceScene::Costs(int32_t v) const {
   const FaceView& view = views[v];
   ViewCosts made;
-  std::vector<int32_t> counts;
-  made.planes = PlanesOf(v, kMinCells, &counts);
+  made.planes = PlanesOf(v, kMinCells);
   const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
   const size_t size = size_t(view.num_cells()) * num_labels;
   made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
@@ -473,7 +461,7 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
     float* costs = &made.costs[size_t(cell) * num_labels];
     for (int32_t k = 0; k < num_planes; ++k) {
-      costs[k] += float(1 + weights.unsupported * std::exp(-counts[made.planes[k]] / 15.0));
+      costs[k] += 1;
       if (std::isnan(made.depths[size_t(cell) * num_labels + k]))
         costs[k] = std::numeric_limits<float>::infinity();
     }

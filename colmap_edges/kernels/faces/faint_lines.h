@@ -69,7 +69,7 @@ struct FaintLineOptions {
   double max_turn;     // maximum sine between a mark and its line
   int64_t min_marks, min_views, min_steps;
   double step;  // length of a stretch of a line
-  int64_t max_lines, max_tried;
+  int64_t max_tried;
 };
 
 // The marks of one plane, in its coordinates.
@@ -101,7 +101,6 @@ class FaintLines {
         row.erase(std::remove_if(row.begin(), row.end(), taken), row.end());
       }
       lines.push_back(std::move(line));
-      if (int64_t(lines.size()) == options_.max_lines) break;
     }
     return lines;
   }

@@ -43,13 +43,13 @@ nb::tuple MarksOfArrays(Rotation rotation, Translation translation, double focal
 
 nb::tuple FaintLinesArrays(Points2D at, Points2D along, Longs views, double size, int num_angles,
                            double width, int64_t max_places, double max_turn, Longs least,
-                           double step, int64_t max_lines, int64_t max_tried) {
+                           double step, int64_t max_tried) {
   const size_t count = at.shape(0);
   Require(along.shape(0) == count && views.size() == count, "marks differ in number");
   Require(count > 0 && size > 0 && num_angles > 0 && width > 0 && step > 0, "sizes must not be 0");
   Require(least.size() == 3, "minimum numbers are of marks, views and steps");
-  const FaintLineOptions options{num_angles, width,    max_places, max_turn,  least(0),
-                                 least(1),   least(2), step,       max_lines, max_tried};
+  const FaintLineOptions options{num_angles, width,    max_places, max_turn, least(0),
+                                 least(1),   least(2), step,       max_tried};
   std::vector<int64_t> offsets{0}, marks, steps;
   {
     nb::gil_scoped_release release;
@@ -72,7 +72,7 @@ void BindFaintLines(nb::module_& m) {
         "smooth"_a, "labels"_a, "normals"_a, "offsets"_a, "min_slope"_a,
         "Points, directions, sizes and planes of the changes of gray that a view sees on planes.");
   m.def("faint_lines", &FaintLinesArrays, "at"_a, "along"_a, "views"_a, "size"_a, "num_angles"_a,
-        "width"_a, "max_places"_a, "max_turn"_a, "least"_a, "step"_a, "max_lines"_a, "max_tried"_a,
+        "width"_a, "max_places"_a, "max_turn"_a, "least"_a, "step"_a, "max_tried"_a,
         "Offsets of lines on a plane, the marks on each and their stretches.");
 }
 

@@ -20,7 +20,6 @@ struct PlaneSearchOptions {
   double tolerance;         // maximum distance of a point from its plane, in deviations
   double min_share;         // minimum share of all weight on a plane
   double explained_weight;  // weight of points already on one plane
-  double least_weight;      // weight of points on many planes
   double same_share;        // minimum share of shared points of duplicate planes
   double snap_gain;         // minimum share of a plane's support kept with a common normal
   int max_planes;
@@ -69,8 +68,7 @@ class PlaneSearch {
       const auto same = [&](const PointSet& other) { return AreSame(own, other); };
       if (std::any_of(owned.begin(), owned.end(), same)) continue;
       VisitPoints(own.data(), own.size(), [&](size_t i) {
-        const double explained = (1 - options_.explained_weight) * Closeness(*plane, i);
-        weights_[i] = std::max((1 - explained) * weights_[i], options_.least_weight * whole_[i]);
+        weights_[i] *= 1 - (1 - options_.explained_weight) * Closeness(*plane, i);
       });
       found.push_back(*plane), owned.push_back(own);
     }

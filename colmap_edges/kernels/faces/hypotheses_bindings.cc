@@ -36,9 +36,9 @@ nb::tuple SearchPlanesArrays(Points3D points, Points3D tangents, Points3D rays, 
                              double max_slope, Doubles options, int max_planes) {
   const PlaneEvidence evidence = ToEvidence(points, tangents, rays, sigmas);
   Require(weights.size() == sigmas.size(), "points and weights differ in number");
-  Require(options.size() == 6, "options are missing");
-  const PlaneSearchOptions search{options(0), options(1), options(2), options(3),
-                                  options(4), options(5), max_planes};
+  Require(options.size() == 5, "options are missing");
+  const PlaneSearchOptions search{options(0), options(1), options(2),
+                                  options(3), options(4), max_planes};
   const std::vector<Plane> planes = ToPlanes(normals, offsets);
   std::vector<Vec3> axes;
   for (size_t i = 0; i < common.shape(0); ++i)

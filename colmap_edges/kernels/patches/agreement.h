@@ -13,10 +13,7 @@ namespace colmap_edges {
 
 struct AgreementOptions {
   int step;
-  double believed;    // minimum score of a patch
   double max_off_px;  // maximum distance of agreeing patches, in pixels of parallax
-  double num_sigmas;  // the same, in standard deviations
-  double min_cosine;  // of the angle between normals of agreeing patches
 };
 
 // A patch as several views see it.
@@ -59,17 +56,14 @@ class Agreement {
       const FoundPatch& theirs = patches_[other][found];
       const double noise = theirs.sigma / slope;
       const double its = noise * noise + floor * floor, away = off / slope;
-      const double most = std::min(options_.max_off_px * patch.unit,
-                                   options_.num_sigmas * std::sqrt(its + variance));
+      const double most = options_.max_off_px * patch.unit;
       if (std::abs(away) > most) {
-        agreed.through += off > 0 && std::abs(away) > 2 * options_.max_off_px * patch.unit;
+        agreed.through += off > 0 && std::abs(away) > 2 * most;
         continue;
       }
       const Vec2 at = PixelOf(other, found);
       const Vec3 their_normal =
           views_[other].pose.RotateBack(LocalNormal(views_[other], at.x, at.y, theirs.plane));
-      if (Dot(normal, their_normal) < options_.min_cosine * Norm(normal) * Norm(their_normal))
-        continue;
       agreed.views.push_back(other);
       sum += (patch.plane.inverse - away) / its, weights += 1 / its;
       const double their_size = SizeOf(views_[other], here, their_normal);

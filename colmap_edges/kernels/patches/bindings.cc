@@ -97,11 +97,10 @@ class PatchScene {
   // Patches with what other views say of them: rows of integers (view, row and column of the site,
   // whether no other view sees it better, views that see through it), of numbers (x, y, inverse
   // depth, slopes, standard deviation, pixel), offsets and agreeing views.
-  nb::tuple Agreed(Longs other_offsets, Ints others, double max_off_px, double num_sigmas,
-                   double min_cosine, int num_threads) const {
+  nb::tuple Agreed(Longs other_offsets, Ints others, double max_off_px, int num_threads) const {
     CheckOffsets(other_offsets, views_.size(), others.size());
     CheckViews(others, views_.size());
-    const AgreementOptions options{step_, 0, max_off_px, num_sigmas, min_cosine};
+    const AgreementOptions options{step_, max_off_px};
     std::vector<std::vector<AgreedPatch>> agreed(views_.size());
     std::vector<int32_t> rows, views;
     std::vector<double> values;
@@ -216,7 +215,7 @@ void BindPatches(nb::module_& m) {
            "min_cosine"_a, "num_sweeps"_a, "believed"_a, "seed"_a, "num_threads"_a)
       .def("found", &PatchScene::Found, "view"_a)
       .def("agreed", &PatchScene::Agreed, "other_offsets"_a, "others"_a, "max_off_px"_a,
-           "num_sigmas"_a, "min_cosine"_a, "num_threads"_a)
+           "num_threads"_a)
       .def("correlations", &PatchScene::Correlations, "view"_a, "other"_a, "pixels"_a, "planes"_a,
            "flat"_a);
   m.def("mesh_depths", &MeshDepthsAt, "rotations"_a, "translations"_a, "vertices"_a, "faces"_a,

@@ -31,7 +31,6 @@ from colmap_edges.surfaces.faces.hypotheses import Planes
 
 # Lengths are in pixels of the reduced images. Set by trial on rooms (docs/experiments.md).
 BLUR_PX = 1.0  # standard deviation of the blur of the reduced images
-BLUR_SIZE = (9, 9)  # four standard deviations to each side
 MIN_SLOPE = 0.5  # minimum gradient of the blurred image per pixel, above the noise of pixel means
 NUM_ANGLES = 120  # number of line directions in half a turn
 WIDTH_PX = 2.0  # width of lines
@@ -41,8 +40,7 @@ MIN_PIXELS = 60  # minimum number of pixels on a line, over all views
 MIN_VIEWS = 3  # minimum number of views of a stretch of a line
 MIN_STEPS = 8  # minimum number of such stretches
 STEP_PX = 3.0  # length of a stretch
-MAX_LINES = 24  # maximum number of lines on a plane
-MAX_TRIED = 40  # candidates per line
+MAX_TRIED = 1000  # maximum number of candidates on a plane
 SIGMA_PX = 0.7  # standard deviation of a point of a line
 
 
@@ -84,7 +82,7 @@ class Line(NamedTuple):
 def marks_of(view: View, index: int, grid: Grid, labels: Int32Array, planes: Planes) -> Marks:
     """The marks that a view sees, by the (rows, columns) labels of its cells."""
     gray = grid.gray.astype(np.float64)
-    smooth = cv2.GaussianBlur(gray, BLUR_SIZE, BLUR_PX, borderType=cv2.BORDER_REFLECT)
+    smooth = cv2.GaussianBlur(gray, (0, 0), BLUR_PX, borderType=cv2.BORDER_REFLECT)
     points, directions, sizes, on = _kernels.marks_of(
         view.rotation,
         view.translation,
@@ -137,8 +135,7 @@ def lines_of_plane(marks: Marks, own: IntArray, normal: FloatArray) -> list[Line
         MAX_TURN,
         np.array([MIN_PIXELS, MIN_VIEWS, MIN_STEPS]),
         STEP_PX,
-        MAX_LINES,
-        MAX_TRIED * MAX_LINES,
+        MAX_TRIED,
     )
     lines: list[Line] = []
     for line in map(slice, offsets[:-1], offsets[1:]):

@@ -15,14 +15,12 @@ MAX_POINTS = 8000  # maximum number of points for scoring hypotheses
 NUM_PAIRS = 4000  # number of pairs of edges that are drawn at once
 NUM_DRAWS = 2  # number of draws; all but the first are from points that lie on no plane yet
 NUM_NEAR = 256  # number of nearest points from which the second edge of a pair is drawn
-NUM_AXES = 6  # number of dominant edge directions
 AXIS_COSINE = np.cos(np.radians(3.0))
 MAX_SLOPE = 0.1  # maximum sine of the angle between an edge and its plane
 TOLERANCE = 1.2  # maximum distance of a point from its plane, in standard deviations
 MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
 MAX_PLANES = 60  # maximum number of planes
-EXPLAINED_WEIGHT = 0.3  # weight of edges already on one plane, since two planes meet at an edge
-LEAST_WEIGHT = 0.1  # weight of edges on many planes
+EXPLAINED_WEIGHT = 0.3  # weight of edges after each plane that they lie on: two meet at an edge
 SAME_SHARE = 0.7  # minimum share of shared points of duplicate planes
 SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
@@ -67,17 +65,16 @@ class Hypotheses:
         total = weights.sum()
         tried = self.rng.choice(len(straight), min(300, len(straight)), replace=False)
         along = (np.abs(tangents[tried] @ tangents.T) > AXIS_COSINE).astype(np.float64)
-        for _ in range(NUM_AXES):
+        while True:
             best = tangents[tried[np.argmax(along @ weights)]]
             for _ in range(4):
                 near = (np.abs(tangents @ best) > AXIS_COSINE) * self.weights[straight]
                 best = np.linalg.eigh((tangents.T * near) @ tangents)[1][:, -1]
             near = np.abs(tangents @ best) > AXIS_COSINE
-            if weights[near].sum() < 0.03 * total:
-                break
+            if weights[near].sum() <= 0.03 * total:
+                return np.array(axes).reshape(-1, 3)
             axes.append(best)
             weights[np.abs(tangents @ best) > np.cos(np.radians(10))] = 0
-        return np.array(axes).reshape(-1, 3)
 
     def common_normals(self) -> FloatArray:
         """(A, 3) directions that planes along many edges have."""
@@ -139,7 +136,7 @@ class Hypotheses:
         self, found: Planes, more: tuple[FloatArray, FloatArray], common: FloatArray
     ) -> Planes:
         """The planes with the most support among those found before and (H) more."""
-        options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, LEAST_WEIGHT, SAME_SHARE, SNAP_GAIN)
+        options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, SAME_SHARE, SNAP_GAIN)
         normals, offsets = _kernels.search_planes(
             self.points,
             self.tangents,

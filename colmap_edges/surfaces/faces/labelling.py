@@ -44,10 +44,7 @@ class EvidenceWeights(NamedTuple):
 
     on: float = 1.6  # observed points that lie on the plane
     before: float = 1.5  # observed points behind the plane, which it would hide
-    behind: float = 0.3  # observed points before the plane
     seen_through: float = 1.0  # views that see a point behind the plane there
-    seen_there: float = 0.4  # views that see a point at the plane's depth there
-    unsupported: float = 0.6  # a plane on which the view observes few points
     no_plane: float = 1.1  # no plane; a plane without evidence costs 1
     agree: float = 0.3  # views that took the same plane there
     disagree: float = 1.0  # views that took a plane farther away

@@ -18,7 +18,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.patches.finding import Patches
 
 MAX_SIGMAS = 4.0  # distance of a patch from a mesh that explains it, in standard deviations
-MIN_OFF, MIN_OFF_SHARE = 2, 0.25  # views in which a mesh is elsewhere
+MIN_OFF = 2  # views in which a mesh is elsewhere
 
 
 def what_they_add(
@@ -55,4 +55,4 @@ def what_they_add(
     with np.errstate(divide="ignore"):
         off = np.abs(1 / inverse - depths) > MAX_SIGMAS * patches.tolerances[owners]
     away = np.bincount(owners, off, len(seen.points))
-    return np.flatnonzero(away >= np.maximum(MIN_OFF, MIN_OFF_SHARE * np.diff(seen.track_offsets)))
+    return np.flatnonzero(away >= MIN_OFF)

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from colmap_edges.colmap.model import Model
@@ -47,20 +46,13 @@ MAX_ANGLE_DEG = 40.0  # between the views of a patch
 MIN_COSINE = 0.17  # of the angle between normal and ray: 80 degrees
 NUM_SWEEPS = 3  # over all sites; a fourth finds 0.5 % more
 BELIEVED = 0.75  # correlation of windows of one place
-# Maximum distance of the patches of two views that agree, in pixels of parallax and in standard
-# deviations, and minimum cosine of the angle between their normals.
-MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE = 1.0, 4.0, 0.75
+MAX_OFF_PX = 1.0  # maximum distance of the patches of two views that agree, in pixels of parallax
 MIN_AGREEING = 2  # other views
 MAX_THROUGH = 0.5  # views that see through a patch, per agreeing view
-# Sites to each side around a patch, number of patches that must be there, itself included, and
-# their share of the sites with texture.
-SUPPORT_SITES, MIN_SUPPORT, MIN_SUPPORT_SHARE = 2, 3, 0.3
-# The same share over all views, below which a scene has no patches: 0 to 0.20 in plain rooms and on
-# glossy parts, where few of them add anything, 0.56 to 0.84 where surfaces have texture.
+# Share of accepted patches of all sites with texture, below which a scene has none: 0 to 0.20 in
+# plain rooms and on glossy parts, where texture is not on the surface (reflections, shading, noise)
+# and windows agree by accident, 0.56 to 0.84 where surfaces have texture.
 MIN_AGREED_SHARE = 0.25
-# Maximum standard deviation of depth, relative to the distance of sites on the surface: beyond it
-# points make the surface rough.
-MAX_SPREAD = 0.25
 MAX_COLUMNS = 256  # cells along the longer side of a picture, of 4 pixels each
 MAX_BYTES = 1e9  # of all pictures
 
@@ -156,9 +148,9 @@ def find_patches(
     ranges = np.array([of.overall for of in neighborhood.ranges]).reshape(-1, 2)
     steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed, num_threads)
     num_found = scene.search([of.view(np.uint8) for of in active], hypotheses, ranges, *steps)
-    tolerances = (MAX_OFF_PX, MAX_SIGMAS, MIN_NORMAL_COSINE, num_threads)
-    agreed = Agreed(*scene.agreed(*around(neighborhood.observing_views), *tolerances))
-    accepted, num_sites = are_accepted(agreed, active), sum(int(of.sum()) for of in active)
+    others = around(neighborhood.observing_views)
+    agreed = Agreed(*scene.agreed(*others, MAX_OFF_PX, num_threads))
+    accepted, num_sites = are_accepted(agreed), sum(int(of.sum()) for of in active)
     if accepted.sum() < MIN_AGREED_SHARE * num_sites:
         accepted[:] = False
     chosen = np.flatnonzero(accepted & (agreed.rows[:, 3] > 0))
@@ -188,21 +180,17 @@ class Agreed(NamedTuple):
     views: Int32Array
 
 
-def are_accepted(agreed: Agreed, active: Sequence[BoolArray]) -> BoolArray:
-    """(P,) whether enough views agree on a patch, and enough patches are around it."""
+def are_accepted(agreed: Agreed) -> BoolArray:
+    """(P,) whether enough views agree on a patch, and few see through it."""
     agreeing = np.diff(agreed.offsets)
-    accepted = (agreeing >= MIN_AGREEING) & (agreed.rows[:, 4] <= MAX_THROUGH * agreeing)
-    return accepted & are_supported(active, agreed.rows, accepted)
+    accepted: BoolArray = agreeing >= MIN_AGREEING
+    return accepted & (agreed.rows[:, 4] <= MAX_THROUGH * agreeing)
 
 
 def patches_of(model: Model, grids: Sequence[Grid], agreed: Agreed, chosen: IntArray) -> Patches:
     """The chosen patches as points in the world, their noise averaged on planes."""
     rows, values = agreed.rows[chosen], agreed.values[chosen]
-    planes, *deviations = smoothed(rows, values)
-    focals = np.array([grid.focal_px for grid in grids])
-    exact = deviations[0] * focals[rows[:, 0]] < MAX_SPREAD * STEP_PX * planes[:, 0]
-    chosen, rows, values, planes = (of[exact] for of in (chosen, rows, values, planes))
-    sigmas, single = (of[exact] for of in deviations)
+    planes, sigmas, single = smoothed(rows, values)
     points, normals, lengths = in_world(model, grids, rows, values, planes)
     counts = np.diff(agreed.offsets)[chosen]
     others = agreed.views[entries_of(agreed.offsets, chosen)]
@@ -246,26 +234,6 @@ def around(near: Sequence[IntArray]) -> tuple[IntArray, Int32Array]:
             sets[other].add(v)
     rows = [np.array(sorted(of), np.int32) for of in sets]
     return offsets_of(np.array([len(of) for of in rows])), np.concatenate(rows)
-
-
-def are_supported(active: Sequence[BoolArray], rows: Int32Array, accepted: BoolArray) -> BoolArray:
-    """(P,) whether most sites with texture around a patch have accepted patches.
-
-    Where most have none, texture is not on the surface (reflections, shading, noise), and windows
-    of several views agree by accident.
-    """
-    supported = np.zeros(len(rows), bool)
-    side = (2 * SUPPORT_SITES + 1,) * 2
-    for v, own in enumerate(rows_by_view(rows[:, 0], len(active))):
-        at = rows[own, 1], rows[own, 2]
-        agreed = np.zeros(active[v].shape, np.float32)
-        agreed[at] = accepted[own]
-        found, tried = (
-            cv2.boxFilter(of, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for of in (agreed, active[v].astype(np.float32))
-        )
-        supported[own] = (found >= np.maximum(MIN_SUPPORT, MIN_SUPPORT_SHARE * tried))[at]
-    return supported
 
 
 def in_world(

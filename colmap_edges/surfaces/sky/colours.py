@@ -12,7 +12,6 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray,
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
-TURNED_GAIN = 0.05  # minimum gain in the length of their mean for which all images are turned
 MEAN_WEIGHT = 0.1  # weight of the mean of the upward axes relative to that of the side axes
 MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
 BLUE = 1.03  # minimum ratio of blue to red
@@ -44,7 +43,7 @@ def upward(views: Sequence[View]) -> list[FloatArray]:
         means.append(mean)
         levels.append(axes[(chosen + 1) % 4, rows])
     upright, sideways = np.linalg.norm(means, axis=1)
-    turned = int(sideways > upright + TURNED_GAIN)
+    turned = int(sideways > upright)
     mean, level = means[turned], levels[turned]
     moments = level.T @ level / len(views) - MEAN_WEIGHT * np.outer(mean, mean)
     up: FloatArray = np.linalg.eigh(moments)[1][:, 0]

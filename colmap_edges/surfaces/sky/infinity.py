@@ -20,10 +20,8 @@ MAX_EXPOSURE = 0.15  # maximum error of the exposure that common points tell
 DARKEST = 8.0  # added to levels: the noise of dark pixels is no large change
 LIMITS = (0.7, 0.5, 0.3, 0.15)  # maximum shares of contradictions, in turn
 # Minimum share of sky among the regions that other views show in the directions of the sky: 0.4 to
-# 1 of true skies, where walls and roofs hide it, 0 to 0.2 of bluish walls; and their minimum number
-# per pixel.
+# 1 of true skies, where walls and roofs hide it, 0 to 0.2 of bluish walls.
 MIN_SKY_SHARE = 0.3
-MIN_SEEN = 0.1
 ADJACENT_PX = 8  # maximum width of the border between adjacent regions
 
 
@@ -55,8 +53,7 @@ def moves_as_sky(matches: Matches, is_sky: BoolArray) -> bool:
     A blue wall is elsewhere in views from other places.
     """
     seen = is_sky[matches.targets[is_sky[matches.sources]]]
-    enough = seen.sum() >= MIN_SEEN * matches.sampled[is_sky].sum()
-    return bool(enough and seen.mean() >= MIN_SKY_SHARE)
+    return bool(seen.any() and seen.mean() >= MIN_SKY_SHARE)
 
 
 def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:

@@ -119,7 +119,7 @@ def expected_lines(at, along, views):
 def test_lines_are_those_of_trying_all(seed):
     at, along, views = random_marks(np.random.default_rng(seed))
     offsets, marks, steps = _kernels.faint_lines(
-        at, along, views, 1.0, ANGLES, WIDTH, PLACES, TURN, np.array(LEAST), STEP, 24, 960
+        at, along, views, 1.0, ANGLES, WIDTH, PLACES, TURN, np.array(LEAST), STEP, 1000
     )
     lines = [
         dict(zip(marks[a:b].tolist(), steps[a:b].tolist(), strict=True))
@@ -132,7 +132,7 @@ def test_lines_are_those_of_trying_all(seed):
 def test_no_line_on_which_few_views_agree():
     at, along, views = random_marks(np.random.default_rng(0))
     offsets, marks, _ = _kernels.faint_lines(
-        at, along, views % 2, 1.0, ANGLES, WIDTH, PLACES, TURN, np.array(LEAST), STEP, 24, 960
+        at, along, views % 2, 1.0, ANGLES, WIDTH, PLACES, TURN, np.array(LEAST), STEP, 1000
     )
     assert offsets.tolist() == [0]
     assert len(marks) == 0

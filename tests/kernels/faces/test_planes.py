@@ -6,7 +6,7 @@ import pytest
 from colmap_edges.kernels import _kernels
 
 TOLERANCE, SLOPE = 1.5, 0.1
-OPTIONS = (TOLERANCE, 0.01, 0.3, 0.1, 0.7, 0.97)  # in the order of the kernel's options
+OPTIONS = (TOLERANCE, 0.01, 0.3, 0.7, 0.97)  # in the order of the kernel's options
 
 
 def random_points(rng, count):
@@ -66,7 +66,7 @@ def snapped(evidence, weights, normal, offset, common):
     on = on_plane(evidence, normal, offset)
     tried = np.quantile(evidence[0][on] @ nearest, np.linspace(0.1, 0.9, 17))
     supports = [weights[on_plane(evidence, nearest, at)].sum() for at in tried]
-    if max(supports) < OPTIONS[5] * weights[on].sum():
+    if max(supports) < OPTIONS[4] * weights[on].sum():
         return normal, offset
     near = on_plane(evidence, nearest, tried[np.argmax(supports)])
     shares = weights[near] / deviations(evidence, nearest)[near] ** 2
@@ -75,7 +75,7 @@ def snapped(evidence, weights, normal, offset, common):
 
 def greedy(evidence, weights, planes, common, max_planes):
     """All candidates are weighed in every round."""
-    _, min_share, explained, least_weight, same_share, _ = OPTIONS
+    _, min_share, explained, same_share, _ = OPTIONS
     listed = list(zip(*planes, strict=True))
     members = np.array([on_plane(evidence, *plane) for plane in listed])
     close = np.array([closeness(evidence, *plane) for plane in listed])
@@ -98,7 +98,7 @@ def greedy(evidence, weights, planes, common, max_planes):
         if (np.array(shared) > same_share * np.array(smaller)).any():
             continue
         kept = (1 - (1 - explained) * closeness(evidence, *plane)) * left
-        left[own] = np.maximum(kept, least_weight * weights)[own]
+        left[own] = kept[own]
         found.append(plane)
         owned.append(own)
     return found
