@@ -148,7 +148,8 @@ def voted(samples: Samples, meridian: Meridian) -> tuple[float, IntArray]:
     views = samples.views[meridian.rows].astype(np.int64)
     cells = np.floor(meridian.points / CELL_PX).astype(np.int64)
     cells -= cells.min(axis=0)
-    angles = np.arctan2(meridian.normals[:, 0], meridian.normals[:, 1]) / np.pi + 0.5
+    slopes, rises = np.ascontiguousarray(meridian.normals.T)
+    angles = np.arctan2(slopes, rises) / np.pi + 0.5
     slopes = np.minimum((NUM_SLOPES * angles).astype(np.int64), NUM_SLOPES - 1)
     width = cells[:, 1].max() + 1
     keys = (cells[:, 0] * width + cells[:, 1]) * NUM_SLOPES + slopes
