@@ -133,6 +133,7 @@ def mesh_with_curves(
     others.
     """
     edges, contours = edges_and_contours
+    model = model.at_scale(1.0)  # as it is read, so that runs and Python give the same bits
     num_sfm = len(model.points3D_xyz)
     rows = np.arange(num_sfm)
     if cloud:

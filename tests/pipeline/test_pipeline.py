@@ -389,11 +389,11 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, tmp_path):
             one, other = getattr(face, field.name), getattr(again, field.name)
             rings = field.name == "holes"
             assert all(map(np.array_equal, one, other)) if rings else np.array_equal(one, other)
-    curves = {"contours": result.contours, "background": result.background}
-    given = colmap_edges.mesh(scene_paths[1], result.edges, faces=result.faces, **curves)
+    found = {name: getattr(result, name) for name in ("contours", "background", "patches")}
+    given = colmap_edges.mesh(scene_paths[1], result.edges, faces=result.faces, **found)
     assert len(given.faces) == meshed[1]["stages"][-2]["counts"]["faces"]
     # The mesh of this scene's points and edges lacks nothing of its faces.
-    without = colmap_edges.mesh(scene_paths[1], result.edges, **curves)
+    without = colmap_edges.mesh(scene_paths[1], result.edges, **found)
     assert np.array_equal(without.vertices, given.vertices)
     shutil.copytree(output, tmp_path / "out")
     listed = json.loads((output / "faces.json").read_text())
