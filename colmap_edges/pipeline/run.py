@@ -184,8 +184,7 @@ def run_edges(
     extended = write_stage(model, edges, found.curves, folder, options, stages, found.patches)
     if command == "mesh":
         if options.use_faces:
-            is_bounded = found.background is not None and found.background.bounds_bodies
-            in_mesh = bool(len(faces.points.points)) and not is_bounded
+            in_mesh = bool(len(faces.points.points))
             path = folder / "faces.json"
             write_faces(faces.faces, model, path, in_mesh=in_mesh, round_faces=faces.round_faces)
         patches = found.patches if options.use_patches else NO_PATCHES

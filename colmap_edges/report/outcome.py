@@ -64,8 +64,7 @@ def outcome(record: Mapping[str, Any]) -> dict[str, str]:
         points = counted(write["edge_points"], "edge point")
         texts["Points"] += f" and {points} in the written model"
     if (faces := counts.get("faces")) is not None:
-        has_background = "background_rays" in counts.get("background", {})
-        texts["Faces"] = faces_text(faces, unit, has_background)
+        texts["Faces"] = faces_text(faces, unit)
     if (found := counts.get("round_faces")) and found["round_faces"]:
         texts["Round faces"] = round_text(found)
     if (sky := counts.get("sky", {})) and sky["images_with_sky"]:
@@ -101,13 +100,11 @@ def edges_text(write: Mapping[str, Any], unit: str) -> str:
     return text
 
 
-def faces_text(faces: Mapping[str, Any], unit: str, has_background: bool) -> str:
+def faces_text(faces: Mapping[str, Any], unit: str) -> str:
     """Number and total area of the planar faces in a unit, and whether the mesh uses them."""
     if not faces["planar_faces"]:
         return "no planar face was found"
-    if has_background:
-        used = "only in faces.json, as silhouettes before the background bound the mesh"
-    elif not faces.get("face_points"):
+    if not faces.get("face_points"):
         used = "only in faces.json, as SfM points on them suffice for the mesh"
     else:
         used = f"{counted(faces['face_points'], 'point')} on them added to the mesh"

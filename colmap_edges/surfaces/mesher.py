@@ -25,7 +25,7 @@ from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
-from colmap_edges.surfaces.refinement import FACE_SIGMA, Measured, refined
+from colmap_edges.surfaces.refinement import Measured, refined
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.simplify import simplify
 
@@ -121,10 +121,8 @@ def mesh_with_curves(
     cloud: DenseCloud | None = None,
     round_points: SeenPoints = NO_POINTS,
 ) -> Mesh:
-    """Mesh points of a model, curves, and faces, or silhouettes before a background.
+    """Mesh points of a model, curves, silhouettes before a background, and faces.
 
-    Silhouettes already bound bodies before a background other than the sky, so that no points of
-    faces are added.
     Of patches those are added that the mesh without them lacks: where it is right, they would add
     their noise only. A cloud takes their place, and that of the model's points but where it is
     empty.
@@ -143,9 +141,9 @@ def mesh_with_curves(
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     check_not_all_far(model, num_seen)
-    is_bounded = bool(background and background.bounds_bodies and options.background_weight)
-    others = background.silhouettes if background and is_bounded else faces
-    others = joined_seen([others, round_points])
+    is_open = background is not None and options.background_weight > 0
+    silhouettes = background.silhouettes if background and is_open else NO_POINTS
+    others = joined_seen([silhouettes, faces, round_points])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 
     def meshed(added: SeenPoints) -> Mesh:
@@ -165,8 +163,8 @@ def mesh_with_curves(
         found, sigmas = mesh_with_patches(patches, model, *given)
     if refine:
         measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
-        other_sigma = 1.0 if is_bounded else FACE_SIGMA
-        found = refined(found, measured, other_sigma, num_threads or os.cpu_count() or 1)
+        threads = num_threads or os.cpu_count() or 1
+        found = refined(found, measured, len(silhouettes.points), threads)
     if cloud:
         found = with_cloud(found, cloud, rows, num_sfm, num_seen)
     return found

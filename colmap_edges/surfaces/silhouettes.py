@@ -61,17 +61,10 @@ class Background:
     Attributes:
         rays: background rays, which pass through free space only.
         silhouettes: silhouette points of smooth bodies.
-        is_sky: whether it is a sky, which bounds bodies at the top only.
     """
 
     rays: BackgroundRays
     silhouettes: SeenPoints
-    is_sky: bool = False
-
-    @property
-    def bounds_bodies(self) -> bool:
-        """Whether silhouettes before it bound the bodies, so that the mesh needs no faces."""
-        return not self.is_sky
 
     def check(self, name: str = "background", num_views: int | None = None) -> None:
         """Check shapes, dtypes and values, as all functions of the Python interface do.

@@ -50,8 +50,6 @@ def test_outcome_has_faces_if_they_were_detected():
     assert faces.startswith("46 planar, total area 82.97 square scene units; only in faces.json")
     used = {**stages, "faces": {**FACES, "face_points": 1}}
     assert outcome(record(**used))["Faces"].endswith("; 1 point on them added to the mesh")
-    used["background"] = {"background_rays": 9}
-    assert "silhouettes" in outcome(record(**used))["Faces"]
     assert headline(record(**stages)) == (
         "270 3D edges, total length 285.1 scene units, 46 planar faces and a mesh of 54,309 "
         "triangles, from 24 images."

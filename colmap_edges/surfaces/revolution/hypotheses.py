@@ -72,10 +72,10 @@ def axes_of_mirrored(samples: Samples, views: Sequence[View], random_seed: int) 
         views: all views.
         random_seed: of the pairs that are tried.
     """
-    random = np.random.default_rng(random_seed)
+    rng = np.random.default_rng(random_seed)
     rows_of = rows_by_view(samples.views, len(views))
     bases = np.unique(np.linspace(0, len(views) - 1, min(len(views), MAX_BASES)).astype(int))
-    planes = [planes_of(samples, rows_of[base], random) for base in bases]
+    planes = [planes_of(samples, rows_of[base], rng) for base in bases]
     centers, focals = centers_of([views[base] for base in bases])
     normals, rows = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 2 * NUM_KEPT), np.int64)]
     for i, own in enumerate(planes[:-1]):
@@ -89,7 +89,7 @@ def axes_of_mirrored(samples: Samples, views: Sequence[View], random_seed: int) 
     return axes_of_planes(samples, *pairs, centers, focals)
 
 
-def planes_of(samples: Samples, rows: IntArray, random: np.random.Generator) -> Planes:
+def planes_of(samples: Samples, rows: IntArray, rng: np.random.Generator) -> Planes:
     """The planes through a view's centre in which many of its (n,) samples are mirrored."""
     rows = np.sort(rows[np.argsort(-samples.lengths[rows], kind="stable")[:MAX_SAMPLES]])
     rays, normals = samples.rays[rows], samples.normals[rows]
@@ -104,7 +104,7 @@ def planes_of(samples: Samples, rows: IntArray, random: np.random.Generator) -> 
     mirrored = normals[first] - 2 * facing[:, None] * across
     alike = np.abs(np.einsum("ij,ij->i", mirrored, normals[second]))
     good = np.flatnonzero((alike > MAX_TURN) & (np.abs(facing) > MIN_FACING))
-    good = random.permutation(good)[:MAX_PAIRS]
+    good = rng.permutation(good)[:MAX_PAIRS]
     first, second, across = first[good], second[good], across[good]
     middles = unit(rays[first] + rays[second])
     tried = across[:NUM_TRIED]

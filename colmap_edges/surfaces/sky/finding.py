@@ -72,7 +72,7 @@ def open_through(
 ) -> tuple[Background, list[BackgroundMask]] | None:
     """The rays of the sky in masks of all views, and these; None without any ray."""
     rays = background_rays(model.views, masks, True)
-    return None if rays is None else (Background(rays, NO_POINTS, is_sky=True), masks)
+    return None if rays is None else (Background(rays, NO_POINTS), masks)
 
 
 def masks_of(regions: Regions, chosen: BoolArray) -> list[BackgroundMask]:
