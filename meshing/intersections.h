@@ -22,8 +22,8 @@ std::vector<std::pair<Index, Index>> Intersections(const Faces3& faces,
                                                    int num_threads);
 
 // Which groups of new faces would intersect other faces, one of their own, or those of a group
-// before them. `groups` are those of the new faces, `replaced_by` of those that a group replaces, or
-// kNone.
+// before them. `groups` are those of the new faces, `replaced_by` of those that a group replaces,
+// or kNone.
 std::vector<char> Collisions(const Faces3& new_faces, const std::vector<Index>& groups,
                              const Faces3& faces, const std::vector<Index>& replaced_by,
                              const std::vector<Vec3>& vertices, int num_threads);
