@@ -136,6 +136,9 @@ class TracingOptions(Options):
     # Maximum change of disparity along a chain, in pixels per pixel (the disparity gradient limit
     # of human stereo (Burt and Julesz 1980)).
     max_disparity_gradient: float = 1.0
+    # Maximum length of a stretch without depth inside a run, in pixels of the upsampled images (set
+    # by trial).
+    max_bridge_px: int = 200
     # Distance by which a run is extended beyond its ends, in pixels of the upsampled images (the
     # default step between samples).
     extension_px: int = 24

@@ -18,6 +18,7 @@ from colmap_edges.options import RefinementOptions
 
 CLOSE_SIGMAS = 2.5  # maximum residual of observations that count, in standard deviations of a chain
 PRIOR_TRIALS = 20  # pseudo-count of trials with one hit, the prior of the accidental rate
+MIN_LOG = -12.0  # lower bound of the log probability of a single point
 
 
 def chance_of_observations(
@@ -60,4 +61,5 @@ def chance_of_observations(
     trials_each = np.maximum(visible, observed).astype(np.int64)
     with np.errstate(divide="ignore"):
         logs = np.log10(bdtrc(observed - 1, trials_each, rates[ids]))
-    return np.asarray(logs, np.float64)
+    result: FloatArray = np.maximum(logs, MIN_LOG)
+    return result

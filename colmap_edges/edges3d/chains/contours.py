@@ -16,7 +16,7 @@ from colmap_edges.options import TracingOptions
 
 
 def are_fixed(
-    traced: TracedCurves, groups: IntArray, limit_px: float, options: TracingOptions
+    traced: TracedCurves, groups: IntArray, limits_px: FloatArray | float, options: TracingOptions
 ) -> BoolArray:
     """(G,) whether the observations of groups of points are of a fixed edge.
 
@@ -28,7 +28,7 @@ def are_fixed(
     Args:
         traced: the curves, N points.
         groups: (N,) group of each point, numbered from 0.
-        limit_px: maximum mean residual of an edge.
+        limits_px: one or (G,) maximum mean residuals of an edge.
         options: the largest displacement of an edge.
     """
     seen = Seen.of(traced, groups)
@@ -36,7 +36,7 @@ def are_fixed(
     displaced = np.clip(radii, -options.max_displacement_px, options.max_displacement_px)
     fixed, moving = (seen.residuals + of[seen.owners] * seen.drifts for of in (displaced, radii))
     scatter = scatter_of(seen, np.abs(fixed))
-    return np.asarray((scatter <= limit_px) & ~are_less(seen, moving, fixed))
+    return np.asarray((scatter <= limits_px) & ~are_less(seen, moving, fixed))
 
 
 def are_less(seen: Seen, moving: FloatArray, fixed: FloatArray) -> BoolArray:

@@ -71,7 +71,7 @@ def link_samples(
     """(n - 1,) whether sample rows[i] and rows[i + 1] belong to one curve.
 
     They do when depth changes between them by at most `max_disparity_gradient` pixels of disparity
-    a pixel of chain, also if samples in between are missing.
+    a pixel of chain, and no sample is missing, or the gap is at most `max_bridge_px`.
     """
     if len(rows) < 2:
         return np.zeros(0, bool)
@@ -82,7 +82,9 @@ def link_samples(
     sigma = np.maximum(depths.sigmas[left], depths.sigmas[right]) * np.sqrt(counts[left])
     change = np.abs(depths.inverse_depths[right] - depths.inverse_depths[left])
     smooth = change <= options.max_disparity_gradient * steps * sigma
+    bridged = steps <= options.max_bridge_px
     linked: BoolArray = (polylines[1:] == polylines[:-1]) & smooth
+    linked &= (right - left == 1) | bridged
     return linked
 
 

@@ -229,14 +229,22 @@ def filter_pieces(
 def filter_remains(
     traced: TracedCurves, limits: Limits, options: TracingOptions
 ) -> tuple[TracedCurves, TracedCurves]:
-    """Split the remainders of pieces, which have passed the a-contrario test, at uncertain points.
+    """Split the remainders of pieces at points with too few observations.
+
+    The relative standard deviation of the mean residual of n points is taken as 1 / sqrt(n).
 
     Returns:
         The edges, and the view-dependent contours.
     """
     keep = traced.observations.counts >= options.min_observations
     keep &= traced.uncertainties <= limits.uncertainty_px
-    return filter_pieces(traced, keep, replace(limits, log_chance=np.inf), options)
+    pieces, long = find_pieces(traced, keep, np.inf, options)
+    tolerance = 1 + 1 / np.sqrt(np.bincount(pieces))
+    fixed = are_fixed(traced, pieces, limits.residual_px * tolerance, options)
+    return (
+        chosen(traced, pieces, keep & (long & fixed)[pieces]),
+        chosen(traced, pieces, keep & (long & ~fixed)[pieces]),
+    )
 
 
 def find_pieces(

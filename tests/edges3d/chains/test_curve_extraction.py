@@ -64,9 +64,13 @@ def test_samples_of_two_chains_do_not_link():
     assert links(graph_of_lengths(10, 10), depths) == [True, False, True]
 
 
-def test_a_missing_sample_is_bridged():
+def test_a_missing_sample_is_bridged_where_the_gap_is_short():
     depths = depths_of([0, 8, 16, 24], [1, 0, 1, 1])
-    assert links(graph_of_lengths(100), depths, rows=[0, 2, 3]) == [True, True]
+    graph = graph_of_lengths(100)
+    assert links(graph, depths, rows=[0, 2, 3], max_bridge_px=16) == [True, True]
+    assert links(graph, depths, rows=[0, 2, 3], max_bridge_px=15) == [False, True]
+    # Where none is missing, the distance does not count.
+    assert links(graph, depths, rows=[2, 3], max_bridge_px=0) == [True]
 
 
 @pytest.mark.parametrize("rows", [[], [1]])
