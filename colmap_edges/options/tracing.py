@@ -182,11 +182,17 @@ class TracingOptions(Options):
 class LinkingOptions(Options):
     """Joining of 3D edge pieces to whole edges with nodes."""
 
-    # Maximum gap across which 3D edges are joined, or extended to a corner, if views observe an
-    # edge in the gap, in distances between edge points (set by trial).
+    # Maximum gap across which 3D edges are joined if views observe an edge in the gap, in distances
+    # between edge points (set by trial).
     max_gap_spacings: float = 8.0
     # Maximum turn between two joined 3D edges, in degrees (that of chains in images).
     max_join_angle_deg: float = 30.0
+    # Maximum length by which the end of a 3D edge is extended to a corner with other edges, in
+    # distances between edge points; 0 extends none (that of gaps).
+    max_corner_spacings: float = 8.0
+    # Maximum distance of edge ends that share a node, in distances between edge points (set by
+    # trial).
+    node_radius_spacings: float = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,6 +44,8 @@ from colmap_edges.edges3d.linking.gaps import observed_along
 from colmap_edges.edges3d.linking.joining import joined
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
+MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cover
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gaps(Table):
@@ -108,22 +110,32 @@ def join_circles(
 
 
 def candidate_pairs(edges: Edges3D, ends: Ends, options: LinkingOptions) -> IntArray:
-    """(n, 2) ends of two open edges near each other but no third edge's end."""
+    """(n, 2) ends of two open edges, one of them bent, near each other but no third edge's end."""
     # Gaps that are observed everywhere may be twice as long.
     a, b, gap = near_pairs(ends, 2.0 * options.max_gap_spacings)
     sizes = np.diff(edges.edge_offsets)[np.column_stack([a // 2, b // 2])]
     # The shorter and the longer piece of a circle.
     keep = (sizes.min(axis=1) >= 3) & (sizes.max(axis=1) >= 8)
     keep &= ~edges.closed[a // 2] & ~edges.closed[b // 2] & (a // 2 != b // 2)
-    c, d, _ = near_pairs(ends, SHORT_GAP)
+    bends = sagittas(edges)
+    keep &= np.maximum(bends[a // 2], bends[b // 2]) >= np.tan(MIN_TURN / 8) / 2
+    c, d, _ = near_pairs(ends, options.node_radius_spacings)
     met = np.bincount(np.concatenate([c, d]), minlength=len(ends.positions))
     spacing = np.minimum(ends.spacings[a], ends.spacings[b])
     lengths = np.linalg.norm(gap, axis=1)
-    own = lengths <= SHORT_GAP * spacing
+    own = lengths <= options.node_radius_spacings * spacing
     ahead = [np.einsum("ni,ni->n", ends.outward[of], gap * way) for of, way in ((a, 1), (b, -1))]
     keep &= (lengths <= (REACH + SHORT_GAP) * spacing) | (np.minimum(*ahead) > 0)
     keep &= (met[a] <= own) & (met[b] <= own)
     return np.asarray(np.column_stack([a, b])[keep], np.int64)
+
+
+def sagittas(edges: Edges3D) -> FloatArray:
+    """(E,) distances of the edges' middle points from their chords' middles, relative to chords."""
+    first, last = edges.edge_offsets[:-1], edges.edge_offsets[1:] - 1
+    start, middle, end = (edges.points[at] for at in (first, (first + last) // 2, last))
+    aside = np.linalg.norm(middle - (start + end) / 2, axis=1)
+    return np.asarray(aside / (np.linalg.norm(end - start, axis=1) + 1e-300))
 
 
 def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[FloatArray, BoolArray]:
@@ -132,6 +144,8 @@ def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Floa
     each, place = np.unique(pairs, return_inverse=True)
     single = noise.sequences(edges.points, bounds[each])
     both = noise.sequences(edges.points, bounds[pairs.ravel()])
+    steps = np.append(np.linalg.norm(np.diff(both.points, axis=0), axis=1), 0)
+    steps[both.offsets[1:] - 1] = 0
     both = replace(both, offsets=both.offsets[::2])
     prices = noise.parameter_costs(both.lengths)
     separate = [
@@ -140,7 +154,8 @@ def circles_through(edges: Edges3D, noise: Noise, pairs: IntArray) -> tuple[Floa
         for fit, kind in ((fit_lines, LINE), (fit_circles, ARC))
     ]
     fits, gains = joint_circles(noise, both, 1, np.minimum(*separate).sum(axis=1))
-    return fits.frames, gains > 0
+    turns = both.sums(steps) / np.linalg.norm(fits.frames[:, 1], axis=1)
+    return fits.frames, (gains > 0) & (turns >= MIN_TURN)
 
 
 def num_strays(edges: Edges3D, noise: Noise, frames: FloatArray, of: IntArray) -> IntArray:

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import end_points, nearest_on_lines, unit
-from colmap_edges.edges3d.linking.bends import SIDE_POINTS, by_chance, polynomials
+from colmap_edges.edges3d.linking.bends import go_on_smoothly, polynomials
 from colmap_edges.edges3d.linking.ends import (
     MAX_MISS_SPACINGS,
     MIN_ANGLE_DEG,
@@ -24,6 +24,10 @@ from colmap_edges.edges3d.linking.ends import (
     near_pairs,
 )
 
+FIT_POINTS = 8  # points next to the last one to which the line of an end is fitted
+BEND_RATIO = 2.0  # ratio of squared residuals of a bend; F test of 8 points at 99 %
+APART_RATIO = 1.5  # maximum distance of two ends, in maximum extensions to the corner
+MAX_PAST_SPACINGS = 0.75  # maximum length by which an edge overshoots the corner
 MIN_SIGMA_SPACINGS = 1e-3  # minimum standard deviation of an end
 
 
@@ -57,7 +61,7 @@ class EndLines:
     def may_reach(self, of: IntArray, points: FloatArray, limit: float) -> BoolArray:
         """Whether (n,) ends may be extended to (n, 3) points, by at most `limit` spacings."""
         along, miss = self.reaches(of, points)
-        near = (along >= -MAX_MISS_SPACINGS) & (along <= limit) & (miss <= MAX_MISS_SPACINGS)
+        near = (along >= -MAX_PAST_SPACINGS) & (along <= limit) & (miss <= MAX_MISS_SPACINGS)
         return np.asarray(near)
 
 
@@ -117,20 +121,19 @@ class Meetings:
 def fit_end_lines(edges: Edges3D) -> EndLines:
     """Fit lines to the ends of all edges."""
     ends = find_ends(edges)
-    tips, inner = end_points(edges.edge_offsets, SIDE_POINTS)
+    tips, inner = end_points(edges.edge_offsets, FIT_POINTS)
     inward = np.sign(inner - tips)[:, None]
-    steps = np.minimum(np.arange(1, SIDE_POINTS + 1), np.abs(inner - tips)[:, None])
+    steps = np.minimum(np.arange(1, FIT_POINTS + 1), np.abs(inner - tips)[:, None])
     points = edges.points[tips[:, None] + inward * steps]
     centers = points.mean(axis=1)
     apart = points - centers[:, None]
     outward = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))[1][:, :, 2]
     outward *= np.where((outward * ends.outward).sum(axis=1) < 0, -1, 1)[:, None]
     off = apart - np.einsum("nki,ni->nk", apart, outward)[:, :, None] * outward[:, None]
-    steps = np.broadcast_to(np.arange(1.0, SIDE_POINTS + 1), points.shape[:2])
+    steps = np.broadcast_to(np.arange(1.0, FIT_POINTS + 1), points.shape[:2])
     parabolas, rest = polynomials(steps, points, 2)
-    # The line is a chord of a bend if a parabola fits significantly better.
-    worse = (off**2).sum(axis=(1, 2)) > by_chance(SIDE_POINTS, 3) * rest
-    bent = (np.abs(inner - tips) >= SIDE_POINTS) & worse
+    # With more than BEND_RATIO times the residuals of a parabola, the line is a chord of a bend.
+    bent = (np.abs(inner - tips) >= FIT_POINTS) & ((off**2).sum(axis=(1, 2)) > BEND_RATIO * rest)
     centers[bent], outward[bent] = parabolas[bent, 0], unit(-parabolas[bent, 1])
     sigmas = np.nan_to_num(edges.sigmas[tips], nan=0.0, posinf=0.0)
     return EndLines(ends=ends, centers=centers, outward=outward, sigmas=sigmas)
@@ -144,7 +147,7 @@ def find_corners(edges: Edges3D, lines: EndLines, max_extension: float) -> Meeti
         lines: the lines of their ends.
         max_extension: maximum extension of an edge to a corner, in spacings.
     """
-    a, b, _ = near_pairs(lines.ends, max_extension)
+    a, b, _ = near_pairs(lines.ends, APART_RATIO * max_extension)
     is_open = np.repeat(~edges.closed & (np.diff(edges.edge_offsets) > 2), 2)
     cosines = np.abs(np.einsum("ij,ij->i", lines.outward[a], lines.outward[b]))
     keep = is_open[a] & is_open[b] & (a // 2 != b // 2)
@@ -155,6 +158,8 @@ def find_corners(edges: Edges3D, lines: EndLines, max_extension: float) -> Meeti
         axis=0,
     )
     meet = lines.may_reach(a, middle, max_extension) & lines.may_reach(b, middle, max_extension)
+    # Tangents at both ends of a gap in a smooth curve also meet, but not at a corner.
+    meet[meet] = ~go_on_smoothly(edges, a[meet], b[meet])
     (along_a, miss_a), (along_b, miss_b) = lines.reaches(a, middle), lines.reaches(b, middle)
     costs = np.maximum(np.abs(along_a) + 2 * miss_a, np.abs(along_b) + 2 * miss_b)
     rows = np.flatnonzero(meet)[np.argsort(costs[meet], kind="stable")]

@@ -18,7 +18,7 @@ from colmap_edges.core.polylines import end_points, unit
 
 REACH = 4  # points from an end over which its direction and spacing are measured
 SHORT_GAP = 2.0  # length of gaps and overlaps, in spacings, that need not be observed
-MAX_MISS_SPACINGS = 0.75  # maximum distance between the line of an end and where it meets others
+MAX_MISS_SPACINGS = 0.5  # maximum distance of the line of an end to the point where it meets others
 MIN_ANGLE_DEG = 20.0  # minimum angle between lines; nearly parallel ones have no defined corner
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import match_best_first, points_along, unit, walk_joined
+from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.edges3d.linking.ends import (
     REACH,
     SHORT_GAP,
@@ -63,10 +64,14 @@ def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: Goe
     direction = unit(ends.outward[a] - ends.outward[b])
     along = np.einsum("ij,ij->i", direction, gap)
     across = np.linalg.norm(gap - along[:, None] * direction, axis=1)
-    angle = np.radians(options.max_join_angle_deg)
-    allowed = (turn >= np.cos(angle)) & (across <= np.tan(angle) * np.maximum(along, spacing))
+    facing, bent = (
+        (turn >= np.cos(angle)) & (across <= np.tan(angle) * np.maximum(along, spacing))
+        for angle in (np.radians(options.max_join_angle_deg), np.radians(60.0))
+    )
+    rows = np.flatnonzero(bent & ~facing & (along > 0))
+    facing[rows] = go_on_smoothly(edges, a[rows], b[rows])
     # One piece later loses the overlap, so it must be longer than it.
-    allowed &= along >= -(REACH - 1) * spacing
+    allowed = facing & (along >= -(REACH - 1) * spacing)
     # A closed edge has at least eight points.
     allowed &= (a // 2 != b // 2) | (sizes[a // 2] >= 8)
     rows = np.flatnonzero(allowed & (lengths > SHORT_GAP * spacing))

@@ -16,6 +16,7 @@ from colmap_edges.core.edges3d import Edges3D, Nodes
 from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.polylines import curve_tangents, nearest_on_lines, unit
 from colmap_edges.edges2d.edge_index import IndexedGraphs
+from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.edges3d.linking.corners import (
     EndLines,
     Meetings,
@@ -35,6 +36,9 @@ from colmap_edges.edges3d.linking.ends import (
 from colmap_edges.edges3d.linking.gaps import observed_along
 from colmap_edges.options import PipelineOptions
 
+# Minimum number of points of an edge that ends on another one: two or three points fit any line.
+MIN_JUNCTION_POINTS = 4
+MIN_GAP_SPACINGS = 0.5  # distance within which the node replaces an edge point
 # positions at which an edge must be observed, from the node back to the end, as fractions
 WAY = np.array([0, 1 / 3, 2 / 3])
 MIN_SEEN_RATIO = 0.5  # minimum share of an end's observing views that observe the extension
@@ -54,15 +58,15 @@ def meet_at_nodes(
     """
     if edges.num_edges == 0:
         return edges
-    lines, reach = fit_end_lines(edges), options.linking.max_gap_spacings
+    lines, reach = fit_end_lines(edges), options.linking.max_corner_spacings
     corners = find_corners(edges, lines, reach)
     observed, least = observe(edges, lines, corners, given, options, num_threads)
     corners = corners.with_ends(observed.counts >= least)
     positions = lines.ends.positions.copy()
     positions[corners.members] = corners.points
     lines = replace(lines, ends=replace(lines.ends, positions=positions))
-    meetings = with_joints(edges, lines, corners)
-    meetings = with_junctions(edges, lines, meetings)
+    meetings = with_joints(edges, lines, corners, options.linking.node_radius_spacings)
+    meetings = with_junctions(edges, lines, meetings, options.linking.node_radius_spacings)
     meetings, track = observed_meetings(edges, lines, meetings, given, options, num_threads)
     nodes = Nodes(
         points=meetings.positions,
@@ -74,16 +78,17 @@ def meet_at_nodes(
     return extended(edges, lines, meetings, nodes)
 
 
-def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings) -> Meetings:
+def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings, radius: float) -> Meetings:
     """Add joints: open ends near each other, or near a corner, whose lines meet in one point."""
     at_corner = np.zeros(len(lines.centers), bool)
     at_corner[corners.members] = True
-    a, b, gap = near_pairs(lines.ends, SHORT_GAP)
+    a, b, gap = near_pairs(lines.ends, radius)
     is_open = np.repeat(~edges.closed, 2)
     # Ends of parallel neighbouring edges point in the same direction and do not meet.
     cosine = np.einsum("ij,ij->i", lines.outward[a], lines.outward[b])
     keep = is_open[a] & is_open[b] & (cosine <= np.cos(np.radians(MIN_ANGLE_DEG)))
     keep &= a // 2 != b // 2
+    keep[keep] = (at_corner[a] & at_corner[b])[keep] | ~go_on_smoothly(edges, a[keep], b[keep])
     links = nearest_links(a[keep], b[keep], np.linalg.norm(gap[keep], axis=1))
     meetings = Meetings.of_links(links[:, 0], links[:, 1], len(lines.centers))
     # Ends extended to a corner determine its position; otherwise all ends, then those near it.
@@ -94,7 +99,7 @@ def with_joints(edges: Edges3D, lines: EndLines, corners: Meetings) -> Meetings:
         tips, sigmas = lines.ends.positions[rows.members], lines.sigmas[rows.members]
         meetings = replace(meetings, positions=meeting_points(lines, rows, tips, sigmas)[0])
         along, miss = lines.reaches(meetings.members, meetings.points)
-        near = (np.abs(along) <= SHORT_GAP) & (miss <= MAX_MISS_SPACINGS)
+        near = (np.abs(along) <= radius) & (miss <= MAX_MISS_SPACINGS)
         meetings = rows = meetings.with_ends(near | at_corner[meetings.members])
     return meetings
 
@@ -123,11 +128,12 @@ def node_sigmas(edges: Edges3D, lines: EndLines, meetings: Meetings) -> FloatArr
     return np.asarray(1 / np.sqrt(np.linalg.eigvalsh(information)[:, 0]), np.float64)
 
 
-def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings) -> Meetings:
+def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings, reach: float) -> Meetings:
     """Add T junctions: ends that meet no other end, but the inside of another edge."""
-    free = np.repeat(~edges.closed, 2)
+    known = np.diff(edges.edge_offsets) >= MIN_JUNCTION_POINTS
+    free = np.repeat(~edges.closed & known, 2)
     free[meetings.members] = False
-    of, onto = pairs_beside(edges, lines, np.flatnonzero(free))
+    of, onto = pairs_beside(edges, lines, np.flatnonzero(free), reach)
     tangents = unit(curve_tangents(edges.points, edges.edge_offsets))[onto]
     beside, outward = edges.points[onto], lines.outward[of]
     _, places = nearest_on_lines(lines.centers[of], outward, beside, tangents)
@@ -135,7 +141,7 @@ def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings) -> Meeti
     steps = np.linalg.norm(places - beside, axis=1) / (lines.ends.spacings[of] + 1e-300)
     cosine = np.abs(np.einsum("ij,ij->i", outward, tangents))
     fits = (cosine <= np.cos(np.radians(MIN_ANGLE_DEG))) & (steps <= 1)
-    fits &= lines.may_reach(of, places, SHORT_GAP)
+    fits &= lines.may_reach(of, places, reach)
     rows = np.flatnonzero(fits)[np.argsort((np.abs(along) + 2 * miss + steps)[fits], kind="stable")]
     rows = rows[np.unique(of[rows], return_index=True)[1]]
     points, owners = np.unique(onto[rows], return_inverse=True)
@@ -148,15 +154,17 @@ def with_junctions(edges: Edges3D, lines: EndLines, meetings: Meetings) -> Meeti
     )
 
 
-def pairs_beside(edges: Edges3D, lines: EndLines, of: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs of ends and inner points of other edges near them."""
+def pairs_beside(
+    edges: Edges3D, lines: EndLines, of: IntArray, reach: float
+) -> tuple[IntArray, IntArray]:
+    """Pairs of ends and inner points of other edges, within a distance in spacings."""
     sizes = np.diff(edges.edge_offsets)[edges.edge_ids]
     ranks = np.arange(edges.num_points) - edges.edge_offsets[edges.edge_ids]
     inside = (np.minimum(ranks, sizes - 1 - ranks) > REACH) | edges.closed[edges.edge_ids]
     candidates = np.flatnonzero(inside)
     if len(candidates) == 0 or len(of) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    radius = (SHORT_GAP + 1) * lines.ends.spacings[of]
+    radius = (reach + 1) * lines.ends.spacings[of]
     tree = cKDTree(edges.points[candidates])
     found = tree.query_ball_point(lines.ends.positions[of], radius, return_sorted=True)
     ends = np.repeat(of, [len(row) for row in found])
@@ -236,7 +244,7 @@ def extended(edges: Edges3D, lines: EndLines, meetings: Meetings, nodes: Nodes) 
         colors=np.concatenate([edges.colors, nodes.colors[owners]]),
     )
     # Points beyond a node or next to it are left out.
-    limits = MAX_MISS_SPACINGS * lines.ends.spacings[members]
+    limits = MIN_GAP_SPACINGS * lines.ends.spacings[members]
     skip = num_behind(edges, members, meetings.points, -lines.ends.outward[members], limits)
     begins, stops = edges.edge_offsets[:-1] + skip[::2], edges.edge_offsets[1:] - skip[1::2]
     points = np.concatenate([ranges_of(begins, stops), edges.num_points + np.arange(len(members))])

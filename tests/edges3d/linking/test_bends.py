@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from curve_edges import edges_of
 
-from colmap_edges.edges3d.linking.bends import cut_at_bends, find_bends
+from colmap_edges.edges3d.linking.bends import cut_at_bends, find_bends, go_on_smoothly
 
 NOISE = 0.02  # of the distance between points, which is 1
 
@@ -104,6 +104,40 @@ def test_a_closed_edge_with_one_bend_stays_closed():
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 def test_the_unit_does_not_matter(scale):
     assert bends_of(scale * noisy(corner(60))) == [12]
+    assert goes_on(scale * noisy(ring(5, 0, 120)), scale * noisy(ring(5, 150, 220)))
+
+
+def goes_on(before, behind):
+    """Whether the last end of the one and the first of the other are of one smooth curve."""
+    edges = edges_of([before, behind], sigma=0)
+    found = go_on_smoothly(edges, np.array([1, 2]), np.array([2, 1]))
+    assert found[0] == found[1]
+    return bool(found[0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ends_beside_a_gap_in_a_circle_go_on_in_each_other(seed):
+    for radius, gap_deg in ((4, 30), (5, 45), (8, 45)):
+        whole = ring(radius, gap_deg, 200), ring(radius, -150, 0)
+        assert goes_on(noisy(whole[1], seed), noisy(whole[0], seed + 9))
+    # Three points are few, but those of the other side determine the bend.
+    assert goes_on(noisy(ring(4, -150, 0), seed), noisy(ring(4, 20, 58), seed + 9))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ends_at_a_corner_do_not(seed):
+    for gap in (0, 1, 3):
+        points = noisy(corner(60, count=14), seed)
+        assert not goes_on(points[: 14 - gap], points[14 + gap :])
+    arcs = ring(9, -100, 0), ring(9, 0, 100)
+    turned = arcs[1] * [-1, 1, 1] + [18.2, 0.4, 0]  # bent the other way, and to the other side
+    turned = turned @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    turned += arcs[0][-1] + [0.3, 0.5, 0] - turned[0]
+    assert not goes_on(noisy(arcs[0], seed), noisy(turned, seed + 9))
+
+
+def test_pieces_of_two_points_determine_nothing():
+    assert not goes_on(ring(4, -150, 0), ring(4, 20, 40))
 
 
 def test_no_edges_have_no_bends():

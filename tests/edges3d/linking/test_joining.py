@@ -85,6 +85,15 @@ def test_a_circle_in_pieces_is_closed():
     assert link(circle()[:60]).closed.tolist() == [False]
 
 
+def test_gaps_in_a_small_circle_are_bridged():
+    whole = circle(32)
+    rng = np.random.default_rng(0)
+    whole += rng.normal(scale=0.02, size=whole.shape)
+    # Ends three distances apart differ by more than 30 degrees.
+    linked = link(whole[0:7], whole[9:16], whole[18:30])
+    assert linked.closed.tolist() == [True]
+
+
 def test_gaps_are_bridged_up_to_the_limit():
     curve = helix(radius=40.0)
     assert link(curve[:50], curve[55:]).num_edges == 1
