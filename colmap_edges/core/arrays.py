@@ -29,6 +29,12 @@ class Table:
         return replace(self, **chosen)  # type: ignore[type-var]
 
 
+def joined_tables(parts: Sequence[Record]) -> Record:
+    """The items of all tables of arrays, one after the other; at least one table."""
+    names = [of.name for of in fields(parts[0])]  # type: ignore[arg-type]
+    return type(parts[0])(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
+
 def offsets_of(lengths: IntArray) -> IntArray:
     """(n + 1,) CSR offsets of n lengths."""
     offsets = np.zeros(len(lengths) + 1, np.int64)

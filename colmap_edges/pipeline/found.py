@@ -16,7 +16,6 @@ from colmap_edges.pipeline.detect import Detection, detect_stage
 from colmap_edges.pipeline.mesh import (
     background_stage,
     face_stage,
-    find_outlines,
     round_stage,
     sky_stage,
 )
@@ -30,6 +29,7 @@ from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
 from colmap_edges.surfaces.faces.grids import GridVisitor
+from colmap_edges.surfaces.outlines2d import find_outlines
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.regions import SmallPictures

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from colmap_edges.core.arrays import FloatArray, Picture
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.core.seen_points import joined_seen
-from colmap_edges.core.view import View
-from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.export.meshes import TEXTURED, is_far_from_origin, write_mesh
 from colmap_edges.images.background import BackgroundMask
@@ -25,7 +22,6 @@ from colmap_edges.pipeline.paths import Paths
 from colmap_edges.runtime.executors import thread_count
 from colmap_edges.runtime.stages import Stages, plain_counts
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
-from colmap_edges.surfaces.cylinders.lines import Lines, find_lines
 from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.evidence import gather_evidence
@@ -33,9 +29,9 @@ from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
+from colmap_edges.surfaces.outlines2d import Outlines2D
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.revolution.finding import find_bodies
-from colmap_edges.surfaces.revolution.samples import Samples, find_samples
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
 from colmap_edges.surfaces.simplify import load_meshlab
 from colmap_edges.surfaces.sky.finding import find_sky
@@ -124,23 +120,6 @@ def face_stage(
             "face_points": int(np.count_nonzero(np.diff(faces.points.track_offsets))),
         }
     return faces
-
-
-class Outlines2D(NamedTuple):
-    """What may be outlines of round bodies in the images.
-
-    Attributes:
-        lines: straight pieces of the chains of all views.
-        samples: samples of these chains.
-    """
-
-    lines: Lines
-    samples: Samples
-
-
-def find_outlines(views: Sequence[View], graphs: Graphs, edges: Edges3D) -> Outlines2D:
-    """What may be outlines of round bodies in the images of views with edge graphs."""
-    return Outlines2D(find_lines(views, graphs, edges), find_samples(views, graphs, edges))
 
 
 def round_stage(

@@ -73,7 +73,7 @@ def find_cylinders(
     free = [rows[lines.fixed[rows] <= MAX_FIXED] for rows in by_view]
     tried, bases = chosen_hypotheses(*find_hypotheses(lines, free), random_seed)
     near = lines_near(free, views, np.unique(bases))
-    chosen = {base: lines.chosen(rows) for base, rows in near.items()}
+    chosen = {base: lines.select(rows) for base, rows in near.items()}
     supports = []
     for h, base in enumerate(bases.tolist()):
         one = Cylinders(*(part[h : h + 1] for part in tried))

@@ -48,7 +48,7 @@ def errors_of(lines: Lines, found: Cylinders) -> tuple[FloatArray, FloatArray, F
 def support_of(lines: Lines, one: Cylinders, limit_px: float) -> Support:
     """The lines within a limit of a cylinder's outlines, on the stretch with the most."""
     passing = passing_by(lines, one, limit_px)
-    errors, sides, places = (part[0] for part in errors_of(lines.chosen(passing), one))
+    errors, sides, places = (part[0] for part in errors_of(lines.select(passing), one))
     near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
     rows, places = passing[near], np.sort(places[near], axis=1)
     return on_one_stretch(lines, rows, sides[near, 0] > 0, places, one)
@@ -94,7 +94,7 @@ def fitted(lines: Lines, start: Cylinders) -> tuple[Cylinders, Support]:
     for i in range(NUM_FITS):
         if len(support.rows) < 5:
             break
-        one = fit(lines.chosen(support.rows), one)
+        one = fit(lines.select(support.rows), one)
         support = support_of(lines, one, LOOSE_PX if i < NUM_FITS // 2 else CLOSE_PX)
     return one, support
 

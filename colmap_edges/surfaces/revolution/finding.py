@@ -80,10 +80,10 @@ def find_bodies(
     """
     unfixed = np.flatnonzero(~samples.fixed)
     smoothest = np.argsort(-samples.lengths[unfixed], kind="stable")[:MAX_SAMPLES]
-    free = samples.chosen(np.sort(unfixed[smoothest]))
+    free = samples.select(np.sort(unfixed[smoothest]))
     beside = [axis_of_face(face, views) for face in known]
     for axis, face in zip(beside, known, strict=True):
-        free = free.chosen(np.flatnonzero(~are_on_cylinder(free, axis, face)))
+        free = free.select(np.flatnonzero(~are_on_cylinder(free, axis, face)))
     axes = [*beside, *axes_of_circles(curves, views), *axes_of_mirrored(free, views, random_seed)]
     fits = best_fits(free, axes)
     rays = Rays.of(evidence, views)
@@ -141,7 +141,7 @@ def best_fits(samples: Samples, axes: Sequence[Axis]) -> list[Axis]:
         if np.mean(tried[rows] >= MAX_TRIES) > TRIED_SHARE:
             continue
         tried[rows] += 1
-        axis = fitted(samples.chosen(near[h]), axes[h])
+        axis = fitted(samples.select(near[h]), axes[h])
         if axis is not None:
             score, rows = votes_of(samples, near[h], axis)
             tried[rows] += 1

@@ -26,7 +26,7 @@ def fitted(samples: Samples, axis: Axis) -> Axis | None:
     rows = np.arange(len(samples.views))
     for i in range(NUM_ROUNDS):
         meridian = meridian_of(samples, rows, axis)
-        meridian = meridian.chosen(voted(samples, meridian)[1])
+        meridian = meridian.select(voted(samples, meridian)[1])
         limit = max(FIRST_PX * 0.6**i, LAST_PX)
         offsets, normals = offsets_from_profile(meridian, limit)
         used = np.flatnonzero(np.isfinite(offsets))
@@ -35,7 +35,7 @@ def fitted(samples: Samples, axis: Axis) -> Axis | None:
         offsets = offsets[used] / meridian.sizes[used]
         if i == 2 and np.median(np.abs(offsets)) > TOO_FAR_PX:
             return None
-        axis = moved(samples, meridian.chosen(used), axis, offsets, normals[used])
+        axis = moved(samples, meridian.select(used), axis, offsets, normals[used])
     return axis
 
 

@@ -6,11 +6,12 @@ the normal that the image shows, this determines the point; all views must agree
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, Table
 from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.revolution.samples import Samples
 
@@ -39,7 +40,8 @@ class Axis(NamedTuple):
     pixel: float
 
 
-class Meridian(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Meridian(Table):
     """Points of a body's surface in the half plane of place along and distance from the axis.
 
     Attributes:
@@ -55,16 +57,6 @@ class Meridian(NamedTuple):
     normals: FloatArray
     sides: IntArray
     sizes: FloatArray
-
-    def chosen(self, rows: IntArray) -> Meridian:
-        """Some of the points."""
-        return Meridian(
-            self.rows[rows],
-            self.points[rows],
-            self.normals[rows],
-            self.sides[rows],
-            self.sizes[rows],
-        )
 
 
 def samples_near(samples: Samples, axis: Axis) -> IntArray:

@@ -70,7 +70,7 @@ class Profile:
 def profiles_of(samples: Samples, meridian: Meridian, axis: Axis, num_views: int) -> list[Profile]:
     """The profiles on which many views agree on both sides of the axis."""
     parts = parts_of_meridian(samples, meridian)
-    found = [profile_of(samples, meridian.chosen(rows), axis, num_views) for rows in parts]
+    found = [profile_of(samples, meridian.select(rows), axis, num_views) for rows in parts]
     return [profile for profile in found if profile]
 
 

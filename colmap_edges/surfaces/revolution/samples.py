@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, Table
 from colmap_edges.core.polylines import unit
-from colmap_edges.core.view import View, rows_by_view
+from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges2d.graphs import Graphs
 
 STEP = 6  # chain points from sample to sample
 HALF_WINDOW = 5  # chain points on each side of a sample from which its tangent is fitted
 MIN_POINTS = 24  # minimum number of points of a chain
 MAX_BEND = 0.15  # maximum second difference of a smooth chain's normals
-REACH = 4  # chain points on each side of an observation that belong to the observed edge
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
+class Samples(Table):
     """Samples of chains.
 
     Attributes:
@@ -43,30 +39,9 @@ class Samples:
     lengths: IntArray
     fixed: BoolArray
 
-    def chosen(self, rows: IntArray) -> Samples:
-        """Some of the samples."""
-        return Samples(**{name: array[rows] for name, array in vars(self).items()})
 
-
-def find_samples(views: Sequence[View], graphs: Graphs, edges: Edges3D) -> Samples:
-    """Samples of the chains of all views.
-
-    Args:
-        views: all views.
-        graphs: their edge graphs.
-        edges: fixed 3D edges that observe the graphs.
-    """
-    observed = edges.observations
-    rows_of = rows_by_view(observed.views, len(views))
-    parts = [
-        vars(samples_of(view, index, graphs.load(index), observed.positions[rows]))
-        for index, (view, rows) in enumerate(zip(views, rows_of, strict=True))
-    ]
-    return Samples(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-
-
-def samples_of(view: View, index: int, graph: EdgeGraph, positions: FloatArray) -> Samples:
-    """Samples of a view's chains; 3D edges observe (n,) `positions` on them."""
+def samples_of(view: View, index: int, graph: EdgeGraph, is_fixed: BoolArray) -> Samples:
+    """Samples of a view's chains; fixed 3D edges observe (n,) of their points."""
     points = graph.undistorted.astype(np.float64)
     lengths = np.diff(graph.polyline_offsets)
     ids = graph.polyline_ids
@@ -87,7 +62,7 @@ def samples_of(view: View, index: int, graph: EdgeGraph, positions: FloatArray) 
         normals=normals,
         focals=np.full(len(rows), view.focal_px),
         lengths=smooth_lengths(normals, ids[rows]),
-        fixed=are_observed(len(points), positions)[rows],
+        fixed=is_fixed[rows],
     )
 
 
@@ -98,13 +73,3 @@ def smooth_lengths(normals: FloatArray, chains: Int32Array) -> IntArray:
     smooth[1:-1] = (bends < MAX_BEND) & (chains[2:] == chains[:-2])
     counts = np.bincount(chains[smooth], minlength=chains.max(initial=-1) + 1)
     return np.asarray(counts[chains], np.int64)
-
-
-def are_observed(count: int, positions: FloatArray) -> BoolArray:
-    """(count,) whether chain points are within `REACH` of observed (n,) positions."""
-    near = np.zeros(count + 2 * REACH + 1, np.int64)
-    at = np.clip(np.nan_to_num(positions, nan=-1.0), -1, count - 1).astype(np.int64)
-    at = at[at >= 0]
-    np.add.at(near, at, 1)
-    np.add.at(near, at + 2 * REACH + 1, -1)
-    return np.asarray(np.cumsum(near)[REACH : REACH + count] > 0)

@@ -15,8 +15,8 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.surfaces.cylinders import hypotheses
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
-from colmap_edges.surfaces.cylinders.lines import are_observed, find_lines
 from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.outlines2d import are_observed, find_outlines
 
 AXIS = unit(np.array([0.2, 0.1, 1.0]))
 BASE, RADIUS, HEIGHT = np.array([0.1, -0.2, 0.1]), 0.4, 1.2
@@ -74,7 +74,7 @@ def scene_of(outlines):
     """Views that show a body, and the straight pieces of what they show."""
     views, rng = views_around(), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, outlines(view), rng) for view in views])
-    lines = find_lines(views, graphs, Edges3D.none())
+    lines = find_outlines(views, graphs, Edges3D.none()).lines
     return SimpleNamespace(views=views, model=model_of(views), lines=lines)
 
 
@@ -172,7 +172,7 @@ def test_rays_through_the_body_refuse_it(can):
 
 
 def test_nothing_without_lines(can):
-    none = can.lines.chosen(np.zeros(0, np.int64))
+    none = can.lines.select(np.zeros(0, np.int64))
     found = found_in(replace_lines(can, none))
     assert (found.cylinders, len(found.points.points)) == ([], 0)
 

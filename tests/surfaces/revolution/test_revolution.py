@@ -17,9 +17,9 @@ from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.export.faces import read_faces, write_faces
 from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.outlines2d import find_outlines
 from colmap_edges.surfaces.revolution.finding import find_bodies
 from colmap_edges.surfaces.revolution.primitives import parts_of
-from colmap_edges.surfaces.revolution.samples import find_samples
 from colmap_edges.surfaces.round_face import RoundFace, moved_round
 
 CENTER = np.array([0.1, -0.2, 0.6])
@@ -103,7 +103,7 @@ def scene_of(curves_in):
     """Views that show curves, and the samples of these."""
     views, rng = views_around(), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, list(curves_in(view)), rng) for view in views])
-    samples = find_samples(views, graphs, Edges3D.none())
+    samples = find_outlines(views, graphs, Edges3D.none()).samples
     return SimpleNamespace(views=views, model=model_of(views), samples=samples)
 
 
@@ -166,7 +166,7 @@ def test_a_cone_is_one():
 def test_fixed_edges_are_no_outlines(waisted):
     fixed = replace(waisted.samples, fixed=np.ones(len(waisted.samples.views), bool))
     assert found_in(waisted, samples=fixed).faces == []
-    none = waisted.samples.chosen(np.zeros(0, np.int64))
+    none = waisted.samples.select(np.zeros(0, np.int64))
     assert len(found_in(waisted, samples=none).points.points) == 0
 
 
