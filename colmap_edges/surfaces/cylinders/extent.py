@@ -7,31 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_closing
-from scipy.spatial import cKDTree
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
 from colmap_edges.surfaces.cylinders.lines import Lines
-from colmap_edges.surfaces.cylinders.sight import Sight, rays_that_meet
+from colmap_edges.surfaces.cylinders.sight import rays_that_meet
 from colmap_edges.surfaces.cylinders.support import MAX_GAP, Support
 from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.round_evidence import (
+    MAX_THROUGH,
+    MIN_STEPS,
+    SPACING_PX,
+    Rays,
+    Sight,
+    frontal_views,
+    seen_away_from_edges,
+    show_all_around,
+)
 
 BINS_PER_RADIUS = 12  # bins along the axis
 COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
-MIN_BOTH = 6  # minimum number of views that show both outlines
-# Maximum of the least cosine between directions from the axis to such views: from one direction, a
-# post looks like a cylinder.
-MAX_COSINE = 0.5
-BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the cylinder
-MAX_THROUGH = 0.1  # maximum share of rays through the cylinder, of those that do not end before it
-MIN_STEPS = 48  # minimum number of points around the full circle
-SPACING_PX = 8.0  # maximum distance of points, at the distance of the nearest views
-MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 END_PX = 4.0  # distance of points from the ends, where outlines bend into rims
-NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,17 +87,9 @@ def are_in_image(one: Cylinders, extent: Extent, views: Sequence[View]) -> BoolA
 def is_believed(one: Cylinders, extent: Extent, sight: Sight, views: Sequence[View]) -> bool:
     """Whether views all around show both outlines, and few rays pass through the cylinder."""
     inside = are_in_image(one, extent, views)
-    showing = np.flatnonzero(extent.both & inside)
-    both = len(showing)
-    away = np.array([views[v].center for v in showing.tolist()]).reshape(-1, 3) - one.points[0]
-    toward = unit(away - np.outer(away @ one.axes[0], one.axes[0]))
-    free = int((~sight.before).sum())
-    return bool(
-        both >= MIN_BOTH
-        and np.min(toward @ toward.T) <= MAX_COSINE
-        and both >= BOTH_SHARE * inside.sum()
-        and sight.through.sum() <= MAX_THROUGH * free
-    )
+    met = int((~sight.before).sum())
+    is_solid = bool(sight.through.sum() <= MAX_THROUGH * met)
+    return is_solid and show_all_around(extent.both, inside, one.points[0], one.axes[0], views)
 
 
 def points_on(
@@ -129,16 +119,8 @@ def points_on(
     points = one.points[0] + np.repeat(places, len(circle))[:, None] * axis + radius * normals
     bins = np.searchsorted(extent.starts, np.repeat(places, len(circle)), side="right") - 1
     bins = np.clip(bins, 0, len(extent.starts) - 2)
-    rays = unit(points[:, None] - centers)
-    cosines = -np.einsum("pvj,pj->pv", rays, normals)
-    visible = seen[:, bins].T & (cosines > MIN_COSINE)
-    order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
-    kept = np.take_along_axis(visible, order, axis=1)
-    edges = evidence.points[evidence.edge_ids >= 0]
-    near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
-    some = kept.any(axis=1) & np.isinf(near)
-    offsets = offsets_of(kept[some].sum(axis=1))
-    return SeenPoints(points[some], offsets, showing[order[some][kept[some]]].astype(np.int32))
+    frontal = frontal_views(points, normals, seen[:, bins].T, centers)
+    return seen_away_from_edges(points, frontal, showing, evidence, step)
 
 
 def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
@@ -153,10 +135,8 @@ def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
     return np.asarray(seen[:, 0] & seen[:, 1] & ~hidden)
 
 
-def sight_of_extent(
-    one: Cylinders, extent: Extent, evidence: Evidence, views: Sequence[View]
-) -> Sight:
+def sight_of_extent(one: Cylinders, extent: Extent, rays: Rays, views: Sequence[View]) -> Sight:
     """The rays to observed points that meet the shown part."""
     margin = (extent.starts[-1] - extent.starts[0]) / len(extent.starts)
     low, high = extent.starts[0] + margin, extent.starts[-1] - margin
-    return rays_that_meet(one, low, high, evidence, views)
+    return rays_that_meet(one, low, high, rays, views)

@@ -12,7 +12,6 @@ from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.cylinders.extent import (
-    MIN_BOTH,
     Extent,
     extent_of,
     is_believed,
@@ -29,6 +28,7 @@ from colmap_edges.surfaces.cylinders.support import (
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.round_evidence import MIN_BOTH, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
@@ -80,6 +80,7 @@ def find_cylinders(
         support = support_of(chosen[base], one, LOOSE_PX)
         supports.append(replace(support, rows=near[base][support.rows]))
     scores = np.array([support.score for support in supports])
+    rays = Rays.of(evidence, views)
     used, refused = np.zeros((2, len(lines.views)), bool)
     found, points, num_fits, last = [], [], 0, 0
     for h in np.argsort(-scores, kind="stable"):
@@ -94,7 +95,7 @@ def find_cylinders(
         if not may_be_outlines(lines, support, used):
             continue
         extent = extent_of(lines, one, support, len(views))
-        sight = sight_of_extent(one, extent, evidence, views)
+        sight = sight_of_extent(one, extent, rays, views)
         if is_believed(one, extent, sight, views):
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))

@@ -3,63 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray, owners_of
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
-from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.round_evidence import Rays, Sight
 
 WITHIN_PX = 3.0  # minimum distance of a ray from the outline, within which it meets the cylinder
-DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
-DEPTH_SHARE = 0.02  # ... and in its depth
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sight:
-    """Rays to observed points that meet a cylinder.
-
-    Attributes:
-        views: (n,) their views.
-        points: (n,) their points.
-        places: (n,) where they meet it, along the axis.
-        through: (n,) whether the point lies behind the surface there.
-        before: (n,) whether it lies before it.
-    """
-
-    views: Int32Array
-    points: IntArray
-    places: FloatArray
-    through: BoolArray
-    before: BoolArray
 
 
 def rays_that_meet(
-    one: Cylinders, low: float, high: float, evidence: Evidence, views: Sequence[View]
+    one: Cylinders, low: float, high: float, rays: Rays, views: Sequence[View]
 ) -> Sight:
     """The rays to observed points that meet a cylinder between two places of its axis."""
-    owners = owners_of(evidence.offsets)
-    seeing = evidence.views
-    centers = np.array([view.center for view in views])[seeing]
-    focals = np.array([view.focal_px for view in views])[seeing]
-    ends = evidence.points[owners]
-    rays = unit(ends - centers)
-    reach, places = entry_of(one, centers, rays, WITHIN_PX / focals)
+    focals = np.array([view.focal_px for view in views])[rays.views]
+    reach, places = entry_of(one, rays.starts, rays.directions, WITHIN_PX / focals)
     meets = np.flatnonzero(np.isfinite(reach) & (places > low) & (places < high))
-    owners, seeing = owners[meets], seeing[meets]
-    length = np.linalg.norm(ends[meets] - centers[meets], axis=1)
-    behind = length - reach[meets]
-    limit = np.maximum(DEVIATIONS * evidence.ray_sigmas[owners], DEPTH_SHARE * length)
-    return Sight(
-        views=seeing,
-        points=owners,
-        places=places[meets],
-        through=behind > limit,
-        before=behind < -limit,
-    )
+    return rays.met(meets, reach[meets], places[meets])
 
 
 def entry_of(

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
 from colmap_edges.core.polylines import unit
@@ -15,33 +14,26 @@ from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile, closed_along
-from colmap_edges.surfaces.revolution.sight import (
+from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
+from colmap_edges.surfaces.round_evidence import (
+    MAX_THROUGH,
+    MIN_STEPS,
+    SPACING_PX,
     Rays,
-    Shell,
     Sight,
-    entries_of,
-    rays_that_meet,
-    shell_of,
+    frontal_views,
+    seen_away_from_edges,
+    show_all_around,
 )
 
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
-MIN_BOTH = 6  # minimum number of views that show both outlines
-# Maximum of the least cosine between directions from the axis to such views: from one direction, a
-# post looks like a cylinder.
-MAX_COSINE = 0.5
-BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
-MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
 MAX_BEFORE = 0.3  # maximum share of rays that end before a place of the body that a view sees
 OUTLINED = 0.98  # maximum cosine of the angle around the axis at which an outline is seen
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
 CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in its deviations
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
 RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
-MIN_STEPS = 48  # minimum number of points around the full circle
-SPACING_PX = 8.0  # maximum distance of points
-MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
-NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 
 
 def showing_both(profile: Profile) -> BoolArray:
@@ -56,14 +48,10 @@ def is_believed(profile: Profile, sight: Sight, views: Sequence[View]) -> bool:
     places = np.linspace(profile.places[0], profile.places[-1], 9) * axis.pixel
     along = axis.point + places[:, None] * axis.direction
     inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
-    showing = np.flatnonzero(showing_both(profile) & inside)
-    if len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
-        return False
-    away = np.array([views[v].center for v in showing.tolist()]) - axis.point
-    toward = unit(away - np.outer(away @ axis.direction, axis.direction))
     met = int((~sight.before).sum()) + len(profile.rows)
-    return bool(
-        np.min(toward @ toward.T) <= MAX_COSINE and sight.through.sum() <= MAX_THROUGH * met
+    is_solid = bool(sight.through.sum() <= MAX_THROUGH * met)
+    return is_solid and show_all_around(
+        showing_both(profile), inside, axis.point, axis.direction, views
     )
 
 
@@ -201,21 +189,13 @@ def points_on(
     local = places[owners, None] * axis.direction + radii[owners, None] * away
     points = axis.point + axis.pixel * local
     normals = slopes[owners, :1] * axis.direction + slopes[owners, 1:] * away
-    rays = unit(np.array([views[v].center for v in showing.tolist()]) - points[:, None])
-    cosines = np.einsum("pvj,pj->pv", rays, normals)
-    visible = seen[showing][:, bins[owners]].T & (cosines > MIN_COSINE)
-    order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
-    kept = np.take_along_axis(visible, order, axis=1)
-    rows, ranks = np.nonzero(kept)
-    toward = rays[rows, order[rows, ranks]]
+    centers = np.array([views[v].center for v in showing.tolist()])
+    frontal = frontal_views(points, normals, seen[showing][:, bins[owners]].T, centers)
+    rows, ranks = np.nonzero(frontal.kept)
+    toward = frontal.toward[rows, frontal.order[rows, ranks]]
     hidden = np.isfinite(entries_of(shell, points[rows], toward, skipped=2.0)[0])
-    kept[rows[hidden], ranks[hidden]] = False
-    edges = evidence.points[evidence.edge_ids >= 0]
-    limit = step * axis.pixel
-    near = cKDTree(edges).query(points, distance_upper_bound=limit)[0] if len(edges) else np.inf
-    some = kept.any(axis=1) & np.isinf(near)
-    offsets = offsets_of(kept[some].sum(axis=1))
-    return SeenPoints(points[some], offsets, showing[order[some][kept[some]]].astype(np.int32))
+    frontal.kept[rows[hidden], ranks[hidden]] = False
+    return seen_away_from_edges(points, frontal, showing, evidence, step * axis.pixel)
 
 
 def along_profile(

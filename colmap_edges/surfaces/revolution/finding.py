@@ -30,7 +30,8 @@ from colmap_edges.surfaces.revolution.meridians import Axis, meridian_of, sample
 from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.revolution.sight import Rays, rays_that_meet, shell_of
+from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
+from colmap_edges.surfaces.round_evidence import Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains

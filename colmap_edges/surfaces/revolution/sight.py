@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, owners_of
-from colmap_edges.core.polylines import unit
-from colmap_edges.core.view import View
-from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.surfaces.revolution.meridians import Axis
 from colmap_edges.surfaces.revolution.profiles import Profile
+from colmap_edges.surfaces.round_evidence import Rays, Sight
 
 # Depths below the surface, in pixels, of the shell that a ray enters if it meets the body.
 INSIDE_PX, DEEP_PX = 2.0, 6.0
 MAX_RAYS = 4000  # through the ball around a body, more are left out
 NUM_STEPS = 96  # along a ray through the ball around the body
-DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
-DEPTH_SHARE = 0.02  # ... and in its depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,23 +36,6 @@ class Shell:
     lowest: float
     inside: BoolArray
     below: BoolArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sight:
-    """Rays to observed points that meet a body.
-
-    Attributes:
-        views: (n,) their views.
-        places: (n,) where they meet it, along the axis, pixels.
-        through: (n,) whether the point lies behind the surface there.
-        before: (n,) whether it lies before it.
-    """
-
-    views: Int32Array
-    places: FloatArray
-    through: BoolArray
-    before: BoolArray
 
 
 def shell_of(profile: Profile) -> Shell:
@@ -126,34 +103,6 @@ def entries_of(
     return lengths, places
 
 
-class Rays(NamedTuple):
-    """Rays from views to the points that they observe.
-
-    Attributes:
-        views: (N,) their views.
-        starts: (N, 3) the views' centres.
-        directions: (N, 3) unit directions.
-        lengths: (N,) distances of the points.
-        limits: (N,) distances from a point within which it lies on a surface.
-    """
-
-    views: Int32Array
-    starts: FloatArray
-    directions: FloatArray
-    lengths: FloatArray
-    limits: FloatArray
-
-    @classmethod
-    def of(cls, evidence: Evidence, views: Sequence[View]) -> Rays:
-        """The rays of all observations."""
-        owners, seeing = owners_of(evidence.offsets), evidence.views
-        starts = np.array([view.center for view in views])[seeing]
-        away = evidence.points[owners] - starts
-        lengths = np.linalg.norm(away, axis=1)
-        limits = np.maximum(DEVIATIONS * evidence.ray_sigmas[owners], DEPTH_SHARE * lengths)
-        return cls(seeing, starts, unit(away), lengths, limits)
-
-
 def rays_that_meet(shell: Shell, rays: Rays) -> Sight:
     """The rays to observed points that meet a body, no more than `MAX_RAYS` evenly chosen."""
     away = shell.axis.point + shell.middle * shell.axis.pixel * shell.axis.direction - rays.starts
@@ -162,12 +111,5 @@ def rays_that_meet(shell: Shell, rays: Rays) -> Sight:
     near = np.flatnonzero((along > 0) & (off < (shell.reach * shell.axis.pixel) ** 2))
     near = near[:: len(near) // MAX_RAYS + 1]
     reach, places = entries_of(shell, rays.starts[near], rays.directions[near])
-    meets = np.isfinite(reach)
-    behind = rays.lengths[near][meets] - reach[meets]
-    limits = rays.limits[near][meets]
-    return Sight(
-        views=rays.views[near][meets],
-        places=places[meets],
-        through=behind > limits,
-        before=behind < -limits,
-    )
+    meets = np.flatnonzero(np.isfinite(reach))
+    return rays.met(near[meets], reach[meets], places[meets])

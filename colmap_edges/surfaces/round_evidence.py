@@ -1,0 +1,160 @@
+"""What views tell of round bodies: whether they show one, which rays meet it, who sees points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    offsets_of,
+    owners_of,
+)
+from colmap_edges.core.polylines import unit
+from colmap_edges.core.seen_points import SeenPoints
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.faces.evidence import Evidence
+
+MIN_BOTH = 6  # minimum number of views that show both outlines
+# Maximum of the least cosine between directions from the axis to such views: from one direction, a
+# post looks like a cylinder.
+MAX_COSINE = 0.5
+BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
+MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
+MIN_STEPS = 48  # minimum number of points around the full circle
+SPACING_PX = 8.0  # maximum distance of points
+MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
+NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
+DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
+DEPTH_SHARE = 0.02  # ... and in its depth
+
+
+class Sight(NamedTuple):
+    """Rays to observed points that meet a body.
+
+    Attributes:
+        views: (n,) their views.
+        places: (n,) where they meet it, along the axis, in the unit of the body's description.
+        through: (n,) whether the point lies behind the surface there.
+        before: (n,) whether it lies before it.
+    """
+
+    views: Int32Array
+    places: FloatArray
+    through: BoolArray
+    before: BoolArray
+
+
+class Rays(NamedTuple):
+    """Rays from views to the points that they observe.
+
+    Attributes:
+        views: (N,) their views.
+        starts: (N, 3) the views' centres.
+        directions: (N, 3) unit directions.
+        lengths: (N,) distances of the points.
+        limits: (N,) distances from a point within which it lies on a surface.
+    """
+
+    views: Int32Array
+    starts: FloatArray
+    directions: FloatArray
+    lengths: FloatArray
+    limits: FloatArray
+
+    @classmethod
+    def of(cls, evidence: Evidence, views: Sequence[View]) -> Rays:
+        """The rays of all observations."""
+        owners, seeing = owners_of(evidence.offsets), evidence.views
+        starts = np.array([view.center for view in views])[seeing]
+        away = evidence.points[owners] - starts
+        lengths = np.linalg.norm(away, axis=1)
+        limits = np.maximum(DEVIATIONS * evidence.ray_sigmas[owners], DEPTH_SHARE * lengths)
+        return cls(seeing, starts, unit(away), lengths, limits)
+
+    def met(self, rows: IntArray, reach: FloatArray, places: FloatArray) -> Sight:
+        """What (n,) rays say that enter a body after (n,) lengths at (n,) places of its axis."""
+        behind, limits = self.lengths[rows] - reach, self.limits[rows]
+        return Sight(self.views[rows], places, behind > limits, behind < -limits)
+
+
+def show_all_around(
+    both: BoolArray,
+    inside: BoolArray,
+    point: FloatArray,
+    direction: FloatArray,
+    views: Sequence[View],
+) -> bool:
+    """Whether many of the views that contain a body show both its outlines, from all around it.
+
+    Args:
+        both: (V,) whether they show both outlines.
+        inside: (V,) whether they contain it.
+        point: (3,) of the axis.
+        direction: (3,) unit direction of the axis.
+        views: the V views.
+    """
+    showing = np.flatnonzero(both & inside)
+    if len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
+        return False
+    away = np.array([views[v].center for v in showing.tolist()]) - point
+    toward = unit(away - np.outer(away @ direction, direction))
+    return bool(np.min(toward @ toward.T) <= MAX_COSINE)
+
+
+class Frontal(NamedTuple):
+    """The most frontal views of points on a body.
+
+    Attributes:
+        order: (P, n) indices of views, the most frontal one first.
+        kept: (P, n) whether such a view sees the point.
+        toward: (P, V, 3) unit directions to all views.
+    """
+
+    order: IntArray
+    kept: BoolArray
+    toward: FloatArray
+
+
+def frontal_views(
+    points: FloatArray, normals: FloatArray, seen: BoolArray, centers: FloatArray
+) -> Frontal:
+    """The most frontal views of (P, 3) points, of those that see them.
+
+    Args:
+        points: (P, 3) points on the body.
+        normals: (P, 3) their unit normals.
+        seen: (P, V) whether a view sees the body where a point is.
+        centers: (V, 3) the views' centres.
+    """
+    toward = unit(centers - points[:, None])
+    cosines = np.einsum("pvj,pj->pv", toward, normals)
+    visible = seen & (cosines > MIN_COSINE)
+    order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
+    return Frontal(order, np.take_along_axis(visible, order, axis=1), toward)
+
+
+def seen_away_from_edges(
+    points: FloatArray, frontal: Frontal, views: IntArray, evidence: Evidence, step: float
+) -> SeenPoints:
+    """Points that views see and that have no edge point within a distance.
+
+    Args:
+        points: (P, 3) points.
+        frontal: their views, as indices into `views`.
+        views: (V,) numbers of the views.
+        evidence: the edge points.
+        step: the distance, world units.
+    """
+    edges = evidence.points[evidence.edge_ids >= 0]
+    near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
+    some = frontal.kept.any(axis=1) & np.isinf(near)
+    kept = frontal.kept[some]
+    chosen = views[frontal.order[some][kept]].astype(np.int32)
+    return SeenPoints(points[some], offsets_of(kept.sum(axis=1)), chosen)
