@@ -4,14 +4,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pycolmap
 import pytest
-from plain_rooms import model_of, upright_view
+from plain_rooms import model_of
+from round_scenes import noisy_graph, views_around
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import rows_by_view
-from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.surfaces.cylinders import hypotheses
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
@@ -20,17 +19,6 @@ from colmap_edges.surfaces.outlines2d import are_observed, find_outlines
 
 AXIS = unit(np.array([0.2, 0.1, 1.0]))
 BASE, RADIUS, HEIGHT = np.array([0.1, -0.2, 0.1]), 0.4, 1.2
-NOISE_PX = 0.2
-
-
-def views_around(num_views=12):
-    """Views from a circle above the ground."""
-    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[600, 600, 320, 240])
-    views = []
-    for i, angle in enumerate(np.linspace(0, 2 * np.pi, num_views, endpoint=False)):
-        center = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.8 + 0.4 * (i % 3)])
-        views.append(upright_view(i, camera, center, np.array([0, 0, 0.6]) - center))
-    return tuple(views)
 
 
 def outlines_of_cylinder(view):
@@ -56,23 +44,12 @@ def outlines_of_post(view):
 
 def graph_of(view, curves, rng):
     """The edge graph of a view that shows (E, n, 3) curves."""
-    pixels = np.concatenate([view.project_undistorted(curve)[0] for curve in curves])
-    count = len(pixels)
-    pixels = (pixels + rng.normal(0, NOISE_PX, pixels.shape)).astype(np.float32)
-    return EdgeGraph(
-        points=pixels,
-        undistorted=pixels,
-        normals=np.zeros((count, 2), np.float32),
-        sides=np.zeros((count, 2), np.uint8),
-        colors=np.zeros((count, 3), np.uint8),
-        polyline_offsets=np.arange(len(curves) + 1) * len(curves[0]),
-        closed=np.zeros(len(curves), bool),
-    )
+    return noisy_graph([view.project_undistorted(curve)[0] for curve in curves], rng)
 
 
 def scene_of(outlines):
     """Views that show a body, and the straight pieces of what they show."""
-    views, rng = views_around(), np.random.default_rng(0)
+    views, rng = views_around(np.array([0, 0, 0.6]), 0.4), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, outlines(view), rng) for view in views])
     lines = find_outlines(views, graphs, Edges3D.none()).lines
     return SimpleNamespace(views=views, model=model_of(views), lines=lines)

@@ -5,15 +5,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pycolmap
 import pytest
-from plain_rooms import model_of, upright_view
+from plain_rooms import model_of
+from round_scenes import noisy_graph, views_around
 
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.similarity import Similarity
-from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.export.faces import read_faces, write_faces
 from colmap_edges.surfaces.faces.evidence import gather_evidence
@@ -24,17 +23,6 @@ from colmap_edges.surfaces.round_face import RoundFace, moved_round
 
 CENTER = np.array([0.1, -0.2, 0.6])
 AXIS = unit(np.array([0.3, -0.1, 1.0]))
-NOISE_PX = 0.2
-
-
-def views_around(num_views=12):
-    """Views from a circle above the ground."""
-    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[600, 600, 320, 240])
-    views = []
-    for i, angle in enumerate(np.linspace(0, 2 * np.pi, num_views, endpoint=False)):
-        center = np.array([4 * np.cos(angle), 4 * np.sin(angle), 1.8 + 0.6 * (i % 3)])
-        views.append(upright_view(i, camera, center, CENTER - center))
-    return tuple(views)
 
 
 def outlines_of(profile, view):
@@ -62,19 +50,7 @@ def dense(curve):
 
 def graph_of(view, curves, rng):
     """The edge graph of a view that shows (n, 3) curves."""
-    parts = [dense(view.project_undistorted(curve)[0]) for curve in curves]
-    pixels = np.concatenate(parts)
-    pixels = (pixels + rng.normal(0, NOISE_PX, pixels.shape)).astype(np.float32)
-    count = len(pixels)
-    return EdgeGraph(
-        points=pixels,
-        undistorted=pixels,
-        normals=np.zeros((count, 2), np.float32),
-        sides=np.zeros((count, 2), np.uint8),
-        colors=np.zeros((count, 3), np.uint8),
-        polyline_offsets=np.concatenate([[0], np.cumsum([len(part) for part in parts])]),
-        closed=np.zeros(len(parts), bool),
-    )
+    return noisy_graph([dense(view.project_undistorted(curve)[0]) for curve in curves], rng)
 
 
 def ball():
@@ -101,7 +77,7 @@ def cone():
 
 def scene_of(curves_in):
     """Views that show curves, and the samples of these."""
-    views, rng = views_around(), np.random.default_rng(0)
+    views, rng = views_around(CENTER, 0.6), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, list(curves_in(view)), rng) for view in views])
     samples = find_outlines(views, graphs, Edges3D.none()).samples
     return SimpleNamespace(views=views, model=model_of(views), samples=samples)
