@@ -146,9 +146,9 @@ def round_stage(
         evidence, seed = gather_evidence(model, edges), options.random_seed
         lines, samples = outlines
         straight = find_cylinders(lines, model.views, evidence, seed)
-        turned = find_bodies(samples, curves, model.views, evidence, straight.cylinders, seed)
+        turned = find_bodies(samples, curves, model.views, evidence, straight.faces, seed)
         points = joined_seen([straight.points, turned.points])
-        found = [*straight.cylinders, *turned.faces]
+        found = [*straight.faces, *turned.faces]
         stage.counts = {
             "lines": len(lines.views),
             "axes_tried": straight.num_tried + turned.num_tried,

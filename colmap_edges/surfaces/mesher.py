@@ -141,8 +141,7 @@ def mesh_with_curves(
     curves = [of for of in edges_and_contours if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     check_not_all_far(model, num_seen)
-    is_open = background is not None and options.background_weight > 0
-    silhouettes = background.silhouettes if background and is_open else NO_POINTS
+    silhouettes = background.silhouettes if background and options.background_weight else NO_POINTS
     others = joined_seen([silhouettes, faces, round_points])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 

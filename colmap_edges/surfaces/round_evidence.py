@@ -20,6 +20,7 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
+from colmap_edges.surfaces.round_face import RoundFace
 
 MIN_BOTH = 6  # minimum number of views that show both outlines
 # Maximum of the least cosine between directions from the axis to such views: from one direction, a
@@ -33,6 +34,22 @@ MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
 DEPTH_SHARE = 0.02  # ... and in its depth
+
+
+class FoundRound(NamedTuple):
+    """The faces of a scene's round bodies that a search found.
+
+    Attributes:
+        faces: the faces.
+        points: points on them, with views that see them.
+        num_tried: number of hypotheses.
+        num_fitted: number of those that were fitted to outlines.
+    """
+
+    faces: list[RoundFace]
+    points: SeenPoints
+    num_tried: int
+    num_fitted: int
 
 
 class Sight(NamedTuple):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import BoolArray, IntArray
-from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
+from colmap_edges.core.seen_points import NO_POINTS, joined_seen
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.cylinders.extent import (
     Extent,
@@ -28,7 +28,7 @@ from colmap_edges.surfaces.cylinders.support import (
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.round_evidence import MIN_BOTH, Rays
+from colmap_edges.surfaces.round_evidence import MIN_BOTH, FoundRound, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
@@ -41,26 +41,9 @@ REFUSED_SHARE = 0.7  # maximum share of outlines with which other cylinders were
 SAME_SHARE = 0.3  # maximum share of outlines that are those of a better cylinder
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundCylinders:
-    """The cylinders of a scene.
-
-    Attributes:
-        cylinders: the cylinders.
-        points: points on them, with views that see them.
-        num_tried: number of hypotheses.
-        num_fitted: number of those that were fitted to their support.
-    """
-
-    cylinders: list[RoundFace]
-    points: SeenPoints
-    num_tried: int
-    num_fitted: int
-
-
 def find_cylinders(
     lines: Lines, views: Sequence[View], evidence: Evidence, random_seed: int
-) -> FoundCylinders:
+) -> FoundRound:
     """Find the cylinders whose outlines views show.
 
     Args:
@@ -100,8 +83,8 @@ def find_cylinders(
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
             points.append(points_on(one, extent, sight, views, evidence))
-    return FoundCylinders(
-        cylinders=found,
+    return FoundRound(
+        faces=found,
         points=joined_seen([NO_POINTS, *points]),
         num_tried=len(scores),
         num_fitted=num_fits,

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from colmap_edges.colmap.clouds import CloudFile, SeenRows
+from colmap_edges.colmap.clouds import BLOCK, CloudFile, SeenRows
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
     BoolArray,
@@ -31,7 +31,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.options.meshing import DenseOptions
 from colmap_edges.surfaces.dense.displacement import measured_shift, movements
 from colmap_edges.surfaces.dense.planes import NUM_NEIGHBORS, planes_at
-from colmap_edges.surfaces.dense.seeing import BLOCK, seen_by
+from colmap_edges.surfaces.dense.seeing import seen_by
 from colmap_edges.surfaces.information import MIN_NOISE_PX
 from colmap_edges.surfaces.mesh import Mesh
 

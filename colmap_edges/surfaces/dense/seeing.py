@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from colmap_edges.colmap.clouds import SeenRows
+from colmap_edges.colmap.clouds import BLOCK, SeenRows
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import (
     FloatArray,
@@ -22,8 +22,6 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.errors import ColmapEdgesError
-
-BLOCK = 1_000_000  # points whose observations are handled at once, which bounds memory
 
 
 def seen_by(

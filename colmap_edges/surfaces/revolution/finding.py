@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.curves3d import Curves3D
-from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
+from colmap_edges.core.seen_points import NO_POINTS, joined_seen
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.bodies import (
@@ -31,7 +30,7 @@ from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
-from colmap_edges.surfaces.round_evidence import Rays
+from colmap_edges.surfaces.round_evidence import FoundRound, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains
@@ -44,23 +43,6 @@ TRIED_SHARE = 0.7  # maximum share of tried samples of an axis
 SAME_SHARE = 0.3  # maximum share of outlines that are those of a better body
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundBodies:
-    """The bodies of revolution of a scene.
-
-    Attributes:
-        faces: their faces.
-        points: points on them, with views that see them.
-        num_tried: number of axes.
-        num_fitted: number of those that were fitted to outlines.
-    """
-
-    faces: list[RoundFace]
-    points: SeenPoints
-    num_tried: int
-    num_fitted: int
-
-
 def find_bodies(
     samples: Samples,
     curves: Curves3D,
@@ -68,7 +50,7 @@ def find_bodies(
     evidence: Evidence,
     known: Sequence[RoundFace],
     random_seed: int,
-) -> FoundBodies:
+) -> FoundRound:
     """Find the bodies of revolution whose outlines views show.
 
     Args:
@@ -104,7 +86,7 @@ def find_bodies(
             seen = seen_bins(whole, rays_that_meet(shell, rays), views)
             points.append(points_on(whole, shell, seen, views, evidence))
             faces += faces_of(whole, np.flatnonzero(showing_both(profile)))
-    return FoundBodies(
+    return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
     )
 

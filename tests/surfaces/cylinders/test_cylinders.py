@@ -76,7 +76,7 @@ def distances_from_axis(points):
 
 
 def test_a_cylinder_is_found_from_its_outlines(can, found):
-    (one,) = found.cylinders
+    (one,) = found.faces
     places, radii = one.profile.T
     assert (one.kind, radii.tolist()) == ("cylinder", [pytest.approx(RADIUS, rel=2e-3)] * 2)
     ends = one.point + places[:, None] * one.direction
@@ -112,12 +112,12 @@ def test_hypotheses_left_out_early_have_no_radius(can, monkeypatch):
 
 
 def test_a_square_post_is_no_cylinder():
-    assert found_in(scene_of(outlines_of_post)).cylinders == []
+    assert found_in(scene_of(outlines_of_post)).faces == []
 
 
 def test_outlines_that_are_fixed_edges_are_of_no_cylinder(can):
     fixed = replace(can.lines, fixed=np.ones(len(can.lines.views)))
-    assert found_in(replace_lines(can, fixed)).cylinders == []
+    assert found_in(replace_lines(can, fixed)).faces == []
 
 
 def replace_lines(scene, lines):
@@ -145,13 +145,13 @@ def test_rays_through_the_body_refuse_it(can):
         offsets=np.arange(count + 1),
         views=np.array(views, np.int32),
     )
-    assert found_in(can, evidence).cylinders == []
+    assert found_in(can, evidence).faces == []
 
 
 def test_nothing_without_lines(can):
     none = can.lines.select(np.zeros(0, np.int64))
     found = found_in(replace_lines(can, none))
-    assert (found.cylinders, len(found.points.points)) == ([], 0)
+    assert (found.faces, len(found.points.points)) == ([], 0)
 
 
 def test_points_beside_observations_belong_to_edges():
