@@ -66,7 +66,9 @@ class PipelineOptions(Options):
         False, "Write points found where images have texture, too", stage="write"
     )
     refine_mesh: bool = option(
-        True, "Smooth the mesh between edges, within the noise of its points", stage="mesh"
+        True,
+        "Smooth the mesh between edges and replace thin triangles, within the noise of its points",
+        stage="mesh",
     )
     mesh_type: str = option(
         "PLY", "Format of the written mesh", choices=("PLY", "OBJ", "GLB"), stage="mesh"

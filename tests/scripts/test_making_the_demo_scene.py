@@ -94,6 +94,7 @@ def surface_of_scene():
 @pytest.mark.pipeline
 def test_meshes_are_compared_with_the_true_surface(small, tmp_path):
     pytest.importorskip("colmap_edges._mesher", reason="the CGAL mesher is not built")
+    pytest.importorskip("PIL", reason="reading the texture of a GLB needs Pillow")
     from colmap_edges.options import PipelineOptions
     from colmap_edges.pipeline.run import run
 
