@@ -35,6 +35,14 @@ NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
 DEPTH_SHARE = 0.02  # ... and in its depth
 
+# Of hypotheses of cylinders and of other bodies of revolution.
+MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines of a pair
+MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the planes of pairs of two views
+SAME_SHARE = 0.3  # maximum share of outlines that are those of a better body
+TRIED_SHARE = 0.7  # maximum share of outlines with which other bodies were tried
+COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
+MAX_GAP = 0.6  # maximum gap between outlines along the axis, in radii
+
 
 class FoundRound(NamedTuple):
     """The faces of a scene's round bodies that a search found.

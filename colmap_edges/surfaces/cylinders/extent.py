@@ -14,9 +14,11 @@ from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.cylinders.sight import rays_that_meet
-from colmap_edges.surfaces.cylinders.support import MAX_GAP, Support
+from colmap_edges.surfaces.cylinders.support import Support
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_evidence import (
+    COVERED_SHARE,
+    MAX_GAP,
     MAX_THROUGH,
     MIN_STEPS,
     SPACING_PX,
@@ -28,7 +30,6 @@ from colmap_edges.surfaces.round_evidence import (
 )
 
 BINS_PER_RADIUS = 12  # bins along the axis
-COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
 END_PX = 4.0  # distance of points from the ends, where outlines bend into rims
 
 

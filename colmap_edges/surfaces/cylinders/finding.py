@@ -28,7 +28,7 @@ from colmap_edges.surfaces.cylinders.support import (
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.round_evidence import MIN_BOTH, FoundRound, Rays
+from colmap_edges.surfaces.round_evidence import MIN_BOTH, SAME_SHARE, TRIED_SHARE, FoundRound, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
@@ -37,8 +37,6 @@ MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
 MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
-REFUSED_SHARE = 0.7  # maximum share of outlines with which other cylinders were tried
-SAME_SHARE = 0.3  # maximum share of outlines that are those of a better cylinder
 
 
 def find_cylinders(
@@ -70,7 +68,7 @@ def find_cylinders(
         rows = supports[h].rows
         if scores[h] < MIN_SCORE or num_fits - last == MAX_REFUSED:
             break
-        if not may_be_outlines(lines, supports[h], used) or refused[rows].mean() > REFUSED_SHARE:
+        if not may_be_outlines(lines, supports[h], used) or refused[rows].mean() > TRIED_SHARE:
             continue
         num_fits += 1
         one, support = fitted(lines, Cylinders(*(part[h : h + 1] for part in tried)))

@@ -10,16 +10,15 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.cylinders.lines import Lines
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
 MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
-MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines
 MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
 MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
 MAX_LINES = 300  # maximum number of lines in a view, the longest ones
 MAX_BASES = 200  # maximum number of views that are combined with others, evenly chosen
 MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
 NUM_PARTNERS = 4  # number of other views with which a view is combined
-MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the middle planes of two views
 SLACK_PX = 2.0  # maximum distance of the four outlines from those of a hypothesis
 
 

@@ -11,11 +11,11 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, tangencies
 from colmap_edges.surfaces.cylinders.lines import Lines
+from colmap_edges.surfaces.round_evidence import MAX_GAP
 
 LOOSE_PX = 3.0  # maximum distance of an outline from that of a hypothesis
 CLOSE_PX = 1.5  # of an outline from that of a fitted cylinder
 ENOUGH_PX = 40.0  # length of an outline from which on more does not count
-MAX_GAP = 0.6  # maximum gap between outlines along the axis, in radii
 NUM_FITS = 4  # rounds of fitting and choosing
 
 

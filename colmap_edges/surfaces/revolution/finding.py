@@ -30,7 +30,7 @@ from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
-from colmap_edges.surfaces.round_evidence import FoundRound, Rays
+from colmap_edges.surfaces.round_evidence import SAME_SHARE, TRIED_SHARE, FoundRound, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains
@@ -39,8 +39,6 @@ NEAR_PX = 3.0  # maximum distance of outlines from those of a cylinder
 MAX_NEAR, MIN_VIEWS = 10_000, 8  # number of samples and views around an axis that rank it
 MAX_FITS = 16  # maximum number of fitted axes
 MAX_TRIES = 3  # number of axes after which samples are tried; one that is fitted counts twice
-TRIED_SHARE = 0.7  # maximum share of tried samples of an axis
-SAME_SHARE = 0.3  # maximum share of outlines that are those of a better body
 
 
 def find_bodies(

@@ -13,6 +13,7 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.revolution.meridians import MIN_RISE, MIN_SINE, Axis, touched
 from colmap_edges.surfaces.revolution.samples import Samples
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
 MAX_CIRCLES = 60  # maximum number of circles, the longest ones
 CIRCLE_REACH = 4.0  # radius of the ball around a circle, relative to the circle's
@@ -24,12 +25,10 @@ NUM_TRIED = 200  # number of pairs whose planes are tried
 NUM_PLANES = 8  # maximum number of planes of a view
 NUM_KEPT = 20  # number of pairs of a plane whose profiles are compared
 MIN_PAIRS = 6  # minimum number of pairs of a plane
-MIN_WIDTH_PX = 12.0  # minimum distance of a pair
 MAX_TURN = np.cos(np.radians(4.0))  # between normals of a pair, one of them mirrored
 MIN_FACING = 0.2  # minimum cosine between normals and the direction from one to the other
 MIDDLE_PX = 2.0  # maximum distance of the middle of a pair from its plane
 MAX_TILT = np.cos(np.radians(5.0))  # between the direction of a pair and the plane's normal
-MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the planes of two views
 # Maximum distances of profiles of two views: pixels along and across the axis, and angle.
 AGREE = (8.0, 4.0, 0.2)
 MAX_USES = 2  # maximum number of axes of the same samples

@@ -11,6 +11,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
 from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.revolution.meridians import CELL_PX, Axis, Meridian
 from colmap_edges.surfaces.revolution.samples import Samples
+from colmap_edges.surfaces.round_evidence import COVERED_SHARE, MAX_GAP
 
 # Minimum number of views that show each side of the axis in a cell and those beside it, and its
 # minimum relative to all views with samples there.
@@ -24,9 +25,7 @@ OUTLIER_PX = 4.0  # maximum distance of samples from the median of their bin
 CLOSE_PX = 2.5  # maximum distance of outlines from the profile
 # Minimum cosine between a sample's normal and the profile's: those of edges around it have any.
 SAME_TURN = np.cos(np.radians(8.0))
-COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
 MIN_ASPECT = 0.25  # minimum length along the axis, in radii
-MAX_GAP = 0.6  # maximum gap between outlines along the axis, in radii
 
 
 @dataclass(frozen=True, kw_only=True)
