@@ -6,7 +6,7 @@ import pytest
 from plain_rooms import upright_view
 
 from colmap_edges.core.polylines import unit
-from colmap_edges.surfaces.sky.backdrop import deviations, harmonics, is_backdrop, samples
+from colmap_edges.surfaces.sky.backdrop import find_backdrop, fitted, harmonics, samples
 from colmap_edges.surfaces.sky.regions import Regions
 
 WIDTH, HEIGHT = 80, 60
@@ -67,41 +67,58 @@ def regions_of(views, colors, exposures=None, below=()):
     )
 
 
+def all_shown(views, regions):
+    """Whether all pixels of all regions, and no others, are a backdrop."""
+    shown = find_backdrop(views, regions)
+    return all(np.array_equal(a, b >= 0) for a, b in zip(shown, regions.labels, strict=True))
+
+
 def test_a_gradient_around_a_body_is_a_backdrop_at_any_exposure():
     views = orbit()
-    assert is_backdrop(views, regions_of(views, gradient)).all()
+    assert all_shown(views, regions_of(views, gradient))
     exposures = np.random.default_rng(1).uniform(0.7, 1.3, VIEWS)
-    assert is_backdrop(views, regions_of(views, gradient, exposures)).all()
+    assert all_shown(views, regions_of(views, gradient, exposures))
 
 
 def test_a_plain_colour_around_a_body_is_a_backdrop():
     views = orbit()
     plain = regions_of(views, lambda view: np.full((HEIGHT * WIDTH, 3), 200.0))
-    assert is_backdrop(views, plain).all()
+    assert all_shown(views, plain)
 
 
 def test_walls_of_a_room_are_no_backdrop():
     views = orbit()
-    assert not is_backdrop(views, regions_of(views, walls)).any()
+    assert find_backdrop(views, regions_of(views, walls)) is None
 
 
 def test_one_side_is_not_enough():
     views = orbit(share=0.1)
-    assert not is_backdrop(views, regions_of(views, gradient)).any()
+    assert find_backdrop(views, regions_of(views, gradient)) is None
 
 
 def test_nearly_all_views_must_show_it():
     views = orbit()
     few = regions_of(views, gradient, below=(0, 1, 2))
-    assert not is_backdrop(views, few).any()
+    assert find_backdrop(views, few) is None
 
 
 def test_regions_that_disagree_are_left_out():
     views = orbit()
     regions = regions_of(views, gradient)
     regions.pictures[4][:, :40] = 60  # a plain curtain
-    found = is_backdrop(views, regions)
-    assert not found[4] and found.sum() == VIEWS - 1
+    shown = find_backdrop(views, regions)
+    assert [of.any() for of in shown] == [index != 4 for index in range(VIEWS)]
+
+
+def test_a_body_into_which_a_region_leaks_is_left_out():
+    """Its shade reaches that of the backdrop at one side, so that no outline is found there."""
+    views = orbit()
+    regions = regions_of(views, gradient)
+    shade = regions.pictures[4][25:40, 55:65].astype(float) - np.arange(10)[None, :, None]
+    regions.pictures[4][25:40, 55:65] = shade
+    shown = find_backdrop(views, regions)
+    assert not shown[4][27:38, 60:64].any()
+    assert shown[4][:, 70:].all() and shown[4][:20].all() and shown[5][27:38, 60:64].all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.5])
@@ -112,8 +129,11 @@ def test_factors_of_views_are_taken_out_exactly(noise):
     shape = np.exp(harmonics(directions) @ rng.normal(0, 0.05, (15, 3)))
     factors = np.array([60.0, 90, 120, 150, 100])
     colors = factors[seen_by, None] * shape + noise * rng.normal(size=(3000, 3))
-    off = deviations(seen_by, harmonics(directions), colors)
+    off, model = fitted(seen_by, harmonics(directions), colors, 6)
     assert off.max() < 1e-6 + 5 * noise
+    found = np.exp(harmonics(directions) @ model.coefficients + model.factors[seen_by])
+    assert np.abs(found - colors).max() < 1e-6 + 5 * noise
+    assert np.isnan(model.factors[5]).all()
 
 
 def test_samples_are_bounded_and_in_the_order_of_views():

@@ -7,7 +7,9 @@ a room do not: the same direction meets another place of them, or another wall, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
@@ -24,23 +26,55 @@ MIN_SHARE = 0.5
 # Maximum length of the mean direction: cameras go round bodies before a backdrop. One wall, seen
 # from one side only, may look the same from all places, too.
 MAX_MEAN_LENGTH = 0.8
+WINDOW = 5  # pixels along the side of the square over which the deviations of pixels are averaged
 
 
-def is_backdrop(views: Sequence[View], regions: Regions) -> BoolArray:
-    """(R,) regions of a backdrop that nearly all views show; none if there is no such backdrop.
+class Colors(NamedTuple):
+    """Logarithms of a backdrop's levels, by direction.
 
-    Colours are modelled by smooth functions of the direction and a factor of each view.
+    Attributes:
+        coefficients: (k, 3) of the terms of `harmonics`.
+        factors: (V, 3) of each view; NaN of views without samples.
+    """
+
+    coefficients: FloatArray
+    factors: FloatArray
+
+
+def find_backdrop(views: Sequence[View], regions: Regions) -> list[BoolArray] | None:
+    """The pixels of a backdrop that nearly all views show; None if there is no such backdrop.
+
+    Colours are modelled by smooth functions of the direction and a factor of each view. A region
+    goes on over a body where its outline is faint and no point is near; the body's pixels do not
+    agree with the model.
 
     Args:
         views: the V views.
         regions: R regions of them; those below structure are no backdrop.
+
+    Returns:
+        (h, w) pixels of the small picture of each view.
     """
-    found = np.zeros(len(regions.views), bool)
-    owners, directions, colors = samples(views, regions)
+    owners, directions, levels = samples(views, regions)
     if not len(owners):
-        return found
-    seen_by = regions.views[owners]
-    agree = deviations(seen_by, harmonics(directions), colors) <= MAX_DEVIATION
+        return None
+    off, colors = fitted(regions.views[owners], harmonics(directions), levels, len(views))
+    chosen = agreeing_regions(views, regions, owners, directions, off)
+    if not chosen.any():
+        return None
+    return [agreeing_pixels(views, regions, chosen, colors, index) for index in range(len(views))]
+
+
+def agreeing_regions(
+    views: Sequence[View],
+    regions: Regions,
+    owners: IntArray,
+    directions: FloatArray,
+    off: FloatArray,
+) -> BoolArray:
+    """(R,) regions of which most (n,) samples deviate little from the model; or none."""
+    found = np.zeros(len(regions.views), bool)
+    seen_by, agree = regions.views[owners], off <= MAX_DEVIATION
     counts = np.bincount(owners, minlength=len(found))
     found = np.bincount(owners, agree, minlength=len(found)) > AGREEING * counts
     chosen = found[owners]
@@ -49,6 +83,21 @@ def is_backdrop(views: Sequence[View], regions: Regions) -> BoolArray:
         return np.zeros(len(found), bool)
     is_round = np.linalg.norm(directions[chosen].mean(axis=0)) <= MAX_MEAN_LENGTH
     return found & is_round
+
+
+def agreeing_pixels(
+    views: Sequence[View], regions: Regions, chosen: BoolArray, colors: Colors, index: int
+) -> BoolArray:
+    """(h, w) pixels of a view's chosen regions around which colours agree with the model."""
+    labels, picture = regions.labels[index], regions.pictures[index]
+    inside = np.append(chosen, False)[labels]  # the last one stands for pixels of no region
+    rays = rays_of(views[index], picture, np.flatnonzero(inside))
+    model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
+    off = np.zeros(labels.shape)
+    off[inside] = np.nan_to_num(np.abs(picture[inside] - model).max(axis=1), nan=255)
+    size = WINDOW, WINDOW
+    sums, counts = (cv2.blur(of, size) for of in (off, inside.astype(np.float64)))
+    return np.asarray(inside & (sums <= MAX_DEVIATION * counts))
 
 
 def samples(views: Sequence[View], regions: Regions) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -82,8 +131,10 @@ def harmonics(directions: FloatArray) -> FloatArray:
     return np.column_stack([x, y, z, *second, *third])
 
 
-def deviations(seen_by: IntArray, design: FloatArray, colors: FloatArray) -> FloatArray:
-    """(n,) largest deviations of colours from the model, in levels.
+def fitted(
+    seen_by: IntArray, design: FloatArray, levels: FloatArray, num_views: int
+) -> tuple[FloatArray, Colors]:
+    """The model of a backdrop's colours, and how far samples deviate from it.
 
     Logarithms of colours are fitted by iteratively reweighted least squares; subtracting the mean
     of each view takes its factor out of the equations.
@@ -91,19 +142,30 @@ def deviations(seen_by: IntArray, design: FloatArray, colors: FloatArray) -> Flo
     Args:
         seen_by: (n,) ascending views.
         design: (n, k) terms of the model.
-        colors: (n, 3) levels.
+        levels: (n, 3) colours.
+        num_views: V.
+
+    Returns:
+        (n,) largest deviations of the three levels, and the model.
     """
-    logs = np.log(np.maximum(colors, 2.0))
+    logs = np.log(np.maximum(levels, 2.0))
     starts = np.flatnonzero(np.diff(seen_by, prepend=-1))
     numbers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(seen_by)))
-    values, weights = np.column_stack([design, logs]), np.ones(len(logs))
+    values, weights, num_terms = (
+        np.column_stack([design, logs]),
+        np.ones(len(logs)),
+        design.shape[1],
+    )
     for _ in range(NUM_ROUNDS):
         sums = np.add.reduceat(weights[:, None] * values, starts)
-        centered = values - (sums / np.add.reduceat(weights, starts)[:, None])[numbers]
-        terms, rest = centered[:, : design.shape[1]], centered[:, design.shape[1] :]
+        means = sums / np.add.reduceat(weights, starts)[:, None]
+        centered = values - means[numbers]
+        terms, rest = centered[:, :num_terms], centered[:, num_terms:]
         weighted = terms * weights[:, None]
-        model = terms @ np.linalg.lstsq(weighted.T @ terms, weighted.T @ rest, rcond=None)[0]
-        off = np.abs(colors - np.exp(logs - rest + model)).max(axis=1)
-        level = colors.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
+        coefficients = np.linalg.lstsq(weighted.T @ terms, weighted.T @ rest, rcond=None)[0]
+        off = np.abs(levels - np.exp(logs - rest + terms @ coefficients)).max(axis=1)
+        level = levels.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
         weights = (level / (1 + (off / MAX_DEVIATION) ** 2)) ** 2 + 1e-12
-    return np.asarray(off)
+    factors = np.full((num_views, 3), np.nan)
+    factors[seen_by[starts]] = means[:, num_terms:] - means[:, :num_terms] @ coefficients
+    return off, Colors(np.asarray(coefficients, np.float64), factors)

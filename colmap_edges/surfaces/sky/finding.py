@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
 from colmap_edges.surfaces.silhouettes import Background
-from colmap_edges.surfaces.sky.backdrop import is_backdrop
+from colmap_edges.surfaces.sky.backdrop import find_backdrop
 from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
 from colmap_edges.surfaces.sky.regions import Regions, find_regions
@@ -48,9 +48,9 @@ def find_sky(
     observed = parts_of(rows, offsets)
     for up in upward(model.views):
         regions = find_regions(model.views, pictures, points, observed, up)
-        backdrop = is_backdrop(model.views, regions)
-        if backdrop.any():
-            return open_through(model, masks_of(regions, backdrop))
+        backdrop = find_backdrop(model.views, regions)
+        if backdrop is not None:
+            return open_through(model, background_masks(backdrop))
         blue, white = looks_like_sky(model.views, regions, up)
         if len(np.unique(regions.views[blue])) >= max(MIN_VIEWS_SHARE * len(pictures), 2):
             break
@@ -64,7 +64,9 @@ def find_sky(
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None
-    return open_through(model, masks_of(regions, spread(matches, regions, is_sky)))
+    return open_through(
+        model, background_masks(pixels_of(regions, spread(matches, regions, is_sky)))
+    )
 
 
 def open_through(
@@ -75,10 +77,12 @@ def open_through(
     return None if rays is None else (Background(rays, NO_POINTS), masks)
 
 
-def masks_of(regions: Regions, chosen: BoolArray) -> list[BackgroundMask]:
-    """Background masks of all views that show some (R,) regions."""
+def background_masks(shown: Sequence[BoolArray]) -> list[BackgroundMask]:
+    """Background masks of views that show the sky at (h, w) pixels."""
+    return [masked_background(~of) if of.any() else NO_BACKGROUND_MASK for of in shown]
+
+
+def pixels_of(regions: Regions, chosen: BoolArray) -> list[BoolArray]:
+    """(h, w) pixels of the (R,) chosen regions, of all views."""
     shown = np.append(chosen, False)  # the last one stands for pixels of no region
-    return [
-        masked_background(~shown[labels]) if shown[labels].any() else NO_BACKGROUND_MASK
-        for labels in regions.labels
-    ]
+    return [shown[labels] for labels in regions.labels]
