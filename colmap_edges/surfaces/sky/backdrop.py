@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.background import MAX_DEVIATION, MIN_VIEWS_RATIO
 from colmap_edges.surfaces.sky.regions import Regions, rays_of
@@ -62,7 +62,10 @@ def find_backdrop(views: Sequence[View], regions: Regions) -> list[BoolArray] | 
     chosen = agreeing_regions(views, regions, owners, directions, off)
     if not chosen.any():
         return None
-    return [agreeing_pixels(views, regions, chosen, colors, index) for index in range(len(views))]
+    return [
+        agreeing_pixels(view, regions.pictures[index], shown, colors, index)
+        for index, (view, shown) in enumerate(zip(views, regions.shown(chosen), strict=True))
+    ]
 
 
 def agreeing_regions(
@@ -86,14 +89,12 @@ def agreeing_regions(
 
 
 def agreeing_pixels(
-    views: Sequence[View], regions: Regions, chosen: BoolArray, colors: Colors, index: int
+    view: View, picture: Picture, inside: BoolArray, colors: Colors, index: int
 ) -> BoolArray:
-    """(h, w) pixels of a view's chosen regions around which colours agree with the model."""
-    labels, picture = regions.labels[index], regions.pictures[index]
-    inside = np.append(chosen, False)[labels]  # the last one stands for pixels of no region
-    rays = rays_of(views[index], picture, np.flatnonzero(inside))
+    """The (h, w) pixels `inside` around which a view's colours agree with the model."""
+    rays = rays_of(view, picture, np.flatnonzero(inside))
     model = np.exp(harmonics(rays) @ colors.coefficients + colors.factors[index])
-    off = np.zeros(labels.shape)
+    off = np.zeros(inside.shape)
     off[inside] = np.nan_to_num(np.abs(picture[inside] - model).max(axis=1), nan=255)
     size = WINDOW, WINDOW
     sums, counts = (cv2.blur(of, size) for of in (off, inside.astype(np.float64)))

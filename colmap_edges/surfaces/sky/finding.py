@@ -23,7 +23,7 @@ from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.backdrop import find_backdrop
 from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
-from colmap_edges.surfaces.sky.regions import Regions, find_regions
+from colmap_edges.surfaces.sky.regions import find_regions
 
 # Minimum share of the images that show blue sky: 0.5 to 1 of facades, below 0.1 of rooms.
 MIN_VIEWS_SHARE = 1 / 4
@@ -64,9 +64,8 @@ def find_sky(
     is_sky = blue | (white & confirmed(matches, blue | white))
     if not moves_as_sky(matches, is_sky):
         return None
-    return open_through(
-        model, background_masks(pixels_of(regions, spread(matches, regions, is_sky)))
-    )
+    shown = regions.shown(spread(matches, regions, is_sky))
+    return open_through(model, background_masks(shown))
 
 
 def open_through(
@@ -80,9 +79,3 @@ def open_through(
 def background_masks(shown: Sequence[BoolArray]) -> list[BackgroundMask]:
     """Background masks of views that show the sky at (h, w) pixels."""
     return [masked_background(~of) if of.any() else NO_BACKGROUND_MASK for of in shown]
-
-
-def pixels_of(regions: Regions, chosen: BoolArray) -> list[BoolArray]:
-    """(h, w) pixels of the (R,) chosen regions, of all views."""
-    shown = np.append(chosen, False)  # the last one stands for pixels of no region
-    return [shown[labels] for labels in regions.labels]

@@ -59,6 +59,11 @@ class Regions:
         counts = np.bincount(numbers, minlength=len(own))
         return own, parts_of(inside[order_of(numbers, len(own))], offsets_of(counts))
 
+    def shown(self, chosen: BoolArray) -> list[BoolArray]:
+        """(V,) (h, w) pixels of the (R,) chosen regions."""
+        of_region = np.append(chosen, False)  # the last one stands for pixels of no region
+        return [of_region[labels] for labels in self.labels]
+
 
 def small_picture(image: Picture) -> Picture:
     """An image (H, W, 3) reduced to `PICTURE_PX`; smaller images stay as they are."""
