@@ -25,6 +25,7 @@ from colmap_edges.surfaces.cylinders.support import (
     LOOSE_PX,
     Support,
     fitted,
+    num_fixed_lines,
     support_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
@@ -33,6 +34,7 @@ from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
 MAX_FIXED = 0.6
+MAX_FIXED_LINES = 4  # maximum number of lines that may explain all outlines: those of a post
 MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
@@ -74,6 +76,8 @@ def find_cylinders(
         one, support = fitted(lines, Cylinders(*(part[h : h + 1] for part in tried)))
         refused[rows] = refused[support.rows] = True
         if not may_be_outlines(lines, support, used):
+            continue
+        if num_fixed_lines(lines, one, support) <= MAX_FIXED_LINES:
             continue
         extent = extent_of(lines, one, support, len(views))
         sight = sight_of_extent(one, extent, rays, views)

@@ -17,6 +17,8 @@ LOOSE_PX = 3.0  # maximum distance of an outline from that of a hypothesis
 CLOSE_PX = 1.5  # of an outline from that of a fitted cylinder
 ENOUGH_PX = 40.0  # length of an outline from which on more does not count
 NUM_FITS = 4  # rounds of fitting and choosing
+SAME_PX = 1.0  # maximum distance of outlines from a fixed line that explains them
+EXPLAINED_SHARE = 0.9  # share of outlines that fixed lines are to explain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,3 +123,30 @@ def fit(lines: Lines, start: Cylinders) -> Cylinders:
 
     found = least_squares(residuals, np.zeros(5), loss="soft_l1", f_scale=0.7, max_nfev=12)
     return cylinder(found.x)
+
+
+def num_fixed_lines(lines: Lines, one: Cylinders, support: Support) -> int:
+    """The number of fixed lines on a cylinder that explain the outlines as well as it does.
+
+    Outlines move over a cylinder as views move around its axis. Where views move along it, or see
+    it from two directions only, a few lines that do not move look the same. Seen along the axis,
+    an outline is a ray that touches a circle; a line is a point on the circle, and explains the
+    rays that pass it. Of the points where rays touch, the one is chosen that explains most, then
+    the one that explains most of the rest, and so on.
+    """
+    own = lines.select(support.rows)
+    basis = np.linalg.svd(one.axes[0][None])[2][1:]
+    starts = (own.centers - one.points[0]) @ basis.T
+    rays = own.rays.mean(axis=1) @ basis.T
+    sizes = np.linalg.norm(rays, axis=1)  # of a ray of length 1, seen along the axis
+    rays /= sizes[:, None]
+    reach = -np.einsum("ij,ij->i", starts, rays)
+    away = (starts + reach[:, None] * rays)[:, None] - starts
+    off = np.abs(away[..., 0] * rays[:, 1] - away[..., 1] * rays[:, 0])
+    explains = off * own.focals * sizes < SAME_PX * reach
+    left = np.ones(len(reach), bool)
+    count = 0
+    while left.sum() > (1 - EXPLAINED_SHARE) * len(left):
+        left &= ~explains[np.argmax((explains & left).sum(axis=1))]
+        count += 1
+    return count

@@ -42,14 +42,22 @@ def outlines_of_post(view):
     return np.array([feet[i] + way for i in (columns.argmin(), columns.argmax())])
 
 
+def stripe_of_slab(view):
+    """Both borders (2, n, 3) of a level stripe, on the side of an upright slab that a view sees."""
+    way = np.linspace(-HEIGHT, HEIGHT, 200)[:, None] * (1, 0, 0)
+    side = np.array([0, np.sign(view.center[1]) * RADIUS / 4, 1.7])
+    borders = side + np.array([[0, 0, -RADIUS / 2], [0, 0, RADIUS / 2]])
+    return borders[:, None] + way
+
+
 def graph_of(view, curves, rng):
     """The edge graph of a view that shows (E, n, 3) curves."""
     return noisy_graph([view.project_undistorted(curve)[0] for curve in curves], rng)
 
 
-def scene_of(outlines):
+def scene_of(outlines, lift=0.4):
     """Views that show a body, and the straight pieces of what they show."""
-    views, rng = views_around(np.array([0, 0, 0.6]), 0.4), np.random.default_rng(0)
+    views, rng = views_around(np.array([0, 0, 0.6]), lift), np.random.default_rng(0)
     graphs = Graphs.of([graph_of(view, outlines(view), rng) for view in views])
     lines = find_outlines(views, graphs, Edges3D.none()).lines
     return SimpleNamespace(views=views, model=model_of(views), lines=lines)
@@ -113,6 +121,10 @@ def test_hypotheses_left_out_early_have_no_radius(can, monkeypatch):
 
 def test_a_square_post_is_no_cylinder():
     assert found_in(scene_of(outlines_of_post)).faces == []
+
+
+def test_a_stripe_seen_from_two_sides_is_no_cylinder():
+    assert found_in(scene_of(stripe_of_slab, lift=0.1)).faces == []
 
 
 def test_outlines_that_are_fixed_edges_are_of_no_cylinder(can):
