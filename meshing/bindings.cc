@@ -13,6 +13,7 @@
 #include "mesher.h"
 #include "refinement.h"
 #include "shaping.h"
+#include "simplification.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -129,6 +130,11 @@ class BoundRefiner {
 };
 
 // Vertices, their indices in the given ones, faces and creases.
+nb::tuple ToTuple(const mesher::EditedMesh& mesh) {
+  return nb::make_tuple(ToArray<double, 3>(mesh.vertices), ToArray<Index, 1>(mesh.sources),
+                        ToArray<Index, 3>(mesh.faces), ToArray<Index, 2>(mesh.creases));
+}
+
 nb::tuple Shape(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& faces,
                 const Matrix<Index, 2>& creases, const Matrix<double, 6>& information,
                 double min_angle, double max_sigmas, double max_turn, double turn_sigmas,
@@ -136,13 +142,25 @@ nb::tuple Shape(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& faces
   const mesher::RefinementInput input{ToPoints(vertices), ToItems<std::array<Index, 3>>(faces),
                                       ToItems<std::array<Index, 2>>(creases),
                                       ToItems<mesher::Symmetric>(information)};
-  mesher::ShapedMesh result;
+  mesher::EditedMesh result;
   {
     nb::gil_scoped_release release;
     result = mesher::Shape(input, {min_angle, max_sigmas, max_turn, turn_sigmas}, num_threads);
   }
-  return nb::make_tuple(ToArray<double, 3>(result.vertices), ToArray<Index, 1>(result.sources),
-                        ToArray<Index, 3>(result.faces), ToArray<Index, 2>(result.creases));
+  return ToTuple(result);
+}
+
+nb::tuple Simplify(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& faces,
+                   const Matrix<Index, 2>& creases, std::size_t max_faces, int num_threads) {
+  const std::vector<mesher::Vec3> points = ToPoints(vertices);
+  const auto corners = ToItems<mesher::Face>(faces);
+  const auto lines = ToItems<std::array<Index, 2>>(creases);
+  mesher::EditedMesh result;
+  {
+    nb::gil_scoped_release release;
+    result = mesher::Simplify(points, corners, lines, max_faces, num_threads);
+  }
+  return ToTuple(result);
 }
 
 // Pairs of faces that intersect, beyond common vertices and sides.
@@ -172,6 +190,8 @@ NB_MODULE(_mesher, m) {
            "num_rounds"_a);
   m.def("shape", &Shape, "vertices"_a, "faces"_a, "creases"_a, "information"_a, nb::kw_only(),
         "min_angle"_a, "max_sigmas"_a, "max_turn"_a, "turn_sigmas"_a, "num_threads"_a);
+  m.def("simplify", &Simplify, "vertices"_a, "faces"_a, "creases"_a, "max_faces"_a,
+        "num_threads"_a);
   m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,

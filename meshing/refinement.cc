@@ -150,12 +150,17 @@ double Similarity(double q) {
 
 }  // namespace
 
+void CheckFaces(const std::vector<std::array<Index, 3>>& faces,
+                const std::vector<std::array<Index, 2>>& creases, std::size_t num_vertices) {
+  for (const auto& f : faces) CheckVertices(f.data(), f.data() + 3, num_vertices, "faces");
+  for (const auto& c : creases) CheckVertices(c.data(), c.data() + 2, num_vertices, "creases");
+}
+
 void CheckInput(const RefinementInput& input) {
   const std::size_t count = input.vertices.size();
   if (input.information.size() != count)
     throw std::invalid_argument("vertices and information differ in number");
-  for (const auto& f : input.faces) CheckVertices(f.data(), f.data() + 3, count, "faces");
-  for (const auto& c : input.creases) CheckVertices(c.data(), c.data() + 2, count, "creases");
+  CheckFaces(input.faces, input.creases, count);
 }
 
 struct Refiner::Face {

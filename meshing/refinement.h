@@ -20,6 +20,10 @@ struct RefinementInput {
   std::vector<Symmetric> information;  // inverse covariance of each vertex; 0 for one that stays
 };
 
+// Throws std::invalid_argument for faces or creases that do not fit the vertices.
+void CheckFaces(const std::vector<std::array<Index, 3>>& faces,
+                const std::vector<std::array<Index, 2>>& creases, std::size_t num_vertices);
+
 // Throws std::invalid_argument for faces, creases or information that do not fit the vertices.
 void CheckInput(const RefinementInput& input);
 

@@ -5,17 +5,13 @@
 #include <cmath>
 #include <limits>
 #include <tuple>
-#include <unordered_map>
 #include <utility>
 
-#include "intersections.h"
+#include "editing.h"
 #include "parallel.h"
 
 namespace mesher {
 namespace {
-
-using Face = std::array<Index, 3>;
-using Corners = std::array<Vec3, 3>;
 
 // The first rounds gain nearly all.
 constexpr int kMaxRounds = 12;
@@ -29,20 +25,6 @@ constexpr double kHeights[] = {6, 3, 1.5};
 constexpr double kMaxShare = 0.6;
 // Most faces that a new vertex replaces.
 constexpr std::size_t kMaxCavity = 32;
-// A new vertex, before it has a number.
-constexpr Index kAdded = -2;
-
-// What replaces some faces by others.
-struct Change {
-  std::vector<Index> old_faces;
-  std::vector<Face> faces;
-  double gain = 0;              // decrease of the cost
-  Index removed = kNone;        // a vertex that is left out
-  bool is_on_line = false;      // whether it is one of a crease or border,
-  std::array<Index, 2> line{};  // and what replaces the two pieces that end there
-  Vec3 added;                   // the place of kAdded, and its information
-  Symmetric information{};
-};
 
 enum class Kind { kCollapse, kSwap, kInsert };
 
@@ -54,15 +36,6 @@ struct Proposal {
   Index face = kNone;              // the face into which a vertex is inserted, at a height over its
   double height = 0;               // short side, in lengths of it
 };
-
-bool Has(const Face& face, Index v) { return face[0] == v || face[1] == v || face[2] == v; }
-
-Vec3 Normal(const Corners& c) { return Cross(c[1] - c[0], c[2] - c[0]); }
-
-double Quadratic(const Symmetric& a, const Vec3& d) {
-  return d.x * (a[0] * d.x + 2 * (a[1] * d.y + a[2] * d.z)) + d.y * (a[3] * d.y + 2 * a[4] * d.z) +
-         a[5] * d.z * d.z;
-}
 
 Vec3 ClosestOnSegment(const Vec3& p, const Vec3& a, const Vec3& b) {
   const Vec3 side = b - a;
@@ -93,37 +66,14 @@ bool IsDelaunay(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   return Norm(Cross(ca, cb)) * Dot(da, db) + Norm(Cross(da, db)) * Dot(ca, cb) >= 0;
 }
 
-std::uint64_t Key(Index a, Index b) {
-  if (a > b) std::swap(a, b);
-  return static_cast<std::uint64_t>(static_cast<std::uint32_t>(a)) << 32 |
-         static_cast<std::uint32_t>(b);
-}
-
-class Shaper {
+class Shaper : public Editor {
  public:
   Shaper(const RefinementInput& input, const ShapingOptions& options, int num_threads);
   void Run();
-  ShapedMesh Result() const;
 
  private:
-  // A piece of a crease or border, with the vertices of it that are left out.
-  struct Line {
-    bool is_crease;
-    std::vector<Index> points;
-  };
-
-  const Vec3& At(Index v) const { return vertices_[v]; }
-  Corners CornersOf(const Face& f) const { return {At(f[0]), At(f[1]), At(f[2])}; }
-  Corners CornersOf(const Face& f, const Change& change) const;
   double Cost(const Corners& corners) const;
-  bool IsLine(Index a, Index b) const { return lines_.count(Key(a, b)) > 0; }
-  void AddLine(Index a, Index b, bool is_crease);
-  Index FaceWithSide(Index a, Index b) const;
-
-  bool CanCollapse(Index from, Index to) const;
   double CollapseGain(Index from, Index to) const;
-  bool KeepsTopology(Index from, Index to) const;
-  bool MakeCollapse(Index from, Index to, Change& change) const;
   bool MakeSwap(Index a, Index b, Change& change) const;
   bool MakeInsert(Index face, double height, Change& change) const;
   bool Make(const Proposal& proposal, Change& change) const;
@@ -140,66 +90,29 @@ class Shaper {
   Proposal BestFor(Index face) const;
   std::vector<Change> Choose();
   void Number(Change& change);
-  void RemoveColliding(std::vector<Change>& changes) const;
   void Apply(const Change& change);
-  void ApplyToLine(const Change& change);
 
-  const int num_threads_;
-  const std::size_t num_given_;  // vertices
   const double good_sine_, turn_square_, max_square_, noise_square_;
-  std::vector<Vec3> vertices_;
   std::vector<Symmetric> information_;
-  std::vector<char> stays_;  // which vertices are neither left out nor connected with one another
-  std::vector<std::vector<Index>> faces_of_, lines_of_;  // of vertices: faces, neighbours on lines
-  std::unordered_map<std::uint64_t, Line> lines_;
-  std::vector<Face> faces_;
-  std::vector<char> is_alive_;
   std::vector<double> costs_;
   std::vector<std::vector<Index>> points_of_;  // of faces: vertices that are left out
   std::vector<Proposal> proposals_;            // of faces
 };
 
 Shaper::Shaper(const RefinementInput& input, const ShapingOptions& options, int num_threads)
-    : num_threads_(num_threads),
-      num_given_(input.vertices.size()),
+    : Editor(input.vertices, input.faces, input.creases, false, num_threads),
       good_sine_(std::sin(2 * options.min_angle)),
       turn_square_(2 - 2 * std::cos(options.max_turn)),
       max_square_(options.max_sigmas * options.max_sigmas),
       noise_square_(options.turn_sigmas * options.turn_sigmas),
-      vertices_(input.vertices),
       information_(input.information),
-      stays_(input.vertices.size()),
-      faces_of_(input.vertices.size()),
-      lines_of_(input.vertices.size()),
-      faces_(input.faces),
-      is_alive_(input.faces.size(), 1),
       points_of_(input.faces.size()),
       proposals_(input.faces.size()) {
-  const auto first = FirstAtPlace(vertices_);
-  for (std::size_t v = 0; v < first.size(); ++v) {
-    if (first[v] != static_cast<Index>(v)) stays_[v] = stays_[first[v]] = 1;
+  for (std::size_t v = 0; v < information_.size(); ++v) {
     const Symmetric& information = information_[v];
     if (!(information[0] + information[3] + information[5] > 0)) stays_[v] = 1;
   }
-  for (std::size_t f = 0; f < faces_.size(); ++f) {
-    costs_.push_back(Cost(CornersOf(faces_[f])));
-    for (const Index v : faces_[f]) faces_of_[v].push_back(static_cast<Index>(f));
-  }
-  for (const auto& [a, b] : input.creases) AddLine(a, b, true);
-  for (const Face& face : faces_)
-    for (int k = 0; k < 3; ++k) {
-      const Index a = face[k], b = face[(k + 1) % 3];
-      const auto count = std::count_if(faces_of_[a].begin(), faces_of_[a].end(),
-                                       [&](Index f) { return Has(faces_[f], b); });
-      if (count == 1) AddLine(a, b, false);
-      if (count > 2) stays_[a] = stays_[b] = 1;
-    }
-}
-
-Corners Shaper::CornersOf(const Face& f, const Change& change) const {
-  Corners corners;
-  for (int k = 0; k < 3; ++k) corners[k] = f[k] == kAdded ? change.added : At(f[k]);
-  return corners;
+  for (const Face& face : faces_) costs_.push_back(Cost(CornersOf(face)));
 }
 
 // The smallest angle lies opposite the shortest side.
@@ -217,32 +130,6 @@ double Shaper::Cost(const Corners& c) const {
   return lack * lack;
 }
 
-void Shaper::AddLine(Index a, Index b, bool is_crease) {
-  if (!lines_.emplace(Key(a, b), Line{is_crease, {}}).second) return;
-  lines_of_[a].push_back(b);
-  lines_of_[b].push_back(a);
-}
-
-// The face of which corner b follows corner a, or kNone.
-Index Shaper::FaceWithSide(Index a, Index b) const {
-  if (a == kAdded || b == kAdded) return kNone;
-  const auto& around = faces_of_[a].size() < faces_of_[b].size() ? faces_of_[a] : faces_of_[b];
-  for (const Index f : around)
-    for (int k = 0; k < 3; ++k)
-      if (faces_[f][k] == a && faces_[f][(k + 1) % 3] == b) return f;
-  return kNone;
-}
-
-// Whether no line ends or branches at a vertex, and none is left by its collapse.
-bool Shaper::CanCollapse(Index from, Index to) const {
-  if (stays_[from]) return false;
-  const auto& ends = lines_of_[from];
-  if (ends.empty()) return true;
-  if (ends.size() != 2 || !IsLine(from, to)) return false;
-  return !IsLine(ends[0], ends[1]) &&
-         lines_.at(Key(from, ends[0])).is_crease == lines_.at(Key(from, ends[1])).is_crease;
-}
-
 // The decrease of the cost.
 double Shaper::CollapseGain(Index from, Index to) const {
   double gain = 0;
@@ -254,54 +141,6 @@ double Shaper::CollapseGain(Index from, Index to) const {
     gain -= Cost(CornersOf(face));
   }
   return gain;
-}
-
-// Whether the common neighbours of two vertices are the corners of the faces between them, and no
-// new face would be the back of another one.
-bool Shaper::KeepsTopology(Index from, Index to) const {
-  thread_local std::vector<Index> around, others;
-  around.clear(), others.clear();
-  int num_shared = 0, num_common = 0;
-  for (const Index f : faces_of_[from]) {
-    num_shared += Has(faces_[f], to);
-    around.insert(around.end(), faces_[f].begin(), faces_[f].end());
-  }
-  for (const Index f : faces_of_[to])
-    others.insert(others.end(), faces_[f].begin(), faces_[f].end());
-  for (auto* vertices : {&around, &others}) {
-    std::sort(vertices->begin(), vertices->end());
-    vertices->erase(std::unique(vertices->begin(), vertices->end()), vertices->end());
-  }
-  for (const Index v : around) {
-    if (v == from || v == to) continue;
-    num_common += std::binary_search(others.begin(), others.end(), v);
-    if (stays_[v] && stays_[to]) return false;
-  }
-  if (num_shared == 0 || num_common != num_shared) return false;
-  for (const Index f : faces_of_[from])
-    for (int k = 0; k < 3 && !Has(faces_[f], to); ++k) {
-      const Index a = faces_[f][k], b = faces_[f][(k + 1) % 3];
-      if (a == from || b == from) continue;
-      const Index across = FaceWithSide(b, a);
-      if (across != kNone && Has(faces_[across], to)) return false;
-    }
-  return true;
-}
-
-bool Shaper::MakeCollapse(Index from, Index to, Change& change) const {
-  if (!CanCollapse(from, to) || !KeepsTopology(from, to)) return false;
-  change.removed = from;
-  const auto& ends = lines_of_[from];
-  change.is_on_line = !ends.empty();
-  if (change.is_on_line) change.line = {ends[0], ends[1]};
-  for (const Index f : faces_of_[from]) {
-    change.old_faces.push_back(f);
-    Face face = faces_[f];
-    if (Has(face, to)) continue;
-    std::replace(face.begin(), face.end(), from, to);
-    change.faces.push_back(face);
-  }
-  return !change.faces.empty();
 }
 
 bool Shaper::MakeSwap(Index a, Index b, Change& change) const {
@@ -550,78 +389,28 @@ void Shaper::Number(Change& change) {
   lines_of_.emplace_back();
 }
 
-void Shaper::RemoveColliding(std::vector<Change>& changes) const {
-  std::vector<Index> replaced_by(faces_.size(), kNone), groups, replaced;
-  Faces3 new_faces, faces;
-  for (std::size_t i = 0; i < changes.size(); ++i) {
-    for (const Index f : changes[i].old_faces) replaced_by[f] = static_cast<Index>(i);
-    new_faces.insert(new_faces.end(), changes[i].faces.begin(), changes[i].faces.end());
-    groups.resize(new_faces.size(), static_cast<Index>(i));
-  }
-  for (std::size_t f = 0; f < faces_.size(); ++f)
-    if (is_alive_[f]) {
-      faces.push_back(faces_[f]);
-      replaced.push_back(replaced_by[f]);
-    }
-  const auto collides = Collisions(new_faces, groups, faces, replaced, vertices_, num_threads_);
-  std::vector<Change> kept;
-  for (std::size_t i = 0; i < changes.size(); ++i)
-    if (!collides[i]) kept.push_back(std::move(changes[i]));
-  changes = std::move(kept);
-}
-
 void Shaper::Apply(const Change& change) {
-  std::vector<Index> points, places = change.old_faces;
+  std::vector<Index> points;
   if (change.removed != kNone && !change.is_on_line) points.push_back(change.removed);
   for (const Index f : change.old_faces) {
-    for (const Index v : faces_[f]) {
-      auto& around = faces_of_[v];
-      around.erase(std::find(around.begin(), around.end(), f));
-    }
     points.insert(points.end(), points_of_[f].begin(), points_of_[f].end());
     points_of_[f].clear();
-    is_alive_[f] = 0;
   }
-  for (std::size_t i = places.size(); i < change.faces.size(); ++i) {
-    places.push_back(static_cast<Index>(faces_.size()));
-    faces_.emplace_back();
-    is_alive_.emplace_back();
-    costs_.emplace_back();
-    points_of_.emplace_back();
-    proposals_.emplace_back();
-  }
-  for (std::size_t i = 0; i < change.faces.size(); ++i) {
-    faces_[places[i]] = change.faces[i];
-    is_alive_[places[i]] = 1;
-    costs_[places[i]] = Cost(CornersOf(change.faces[i]));
-    for (const Index v : change.faces[i]) faces_of_[v].push_back(places[i]);
-  }
+  const std::vector<Index> places = Replace(change);
+  costs_.resize(faces_.size());
+  points_of_.resize(faces_.size());
+  proposals_.resize(faces_.size());
+  for (const Index f : places) costs_[f] = Cost(CornersOf(faces_[f]));
   for (const Index v : points) {
     double least = std::numeric_limits<double>::infinity();
     Index nearest = places[0];
-    for (std::size_t i = 0; i < change.faces.size(); ++i) {
-      const Vec3 off = At(v) - ClosestOnTriangle(At(v), CornersOf(change.faces[i]));
+    for (const Index f : places) {
+      const Vec3 off = At(v) - ClosestOnTriangle(At(v), CornersOf(faces_[f]));
       const double square = Quadratic(information_[v], off);
-      if (square < least) least = square, nearest = places[i];
+      if (square < least) least = square, nearest = f;
     }
     points_of_[nearest].push_back(v);
   }
-  if (change.is_on_line) ApplyToLine(change);
-}
-
-void Shaper::ApplyToLine(const Change& change) {
-  Line line{false, {change.removed}};
-  for (int i = 0; i < 2; ++i) {
-    const Index end = change.line[i];
-    const auto old = lines_.find(Key(change.removed, end));
-    line.is_crease = old->second.is_crease;
-    line.points.insert(line.points.end(), old->second.points.begin(), old->second.points.end());
-    lines_.erase(old);
-    auto& ends = lines_of_[end];
-    *std::find(ends.begin(), ends.end(), change.removed) = change.line[1 - i];
-  }
-  lines_of_[change.removed].clear();
-  lines_.emplace(Key(change.line[0], change.line[1]), std::move(line));
 }
 
 void Shaper::Run() {
@@ -648,30 +437,9 @@ void Shaper::Run() {
   }
 }
 
-ShapedMesh Shaper::Result() const {
-  ShapedMesh result;
-  std::vector<Index> ids(vertices_.size(), kNone);
-  for (std::size_t v = 0; v < ids.size(); ++v) {
-    if (faces_of_[v].empty()) continue;
-    ids[v] = static_cast<Index>(result.vertices.size());
-    result.vertices.push_back(vertices_[v]);
-    result.sources.push_back(v < num_given_ ? static_cast<Index>(v) : kNone);
-  }
-  for (std::size_t f = 0; f < faces_.size(); ++f)
-    if (is_alive_[f])
-      result.faces.push_back({ids[faces_[f][0]], ids[faces_[f][1]], ids[faces_[f][2]]});
-  for (std::size_t a = 0; a < lines_of_.size(); ++a)
-    for (const Index b : lines_of_[a])
-      if (static_cast<Index>(a) < b && ids[a] != kNone && ids[b] != kNone &&
-          lines_.at(Key(static_cast<Index>(a), b)).is_crease)
-        result.creases.push_back({ids[a], ids[b]});
-  std::sort(result.creases.begin(), result.creases.end());
-  return result;
-}
-
 }  // namespace
 
-ShapedMesh Shape(const RefinementInput& input, const ShapingOptions& options, int num_threads) {
+EditedMesh Shape(const RefinementInput& input, const ShapingOptions& options, int num_threads) {
   CheckInput(input);
   Shaper shaper(input, options, num_threads);
   shaper.Run();

@@ -2,9 +2,7 @@
 // Replaces badly shaped triangles of a mesh within the noise of its points.
 #pragma once
 
-#include <array>
-#include <vector>
-
+#include "editing.h"
 #include "refinement.h"
 
 namespace mesher {
@@ -14,13 +12,6 @@ struct ShapingOptions {
   double max_sigmas;  // points stay within this number of their deviations of the surface
   double max_turn;    // in radians, by which faces may turn from their neighbours, besides by noise
   double turn_sigmas;  // number of deviations of normals that are noise
-};
-
-struct ShapedMesh {
-  std::vector<Vec3> vertices;
-  std::vector<Index> sources;                 // vertices of the input, or kNone for new ones
-  std::vector<std::array<Index, 3>> faces;    // of indices into `vertices`
-  std::vector<std::array<Index, 2>> creases;  // pairs of indices into `vertices`
 };
 
 // Swaps sides, collapses vertices onto neighbours and inserts vertices into needles, as long as it
@@ -36,6 +27,6 @@ struct ShapedMesh {
 // touch.
 //
 // Throws std::invalid_argument for faces, creases or information that do not fit the vertices.
-ShapedMesh Shape(const RefinementInput& input, const ShapingOptions& options, int num_threads);
+EditedMesh Shape(const RefinementInput& input, const ShapingOptions& options, int num_threads);
 
 }  // namespace mesher

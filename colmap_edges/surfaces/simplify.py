@@ -1,62 +1,37 @@
-"""Mesh simplification by MeshLab's quadric edge collapse."""
+"""Mesh simplification: few triangles where the surface is flat, creases kept."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
-import numpy as np
-
-from colmap_edges.errors import ColmapEdgesError, extra
+from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.mesh import Mesh
 
 
-def load_meshlab() -> Any:
-    """Import pymeshlab.
+def simplify(mesh: Mesh, max_faces: int, num_threads: int = 1) -> Mesh:
+    """Collapse vertices onto neighbours until at most `max_faces` triangles are left.
 
-    Raises:
-        ColmapEdgesError: if it is not installed.
-    """
-    with extra("Meshing.max_faces", "meshlab"):
-        import pymeshlab
-    return pymeshlab
+    The vertices that are left keep their positions, colours and point3D ids. Creases and borders
+    are simplified along themselves, no triangle passes through another one, and the topology stays.
+    More triangles are left if no vertex can be collapsed under these conditions.
 
-
-def simplify(mesh: Mesh, max_faces: int) -> Mesh:
-    """Collapse edges by quadric errors until at most `max_faces` triangles are left.
-
-    Borders and topology are preserved, so a manifold stays manifold. Vertices move and so have no
-    point3D ids and are on no 3D edge; each gets the colour of the nearest vertex of `mesh`.
-
-    Raises:
-        ColmapEdgesError: if pymeshlab is not installed, or MeshLab fails.
+    Args:
+        mesh: a mesh without a texture.
+        max_faces: number of triangles.
+        num_threads: threads to use; the result does not depend on it.
     """
     if len(mesh.faces) <= max_faces:
         return mesh
-    pymeshlab = load_meshlab()
-    from scipy.spatial import cKDTree
-
-    # Centred and scaled to size 1, so that MeshLab's single precision suffices.
-    center = mesh.vertices.mean(axis=0)
-    size = float(np.abs(mesh.vertices - center).max())
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh((mesh.vertices - center) / size, mesh.faces))
-    try:
-        meshes.meshing_decimation_quadric_edge_collapse(
-            targetfacenum=max_faces, preserveboundary=True, preservetopology=True, autoclean=False
-        )
-        meshes.meshing_remove_unreferenced_vertices()
-    except pymeshlab.PyMeshLabException as error:
-        raise ColmapEdgesError(f"MeshLab cannot simplify to {max_faces} faces: {error}") from error
-    current = meshes.current_mesh()
-    vertices = current.vertex_matrix() * size + center
-    nearest = cKDTree(mesh.vertices).query(vertices)[1]
+    vertices, sources, faces, creases = load_extension().simplify(
+        mesh.vertices, mesh.faces, mesh.creases, max_faces, num_threads
+    )
+    rows = sources[:, 0]
     return replace(
         mesh,
         vertices=vertices,
-        faces=np.ascontiguousarray(current.face_matrix(), np.int32),
-        point3D_ids=np.full(len(vertices), -1, np.int64),
-        colors=mesh.colors[nearest],
-        creases=np.zeros((0, 2), np.int32),
+        faces=faces,
+        creases=creases,
+        point3D_ids=mesh.point3D_ids[rows],
+        colors=mesh.colors[rows],
         stats={**mesh.stats, "faces_before_simplification": len(mesh.faces)},
     )
