@@ -7,6 +7,12 @@
 
 namespace mesher {
 
+Vec3 ClosestOnSegment(const Vec3& p, const Vec3& a, const Vec3& b) {
+  const Vec3 side = b - a;
+  const double square = Dot(side, side);
+  return a + (square > 0 ? std::clamp(Dot(p - a, side) / square, 0.0, 1.0) : 0) * side;
+}
+
 Editor::Editor(const std::vector<Vec3>& vertices, const std::vector<Face>& faces,
                const std::vector<std::array<Index, 2>>& creases, bool ends_move, int num_threads)
     : num_threads_(num_threads),
@@ -180,7 +186,12 @@ void Editor::RemoveFromLine(const Change& change) {
       *place = end == a ? b : a;
   }
   lines_of_[change.removed].clear();
-  if (b != kNone) lines_.emplace(Key(a, b), std::move(line));
+  if (b != kNone) {
+    lines_.emplace(Key(a, b), std::move(line));
+  } else if (!lines_of_[a].empty()) {
+    auto& points = lines_.at(Key(a, lines_of_[a][0])).points;
+    points.insert(points.end(), line.points.begin(), line.points.end());
+  }
 }
 
 EditedMesh Editor::Result() const {

@@ -28,12 +28,13 @@ constexpr Index kAdded = -2;
 struct Change {
   std::vector<Index> old_faces;
   std::vector<Face> faces;
-  double gain = 0;              // decrease of the cost
-  Index removed = kNone;        // a vertex that is left out, collapsed onto another one
+  double gain = 0;        // decrease of the cost
+  Index removed = kNone;  // a vertex that is left out, collapsed onto another one
   Index to = kNone;
-  bool is_on_line = false;      // whether it is one of a crease or border,
-  std::array<Index, 2> line{};  // and its neighbours there: a side between them replaces both pieces
-  Vec3 added;                   // the place of kAdded, and its information
+  bool is_on_line = false;  // whether it is one of a crease or border,
+  std::array<Index, 2>
+      line{};  // and its neighbours there: a side between them replaces both pieces
+  Vec3 added;  // the place of kAdded, and its information
   Symmetric information{};
 };
 
@@ -41,6 +42,8 @@ inline double Quadratic(const Symmetric& a, const Vec3& d) {
   return d.x * (a[0] * d.x + 2 * (a[1] * d.y + a[2] * d.z)) + d.y * (a[3] * d.y + 2 * a[4] * d.z) +
          a[5] * d.z * d.z;
 }
+
+Vec3 ClosestOnSegment(const Vec3& p, const Vec3& a, const Vec3& b);
 
 inline bool Has(const Face& face, Index v) { return face[0] == v || face[1] == v || face[2] == v; }
 

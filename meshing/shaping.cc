@@ -37,12 +37,6 @@ struct Proposal {
   double height = 0;               // short side, in lengths of it
 };
 
-Vec3 ClosestOnSegment(const Vec3& p, const Vec3& a, const Vec3& b) {
-  const Vec3 side = b - a;
-  const double square = Dot(side, side);
-  return a + (square > 0 ? std::clamp(Dot(p - a, side) / square, 0.0, 1.0) : 0) * side;
-}
-
 // Inside by its barycentric coordinates (Ericson, Real-Time Collision Detection), or on a side.
 Vec3 ClosestOnTriangle(const Vec3& p, const Corners& c) {
   const Vec3 ab = c[1] - c[0], ac = c[2] - c[0], ap = p - c[0], bp = p - c[1], cp = p - c[2];

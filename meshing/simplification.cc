@@ -2,7 +2,7 @@
 #include "simplification.h"
 
 #include <algorithm>
-#include <cstdlib>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -11,16 +11,14 @@
 namespace mesher {
 namespace {
 
-static double E(const char* n, double d) { const char* s = std::getenv(n); return s ? atof(s) : d; }
-// Variance of the normals of faces: keeps vertices of flat faces apart, so that these are no needles.
-const double kNormalVariance = E("NV", 1e-3);
-// Weight of the distance from creases and borders relative to that from faces.
-const double kLineWeight = E("LW", 100);
+// Variance of the normals of faces: keeps vertices of flat faces apart, so that few are needles.
+constexpr double kNormalVariance = 1e-3;
 // Share of the proposals that a round considers, the best ones.
-const double kRoundShare = E("RS", 0.25);
-const int kMode = E("MODE", 0);
-const double kCos = E("COS", 0);
-const double kShape = E("SHAPE", 0);
+constexpr double kRoundShare = 0.5;
+// Points of creases and borders that are left out stay this near, in spacings of these points. It
+// is doubled where too many faces are left, at most this many times.
+constexpr double kTolerance = 0.2;
+constexpr double kMaxTolerance = 1e4;
 
 // A sum of weighted squared distances from a place, as its function.
 class Quadric {
@@ -68,12 +66,15 @@ class Simplifier : public Editor {
  private:
   Vec3 Local(Index v) const { return At(v) - At(0); }
   double Cost(Index from, Index to) const;
+  bool KeepsLine(Index from) const;
   bool KeepsDirection(Index from, Index to) const;
   Proposal BestFor(Index from) const;
   std::vector<Change> Choose(std::size_t max_removed);
   void Apply(const Change& change, std::vector<char>& is_changed);
 
   std::size_t num_faces_;
+  double tolerance_ = kTolerance;    // of lines, in spacings of their points
+  std::vector<double> spacings_;     // of vertices of lines: mean length of the pieces at them
   std::vector<Quadric> quadrics_;    // of vertices
   std::vector<Proposal> proposals_;  // of vertices
 };
@@ -82,6 +83,7 @@ Simplifier::Simplifier(const std::vector<Vec3>& vertices, const std::vector<Face
                        const std::vector<std::array<Index, 2>>& creases, int num_threads)
     : Editor(vertices, faces, creases, true, num_threads),
       num_faces_(faces.size()),
+      spacings_(vertices.size()),
       quadrics_(vertices.size()),
       proposals_(vertices.size()) {
   for (const Face& face : faces_) {
@@ -99,17 +101,28 @@ Simplifier::Simplifier(const std::vector<Vec3>& vertices, const std::vector<Face
       const Vec3 side = At(other) - At(static_cast<Index>(v));
       const double length = Norm(side);
       if (!(length > 0)) continue;
-      const double weight = kLineWeight * length * length;
-      quadrics_[v].AddPoint(weight, Local(other));
-      if (lines_of_[v].size() > 1) quadrics_[v].AddPlane(-weight, (1 / length) * side, Local(other));
+      spacings_[v] += length / lines_of_[v].size();
+      quadrics_[v].AddPoint(length * length, Local(other));
+      if (lines_of_[v].size() > 1)
+        quadrics_[v].AddPlane(-length * length, (1 / length) * side, Local(other));
     }
 }
 
-double Simplifier::Cost(Index from, Index to) const {
-  double c = quadrics_[from](Local(to));
-  if (kMode == 1) c += quadrics_[to](Local(to));
-  if (kMode == 2) c -= quadrics_[from](Local(from));
-  return c;
+double Simplifier::Cost(Index from, Index to) const { return quadrics_[from](Local(to)); }
+
+// Whether the points left out of a vertex's line, and itself, are near what is left of the line.
+bool Simplifier::KeepsLine(Index from) const {
+  const auto& ends = lines_of_[from];
+  if (ends.empty()) return true;
+  const auto is_near = [&](Index v) {
+    const Vec3 off = At(v) - ClosestOnSegment(At(v), At(ends.front()), At(ends.back()));
+    return Norm(off) <= tolerance_ * spacings_[v];
+  };
+  for (const Index end : ends) {
+    const auto& points = lines_.at(Key(from, end)).points;
+    if (!std::all_of(points.begin(), points.end(), is_near)) return false;
+  }
+  return is_near(from);
 }
 
 bool Simplifier::KeepsDirection(Index from, Index to) const {
@@ -118,12 +131,13 @@ bool Simplifier::KeepsDirection(Index from, Index to) const {
     if (Has(face, to)) continue;
     std::replace(face.begin(), face.end(), from, to);
     const Vec3 before = Normal(CornersOf(faces_[f])), after = Normal(CornersOf(face));
-    if (!(Dot(before, after) > kCos * Norm(before) * Norm(after))) return false;
+    if (!(Dot(before, after) > 0)) return false;
   }
   return true;
 }
 
 Proposal Simplifier::BestFor(Index from) const {
+  if (stays_[from] || lines_of_[from].size() > 2 || !KeepsLine(from)) return {};
   thread_local std::vector<std::pair<double, Index>> neighbours;
   neighbours.clear();
   for (const Index f : faces_of_[from])
@@ -143,10 +157,9 @@ std::vector<Change> Simplifier::Choose(std::size_t max_removed) {
   std::vector<Index> order;
   for (std::size_t v = 0; v < proposals_.size(); ++v)
     if (proposals_[v].to != kNone) order.push_back(static_cast<Index>(v));
-  std::stable_sort(order.begin(), order.end(), [&](Index a, Index b) {
-    return proposals_[a].cost < proposals_[b].cost;
-  });
-  order.resize(static_cast<std::size_t>(kRoundShare * order.size()) + (order.empty() ? 0 : 1));
+  std::stable_sort(order.begin(), order.end(),
+                   [&](Index a, Index b) { return proposals_[a].cost < proposals_[b].cost; });
+  order.resize(static_cast<std::size_t>(std::ceil(kRoundShare * order.size())));
   std::vector<char> is_taken(vertices_.size());
   std::vector<Change> changes;
   std::size_t num_removed = 0;
@@ -187,7 +200,12 @@ void Simplifier::Run(std::size_t max_faces) {
                        if (is_changed[v]) proposals_[v] = BestFor(static_cast<Index>(v));
                    });
     std::vector<Change> changes = Choose(num_faces_ - max_faces);
-    if (changes.empty()) return;
+    if (changes.empty()) {
+      if (tolerance_ > kMaxTolerance) return;
+      tolerance_ *= 2;
+      std::fill(is_changed.begin(), is_changed.end(), 1);
+      continue;
+    }
     RemoveColliding(changes);
     std::fill(is_changed.begin(), is_changed.end(), 0);
     for (const Change& change : changes) Apply(change, is_changed);

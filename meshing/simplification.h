@@ -9,9 +9,9 @@
 namespace mesher {
 
 // Collapses vertices onto neighbours, those first that change the surface least, until at most
-// `max_faces` faces are left, or none can be collapsed. The error of a vertex is the weighted sum of
-// squared distances from the planes of the faces that it replaces, from these faces, and from their
-// creases and borders (Garland, Heckbert 1997; Trettner, Kobbelt 2020).
+// `max_faces` faces are left, or none can be collapsed. The error of a vertex is the weighted sum
+// of squared distances from the planes of the faces that it replaces, from these faces, and from
+// their creases and borders (Garland, Heckbert 1997; Trettner, Kobbelt 2020).
 //
 // Vertices stay where they were. Those of creases and borders are collapsed along these lines only,
 // and lines stay connected where they branch. No face turns over or passes through another one. The

@@ -106,7 +106,7 @@ class MeshingOptions(Options):
     )
     max_faces: int = option(
         0,
-        "Simplify the mesh to this number of triangles (quadric edge collapse); 0 keeps all",
+        "Simplify the mesh to this number of triangles, and keep its creases; 0 keeps all",
         within=(0, 100_000_000),
         basic=True,
     )

@@ -33,7 +33,6 @@ from colmap_edges.surfaces.outlines2d import Outlines2D
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.revolution.finding import find_bodies
 from colmap_edges.surfaces.silhouettes import Background, find_background, spread_bodies
-from colmap_edges.surfaces.simplify import load_meshlab
 from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.texture.pictures import Images
 from colmap_edges.texture.texturing import textured
@@ -46,8 +45,6 @@ def check_mesher(options: PipelineOptions) -> None:
         ColmapEdgesError: if a library is not installed.
     """
     load_extension()
-    if options.meshing.max_faces:
-        load_meshlab()
 
 
 def background_stage(
@@ -205,7 +202,7 @@ def mesh_stage(
             cloud,
             faces.round_points,
         )
-        mesh = finished(mesh, extended, options.meshing)
+        mesh = finished(mesh, extended, options.meshing, thread_count(options))
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         stage.counts |= {"far_from_origin": 1} if is_far_from_origin(mesh) else {}
         stage.counts["details"] = plain_counts(mesh.stats)

@@ -106,7 +106,7 @@ def mesh(
     round_points = faces.round_points if faces else NO_POINTS
     given = (background, plain, patches or NO_PATCHES, refine, cloud, round_points)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
-    return finished(found, model, options)
+    return finished(found, model, options, num_threads or os.cpu_count() or 1)
 
 
 def mesh_with_curves(
@@ -240,10 +240,12 @@ def as_model(source: Any) -> Model:
     return model_module.model_from_reconstruction(source)
 
 
-def finished(mesh_of_indices: Mesh, model: Model, options: MeshingOptions) -> Mesh:
+def finished(
+    mesh_of_indices: Mesh, model: Model, options: MeshingOptions, num_threads: int
+) -> Mesh:
     """Add ids and colours of the model's points, and simplify the mesh if requested."""
     mesh = with_model_attributes(mesh_of_indices, model)
-    return simplify(mesh, options.max_faces) if options.max_faces else mesh
+    return simplify(mesh, options.max_faces, num_threads) if options.max_faces else mesh
 
 
 def mesh_points(

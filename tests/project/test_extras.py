@@ -5,11 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from project import ROOT
 
 import colmap_edges
-from colmap_edges.cli.main import cli
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_mesh
@@ -38,19 +36,9 @@ def test_a_missing_library_is_named_with_its_extra(library, extra, monkeypatch, 
     assert f'"{wanted}>=' in line
 
 
-def test_simplification_without_meshlab_ends_before_the_run(small, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pymeshlab", None)
-    images, model = small
-    arguments = ["--image_path", images, "--input_path", model, "--output_path", tmp_path / "out"]
-    arguments += ["--Meshing.max_faces", "100"]
-    done = CliRunner().invoke(cli, ["mesh", *map(str, arguments)])
-    assert done.exit_code == 1 and "colmap-edges[meshlab]" in done.output
-    assert done.output.count("\n") == 1 and not (tmp_path / "out").exists()
-
-
 def test_all_holds_every_extra_of_users():
     extras = dict(re.findall(r"^(\w+) = (\[.*\])$", PROJECT, re.MULTILINE))
     users = set(re.findall(r"[a-z]+", re.search(r"colmap-edges\[(.*?)\]", extras["all"])[1]))
-    own = {"cluster", "evaluation", "graph", "meshlab", "pandas", "step"}
+    own = {"cluster", "evaluation", "graph", "pandas", "step"}
     assert users == own and own <= set(extras)
     assert "rerun-sdk" in extras["all"]  # which has no wheels for Python 3.10

@@ -23,7 +23,7 @@ LIBRARIES = {
     "networkx": {"export"},
     "pandas": {"export"},
     "plyfile": {"export"},
-    "pymeshlab": {"evaluation", "surfaces"},
+    "pymeshlab": {"evaluation"},
     "click": {"cli"},
     "rich": {"cli"},
     "distributed": {"runtime"},
