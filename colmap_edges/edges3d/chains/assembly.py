@@ -17,6 +17,7 @@ from colmap_edges.edges3d.chains.merging import merge_traced
 from colmap_edges.edges3d.chains.traced_curves import TracedCurves
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.linking.bends import cut_at_bends
+from colmap_edges.edges3d.linking.bridges import with_bridges
 from colmap_edges.edges3d.linking.circles import join_circles
 from colmap_edges.edges3d.linking.gaps import are_observed
 from colmap_edges.edges3d.linking.joining import link_edges
@@ -50,11 +51,13 @@ def link(
     edges = linked(pieces.edges)
     edges = linked(edges)  # again, since longer pieces have more accurate directions
     edges = join_circles(edges, given, options, num_threads)
-    edges = meet_at_nodes(cut_at_bends(edges), given, options, num_threads)
+    edges, num_bridges = with_bridges(cut_at_bends(edges), given.views, given, options, num_threads)
+    edges = meet_at_nodes(edges, given, options, num_threads)
     contours = linked(pieces.contours)
     given.graphs.trim()
     return with_look_up(given, edges, contours), {
         "pieces": pieces.edges.num_edges,
+        "bridges": num_bridges,
         "edges_closed": int(edges.closed.sum()),
         "nodes": len(edges.nodes.points),
         "junctions": int((edges.nodes.through_points >= 0).sum()),

@@ -12,10 +12,11 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges2d.graphs import Graphs
+from colmap_edges.edges2d.straight_pieces import near_observations
 from colmap_edges.surfaces.cylinders import hypotheses
 from colmap_edges.surfaces.cylinders.finding import find_cylinders
 from colmap_edges.surfaces.faces.evidence import gather_evidence
-from colmap_edges.surfaces.outlines2d import are_observed, find_outlines
+from colmap_edges.surfaces.outlines2d import find_outlines
 
 AXIS = unit(np.array([0.2, 0.1, 1.0]))
 BASE, RADIUS, HEIGHT = np.array([0.1, -0.2, 0.1]), 0.4, 1.2
@@ -167,5 +168,5 @@ def test_nothing_without_lines(can):
 
 
 def test_points_beside_observations_belong_to_edges():
-    near = are_observed(20, np.array([2.3, 15.0, np.nan]))
+    near = near_observations(20, np.array([2.3, 15.0, np.nan]))
     assert np.flatnonzero(near).tolist() == [*range(7), *range(11, 20)]
