@@ -27,6 +27,7 @@ from colmap_edges.edges3d.linking.ends import MIN_ANGLE_DEG
 
 STRAIGHT_PX = 1.0  # maximum distance of a piece's points from its chord
 MAX_OBSERVED = 0.5  # maximum share of a piece that 3D edges observe
+NUM_NEAR = 32  # maximum number of edge points, and of ends of edges, next to an end of a piece
 END_PX = 5.0  # maximum distance of an end of a piece from where it meets an edge
 REACH_SPACINGS = 2.0  # maximum distance along an edge from its points to where a piece meets it
 
@@ -168,18 +169,33 @@ def edge_lines(edges: Edges3D, max_extension: float) -> EdgeLines:
     return lines
 
 
+def near_points(lines: EdgeLines, pixels: FloatArray, view: View) -> tuple[IntArray, IntArray]:
+    """Pairs of (n,) undistorted pixels and (N,) lines that may pass there, as their indices."""
+    at, depths = view.project_undistorted(lines.points)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        steps = lines.spacings * view.focal_px / depths
+    reach = END_PX + np.maximum(-lines.least, lines.most) * steps
+    front = (depths > 0) & np.isfinite(at).all(axis=1)
+    inside = np.maximum(-lines.least, lines.most) <= REACH_SPACINGS
+    found = []
+    for rows in (np.flatnonzero(front & inside), np.flatnonzero(front & ~inside)):
+        if len(rows):
+            tree, most = cKDTree(at[rows]), float(reach[rows].max())
+            off, index = tree.query(pixels, k=[*range(1, NUM_NEAR + 1)], distance_upper_bound=most)
+            index = np.where(np.isfinite(off), index, 0)
+            which, rank = np.nonzero(off <= reach[rows][index])
+            found.append((which, rows[index[which, rank]]))
+    none = np.zeros(0, np.int64)
+    hits, near = (np.concatenate([none, *(of[i] for of in found)]) for i in range(2))
+    return hits, near
+
+
 def find_anchors(lines: EdgeLines, ends: FloatArray, normals: FloatArray, view: View) -> Anchors:
     """Where (L, 2, 2) ends of a view's pieces, in planes with (L, 3) normals, meet edges."""
-    at, depths = view.project_undistorted(lines.points)
-    reach = np.maximum(-lines.least, lines.most) * lines.spacings * view.focal_px / depths + END_PX
-    front = np.flatnonzero(np.isfinite(at).all(axis=1) & (depths > 0))
-    tree = cKDTree(ends.reshape(-1, 2))
-    near = front[tree.query(at[front])[0] <= reach[front]]
-    if not len(near):
+    hit, near = near_points(lines, ends.reshape(-1, 2), view)
+    if not len(hit):
         return NO_ANCHORS
-    hits = tree.query_ball_point(at[near], reach[near], return_sorted=True)
-    own = lines.select(np.repeat(near, [len(of) for of in hits]))
-    hit = np.concatenate([np.asarray(of, np.int64) for of in hits])
+    own = lines.select(near)
     sines = np.einsum("ij,ij->i", normals[hit // 2], own.directions)
     way = np.einsum("ij,ij->i", normals[hit // 2], view.center - own.centers)
     with np.errstate(divide="ignore", invalid="ignore"):
