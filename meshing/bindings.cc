@@ -163,6 +163,23 @@ nb::tuple Simplify(const Matrix<double, 3>& vertices, const Matrix<Index, 3>& fa
   return ToTuple(result);
 }
 
+// Moved vertices without motions that turn faces over or make them intersect.
+nb::ndarray<nb::numpy, double> TakenBack(const Matrix<double, 3>& vertices,
+                                         const Matrix<double, 3>& moved,
+                                         const Matrix<Index, 3>& faces, int num_threads) {
+  const std::vector<mesher::Vec3> before = ToPoints(vertices);
+  std::vector<mesher::Vec3> after = ToPoints(moved);
+  const auto corners = ToItems<std::array<Index, 3>>(faces);
+  if (before.size() != after.size())
+    throw std::invalid_argument("vertices and moved ones differ in number");
+  mesher::CheckInput({before, corners, {}, std::vector<mesher::Symmetric>(before.size())});
+  {
+    nb::gil_scoped_release release;
+    mesher::TakeBack(corners, before, num_threads, after);
+  }
+  return ToArray<double, 3>(after);
+}
+
 // Pairs of faces that intersect, beyond common vertices and sides.
 nb::ndarray<nb::numpy, Index> Intersections(const Matrix<double, 3>& vertices,
                                             const Matrix<Index, 3>& faces, int num_threads) {
@@ -192,6 +209,7 @@ NB_MODULE(_mesher, m) {
         "min_angle"_a, "max_sigmas"_a, "max_turn"_a, "turn_sigmas"_a, "num_threads"_a);
   m.def("simplify", &Simplify, "vertices"_a, "faces"_a, "creases"_a, "max_faces"_a,
         "num_threads"_a);
+  m.def("taken_back", &TakenBack, "vertices"_a, "moved"_a, "faces"_a, "num_threads"_a);
   m.def("intersections", &Intersections, "vertices"_a, "faces"_a, "num_threads"_a);
   m.def("mesh_points", &MeshPoints, "points"_a, "visibility_offsets"_a, "visibility_cameras"_a,
         "camera_centers"_a, "polyline_offsets"_a, "polylines"_a, "background_cameras"_a,

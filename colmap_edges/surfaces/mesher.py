@@ -25,6 +25,7 @@ from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
+from colmap_edges.surfaces.patches.fitting import fitted
 from colmap_edges.surfaces.refinement import Measured, refined
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.simplify import simplify
@@ -163,6 +164,8 @@ def mesh_with_curves(
     if refine:
         measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
         threads = num_threads or os.cpu_count() or 1
+        information, _ = measured.of_vertices(found, len(silhouettes.points))
+        found = fitted(found, information, model.views, patches.depths, threads)
         found = refined(found, measured, len(silhouettes.points), threads)
     if cloud:
         found = with_cloud(found, cloud, rows, num_sfm, num_seen)

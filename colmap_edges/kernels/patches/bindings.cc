@@ -171,11 +171,11 @@ class PatchScene {
   std::vector<std::vector<FoundPatch>> patches_;
 };
 
-// Inverse depths of a mesh along rays (x, y, 1) of all views, in rows by view; 0 where there is
-// none.
-OutArray<double> MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
-                              Points3D vertices, InArray<int32_t, nb::shape<-1, 3>> faces,
-                              Longs offsets, Points2D rays, int num_threads) {
+// Inverse depths of a mesh along rays (x, y, 1) of all views, in rows by view, and the faces there;
+// 0 and -1 where there is none.
+nb::tuple MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
+                       Points3D vertices, InArray<int32_t, nb::shape<-1, 3>> faces, Longs offsets,
+                       Points2D rays, int num_threads) {
   const size_t count = rotations.shape(0), total = rays.shape(0);
   Require(translations.shape(0) == count, "views differ in number");
   CheckOffsets(offsets, count, total);
@@ -183,6 +183,7 @@ OutArray<double> MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Po
     Require(faces.data()[i] >= 0 && size_t(faces.data()[i]) < vertices.shape(0),
             "a face has a vertex that does not exist");
   std::vector<double> found(total);
+  std::vector<int32_t> hit(total);
   {
     nb::gil_scoped_release release;
     ParallelFor(int64_t(count), num_threads, [&](int64_t v, int) {
@@ -198,9 +199,10 @@ OutArray<double> MeshDepthsAt(InArray<double, nb::shape<-1, 3, 3>> rotations, Po
       for (size_t f = 0; f < faces.shape(0); ++f)
         depths.Add(local[faces(f, 0)], local[faces(f, 1)], local[faces(f, 2)]);
       std::copy(depths.inverse().begin(), depths.inverse().end(), found.begin() + offsets(v));
+      std::copy(depths.faces().begin(), depths.faces().end(), hit.begin() + offsets(v));
     });
   }
-  return ToArray(std::move(found), {total});
+  return nb::make_tuple(ToArray(std::move(found), {total}), ToArray(std::move(hit), {total}));
 }
 
 }  // namespace
@@ -218,9 +220,10 @@ void BindPatches(nb::module_& m) {
            "num_threads"_a)
       .def("correlations", &PatchScene::Correlations, "view"_a, "other"_a, "pixels"_a, "planes"_a,
            "flat"_a);
-  m.def("mesh_depths", &MeshDepthsAt, "rotations"_a, "translations"_a, "vertices"_a, "faces"_a,
-        "offsets"_a, "rays"_a, "num_threads"_a,
-        "Inverse depths of a mesh along rays of views; 0 where there is none.");
+  m.def(
+      "mesh_depths", &MeshDepthsAt, "rotations"_a, "translations"_a, "vertices"_a, "faces"_a,
+      "offsets"_a, "rays"_a, "num_threads"_a,
+      "Inverse depths of a mesh along rays of views, and the faces; 0 and -1 where there is none.");
 }
 
 }  // namespace colmap_edges

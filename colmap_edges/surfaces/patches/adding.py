@@ -43,7 +43,7 @@ def what_they_add(
         local = view.cam_from_world(seen.points[owners[rows]])
         rays[rows], depths[rows] = local[:, :2] / local[:, 2:], local[:, 2]
     inverse = np.zeros(len(views))
-    inverse[order] = _kernels.mesh_depths(
+    found, _ = _kernels.mesh_depths(
         np.array([view.rotation for view in model.views]),
         np.array([view.translation for view in model.views]),
         np.ascontiguousarray(vertices, np.float64),
@@ -52,6 +52,7 @@ def what_they_add(
         rays[order],
         num_threads,
     )
+    inverse[order] = found
     with np.errstate(divide="ignore"):
         off = np.abs(1 / inverse - depths) > MAX_SIGMAS * patches.tolerances[owners]
     away = np.bincount(owners, off, len(seen.points))

@@ -32,6 +32,7 @@ from colmap_edges.errors import ColmapEdgesError, check_type
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
 from colmap_edges.surfaces.faces.grids import Grid, blank_grid
+from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths, depths_of
 from colmap_edges.surfaces.patches.sites import (
     LEAST_VARIANCE,
     STEP_PX,
@@ -73,6 +74,7 @@ class Patches:
         num_agreed: number of those that views agree on.
         num_outlines: number of points, the last ones, that are on outlines of smooth bodies
             instead: their views see the surface there, but no texture.
+        depths: depths by all windows that views agree on.
     """
 
     points: SeenPoints
@@ -84,6 +86,7 @@ class Patches:
     num_found: int = 0
     num_agreed: int = 0
     num_outlines: int = 0
+    depths: Depths = NO_DEPTHS
 
     @property
     def textured(self) -> SeenPoints:
@@ -159,6 +162,12 @@ def find_patches(
         num_sites=num_sites,
         num_found=num_found,
         num_agreed=int(accepted.sum()),
+        depths=depths_of(
+            grids,
+            agreed.rows[accepted],
+            agreed.values[accepted],
+            np.diff(agreed.offsets)[accepted],
+        ),
     )
 
 

@@ -94,9 +94,13 @@ def test_depths_of_a_mesh_are_those_of_rays(rng):
     vertices = (local.reshape(-1, 3) - translation) @ rotation
     faces = np.arange(120, dtype=np.int32).reshape(-1, 3)
     rays = rng.uniform(-0.7, 0.7, (300, 2))
-    found = _kernels.mesh_depths(
+    found, hit = _kernels.mesh_depths(
         np.array([rotation]), np.array([translation]), vertices, faces, np.array([0, 300]), rays, 2
     )
     expected = first_hits(local, np.column_stack([rays, np.ones(300)]))
     assert 0.3 < np.mean(expected > 0) < 1
     np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_array_equal(hit >= 0, expected > 0)
+    for i in np.flatnonzero(hit >= 0):
+        alone = first_hits(local[hit[[i]]], np.append(rays[i], 1)[None])
+        np.testing.assert_allclose(alone, expected[i], rtol=1e-9)
