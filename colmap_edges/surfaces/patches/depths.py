@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray
+from colmap_edges.core.checks import check_arrays
+from colmap_edges.core.observations import check_views
+from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.faces.grids import Grid
 from colmap_edges.surfaces.patches.smoothing import noise_factor
 
@@ -22,17 +25,28 @@ class Depths(NamedTuple):
         sigmas: (D,) float64 their standard deviations, as if they were independent.
     """
 
-    views: Int32Array
-    rays: FloatArray
-    depths: FloatArray
-    sigmas: FloatArray
+    views: Annotated[Int32Array, "D"]
+    rays: Annotated[FloatArray, "D", 2]
+    depths: Annotated[FloatArray, "D"]
+    sigmas: Annotated[FloatArray, "D"]
+
+    def check(self, name: str, num_views: int | None = None) -> None:
+        """Check shapes, dtypes and values.
+
+        Raises:
+            ColmapEdgesError: naming the first array that does not fit.
+        """
+        check_arrays(name, self)
+        check_views(f"{name}.views", self.views, num_views)
+        if (np.diff(self.views) < 0).any():
+            raise ColmapEdgesError(f"{name}.views do not ascend; sort all arrays by view")
 
 
 NO_DEPTHS = Depths(np.zeros(0, np.int32), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 def depths_of(
-    grids: Sequence[Grid], rows: Int32Array, values: FloatArray, num_agreeing: FloatArray
+    grids: Sequence[Grid], rows: Int32Array, values: FloatArray, num_agreeing: IntArray
 ) -> Depths:
     """The depths of accepted patches.
 

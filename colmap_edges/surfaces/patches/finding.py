@@ -101,6 +101,8 @@ class Patches:
         """
         check_type(f"{name}.points", self.points, (SeenPoints,))
         self.points.check(f"{name}.points", num_views)
+        check_type(f"{name}.depths", self.depths, (Depths,))
+        self.depths.check(f"{name}.depths", num_views)
         count = len(self.points.points)
         for key in ("normals", "sigmas", "tolerances", "grays"):
             if len(getattr(self, key)) != count:

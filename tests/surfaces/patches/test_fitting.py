@@ -8,6 +8,7 @@ import textured_plane
 from textured_plane import NORMAL, OFFSET
 
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS
 from colmap_edges.surfaces.patches.finding import find_patches
@@ -91,6 +92,16 @@ def test_depths_of_another_surface_move_nothing(scene, depths):
     farther = depths._replace(depths=depths.depths * 1.5)
     for none in (farther, NO_DEPTHS):
         assert fitted(mesh, information, scene[0].views, none, 1) is mesh
+
+
+def test_wrong_depths_are_told(depths):
+    depths.check("depths", 5)
+    with pytest.raises(ColmapEdgesError, match=r"depths\.views holds view 4"):
+        depths.check("depths", 3)
+    with pytest.raises(ColmapEdgesError, match="do not ascend"):
+        depths._replace(views=depths.views[::-1].copy()).check("depths", 5)
+    with pytest.raises(ColmapEdgesError, match=r"depths\.rays"):
+        depths._replace(rays=depths.rays[1:]).check("depths", 5)
 
 
 def test_sheets_that_touch_stay_together(scene, depths):
