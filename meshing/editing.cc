@@ -78,25 +78,22 @@ bool Editor::CanCollapse(Index from, Index to) const {
 // Whether the common neighbours of two vertices are the corners of the faces between them, and no
 // new face would be the back of another one.
 bool Editor::KeepsTopology(Index from, Index to) const {
-  thread_local std::vector<Index> around, others;
-  around.clear(), others.clear();
-  int num_shared = 0, num_common = 0;
+  thread_local std::vector<Index> around, common;
+  around.clear(), common.clear();
+  std::size_t num_shared = 0;
   for (const Index f : faces_of_[from]) {
     num_shared += Has(faces_[f], to);
     around.insert(around.end(), faces_[f].begin(), faces_[f].end());
   }
+  SortUnique(around);
   for (const Index f : faces_of_[to])
-    others.insert(others.end(), faces_[f].begin(), faces_[f].end());
-  for (auto* vertices : {&around, &others}) {
-    std::sort(vertices->begin(), vertices->end());
-    vertices->erase(std::unique(vertices->begin(), vertices->end()), vertices->end());
-  }
-  for (const Index v : around) {
-    if (v == from || v == to) continue;
-    num_common += std::binary_search(others.begin(), others.end(), v);
-    if (stays_[v] && stays_[to]) return false;
-  }
-  if (num_shared == 0 || num_common != num_shared) return false;
+    for (const Index v : faces_[f])
+      if (v != from && v != to && std::binary_search(around.begin(), around.end(), v))
+        common.push_back(v);
+  SortUnique(common);
+  const auto stays = [&](Index v) { return v != from && v != to && stays_[v]; };
+  if (stays_[to] && std::any_of(around.begin(), around.end(), stays)) return false;
+  if (num_shared == 0 || common.size() != num_shared) return false;
   for (const Index f : faces_of_[from])
     for (int k = 0; k < 3 && !Has(faces_[f], to); ++k) {
       const Index a = faces_[f][k], b = faces_[f][(k + 1) % 3];

@@ -2,6 +2,7 @@
 // A mesh of which some faces are replaced by others, with its creases and borders.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <unordered_map>
@@ -46,6 +47,11 @@ inline double Quadratic(const Symmetric& a, const Vec3& d) {
 Vec3 ClosestOnSegment(const Vec3& p, const Vec3& a, const Vec3& b);
 
 inline bool Has(const Face& face, Index v) { return face[0] == v || face[1] == v || face[2] == v; }
+
+inline void SortUnique(std::vector<Index>& values) {
+  std::sort(values.begin(), values.end());
+  values.erase(std::unique(values.begin(), values.end()), values.end());
+}
 
 inline Vec3 Normal(const Corners& c) { return Cross(c[1] - c[0], c[2] - c[0]); }
 

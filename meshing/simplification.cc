@@ -15,10 +15,10 @@ namespace {
 constexpr double kNormalVariance = 1e-3;
 // Share of the proposals that a round considers, the best ones.
 constexpr double kRoundShare = 0.5;
-// Points of creases and borders that are left out stay this near, in spacings of these points. It
-// is doubled where too many faces are left, at most this many times.
+// Points of creases and borders that are left out cost nothing this near, in spacings of these
+// points. Beyond it, their squared distances count this many times as much as those of faces.
 constexpr double kTolerance = 0.2;
-constexpr double kMaxTolerance = 1e4;
+constexpr double kLineWeight = 1000;
 
 // A sum of weighted squared distances from a place, as its function.
 class Quadric {
@@ -66,14 +66,13 @@ class Simplifier : public Editor {
  private:
   Vec3 Local(Index v) const { return At(v) - At(0); }
   double Cost(Index from, Index to) const;
-  bool KeepsLine(Index from) const;
+  double LineCost(Index from) const;
   bool KeepsDirection(Index from, Index to) const;
   Proposal BestFor(Index from) const;
   std::vector<Change> Choose(std::size_t max_removed);
   void Apply(const Change& change, std::vector<char>& is_changed);
 
   std::size_t num_faces_;
-  double tolerance_ = kTolerance;    // of lines, in spacings of their points
   std::vector<double> spacings_;     // of vertices of lines: mean length of the pieces at them
   std::vector<Quadric> quadrics_;    // of vertices
   std::vector<Proposal> proposals_;  // of vertices
@@ -110,19 +109,20 @@ Simplifier::Simplifier(const std::vector<Vec3>& vertices, const std::vector<Face
 
 double Simplifier::Cost(Index from, Index to) const { return quadrics_[from](Local(to)); }
 
-// Whether the points left out of a vertex's line, and itself, are near what is left of the line.
-bool Simplifier::KeepsLine(Index from) const {
+// The error of the points left out of a vertex's line, and of itself, where they are far from what
+// is left of the line.
+double Simplifier::LineCost(Index from) const {
   const auto& ends = lines_of_[from];
-  if (ends.empty()) return true;
-  const auto is_near = [&](Index v) {
+  if (ends.empty()) return 0;
+  const auto error = [&](Index v) {
     const Vec3 off = At(v) - ClosestOnSegment(At(v), At(ends.front()), At(ends.back()));
-    return Norm(off) <= tolerance_ * spacings_[v];
+    const double distance = Norm(off), spacing = spacings_[v];
+    return distance > kTolerance * spacing ? std::pow(spacing * distance, 2) : 0;
   };
-  for (const Index end : ends) {
-    const auto& points = lines_.at(Key(from, end)).points;
-    if (!std::all_of(points.begin(), points.end(), is_near)) return false;
-  }
-  return is_near(from);
+  double largest = error(from);
+  for (const Index end : ends)
+    for (const Index v : lines_.at(Key(from, end)).points) largest = std::max(largest, error(v));
+  return kLineWeight * largest;
 }
 
 bool Simplifier::KeepsDirection(Index from, Index to) const {
@@ -137,18 +137,18 @@ bool Simplifier::KeepsDirection(Index from, Index to) const {
 }
 
 Proposal Simplifier::BestFor(Index from) const {
-  if (stays_[from] || lines_of_[from].size() > 2 || !KeepsLine(from)) return {};
+  if (stays_[from] || lines_of_[from].size() > 2) return {};
+  thread_local std::vector<Index> around;
   thread_local std::vector<std::pair<double, Index>> neighbours;
-  neighbours.clear();
+  around.clear(), neighbours.clear();
   for (const Index f : faces_of_[from])
-    for (const Index v : faces_[f])
-      if (v != from && CanCollapse(from, v)) neighbours.emplace_back(Cost(from, v), v);
+    around.insert(around.end(), faces_[f].begin(), faces_[f].end());
+  SortUnique(around);
+  for (const Index v : around)
+    if (v != from && CanCollapse(from, v)) neighbours.emplace_back(Cost(from, v), v);
   std::sort(neighbours.begin(), neighbours.end());
-  Index last = kNone;
-  for (const auto& [cost, to] : neighbours) {
-    if (to != last && KeepsDirection(from, to) && KeepsTopology(from, to)) return {cost, to};
-    last = to;
-  }
+  for (const auto& [cost, to] : neighbours)
+    if (KeepsDirection(from, to) && KeepsTopology(from, to)) return {cost + LineCost(from), to};
   return {};
 }
 
@@ -200,12 +200,7 @@ void Simplifier::Run(std::size_t max_faces) {
                        if (is_changed[v]) proposals_[v] = BestFor(static_cast<Index>(v));
                    });
     std::vector<Change> changes = Choose(num_faces_ - max_faces);
-    if (changes.empty()) {
-      if (tolerance_ > kMaxTolerance) return;
-      tolerance_ *= 2;
-      std::fill(is_changed.begin(), is_changed.end(), 1);
-      continue;
-    }
+    if (changes.empty()) return;
     RemoveColliding(changes);
     std::fill(is_changed.begin(), is_changed.end(), 0);
     for (const Change& change : changes) Apply(change, is_changed);

@@ -14,8 +14,9 @@ namespace mesher {
 // their creases and borders (Garland, Heckbert 1997; Trettner, Kobbelt 2020).
 //
 // Vertices stay where they were. Those of creases and borders are collapsed along these lines only,
-// and lines stay connected where they branch. No face turns over or passes through another one. The
-// topology stays, and so do vertices where sheets of the surface touch.
+// at a high cost where they leave points of them, and lines stay connected where they branch. No
+// face turns over or passes through another one. The topology stays, and so do vertices where
+// sheets of the surface touch.
 //
 // Throws std::invalid_argument for faces or creases that do not fit the vertices.
 EditedMesh Simplify(const std::vector<Vec3>& vertices, const std::vector<Face>& faces,

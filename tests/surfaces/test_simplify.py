@@ -57,6 +57,35 @@ def distances(points, starts, ends):
     return np.linalg.norm(offsets - share[..., None] * side, axis=2).min(axis=1)
 
 
+def grid_faces(size):
+    """Triangles of the vertices (x, y) -> size * x + y; sides join (x, y) and (x + 1, y + 1)."""
+    first = (size * np.arange(size - 1)[:, None] + np.arange(size - 1)).ravel()
+    right, above, beyond = first + size, first + 1, first + size + 1
+    return np.concatenate(
+        [np.stack([first, right, beyond], 1), np.stack([first, beyond, above], 1)]
+    )
+
+
+def saw_teeth(size, rows):
+    """Sides that rise by one from each column to the next, and fall back there."""
+    low = (size * np.arange(1, size - 2)[:, None] + np.array(rows)).ravel()
+    tips = low + size + 1
+    return np.concatenate([np.stack([low, tips], 1), np.stack([tips, tips - 1], 1)])
+
+
+def heights(mesh, places):
+    """(N,) heights of a mesh over (N, 2) places of a plane that it covers once."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    area = np.cross(b - a, c - a)[:, 2]
+    a, b, c = (corner[area != 0] for corner in (a, b, c))
+    transform = np.linalg.inv(np.stack([(b - a)[:, :2], (c - a)[:, :2]], axis=2))
+    shares = np.einsum("fij,nfj->nfi", transform, places[:, None] - a[:, :2])
+    inside = np.minimum(shares.min(axis=2), 1 - shares.sum(axis=2))
+    face = inside.argmax(axis=1)
+    u, v = shares[np.arange(len(places)), face].T
+    return a[face, 2] + u * (b - a)[face, 2] + v * (c - a)[face, 2]
+
+
 @pytest.mark.parametrize("bend", [0.0, 0.3])
 def test_creases_stay_and_lose_the_points_that_say_nothing(bend):
     mesh = roof(bend)
@@ -113,6 +142,16 @@ def test_creases_give_way_where_too_many_triangles_are_left():
     simple = simplify(mesh, 8)
     assert len(simple.faces) <= 8
     assert not len(mesher.intersections(simple.vertices, simple.faces, 1))
+
+
+def test_creases_give_way_before_the_surface_is_used_up():
+    """Saw-tooth creases on a plane need more triangles than are left beside a hill."""
+    x, y = (axis.ravel() for axis in np.mgrid[:40, :40])
+    hill = 6 * np.exp(-((x - 20) ** 2 + (y - 28) ** 2) / 30)
+    mesh = make_mesh(np.column_stack([x, y, hill]), grid_faces(40), saw_teeth(40, range(1, 17, 3)))
+    simple = simplify(mesh, len(mesh.faces) // 10)
+    error = np.abs(heights(simple, mesh.vertices[:, :2]) - hill)
+    assert error.max() < 0.25 * hill.max() and len(simple.creases) > 50
 
 
 def test_the_result_depends_on_neither_threads_nor_unit():
