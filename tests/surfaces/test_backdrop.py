@@ -121,6 +121,20 @@ def test_a_body_into_which_a_region_leaks_is_left_out():
     assert shown[4][:, 70:].all() and shown[4][:20].all() and shown[5][27:38, 60:64].all()
 
 
+def test_a_body_little_darker_than_a_noisy_backdrop_is_left_out():
+    views, rng = orbit(), np.random.default_rng(3)
+    regions = regions_of(views, gradient)
+    for index, picture in enumerate(regions.pictures):
+        levels = picture + rng.normal(0, 1.0, picture.shape)
+        if index == 4:
+            levels[:16, :20] -= 2.5
+        picture[:] = np.rint(levels)
+    shown = find_backdrop(views, regions)
+    assert not shown[4][:14, :18].any()
+    assert shown[4][:, 60:].mean() > 0.99
+    assert shown[5][:14, :18].mean() > 0.99
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.5])
 def test_factors_of_views_are_taken_out_exactly(noise):
     rng = np.random.default_rng(2)
