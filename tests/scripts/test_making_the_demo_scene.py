@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ import scenes
 import trimesh
 from project import DEMO, SCRIPTS, run_script
 
+import colmap_edges
 from colmap_edges.pipeline.paths import Paths
 
 SCALE = ("--num_views", 4, "--size", "512x384")
@@ -122,3 +124,32 @@ def test_meshes_are_compared_with_the_true_surface(small, tmp_path):
     height, width = cv2.imread(str(next(demo.glob("images/*")))).shape[:2]
     for path in pictures:
         assert cv2.imread(str(path)).shape == (2 * height, 3 * width, 3)
+
+
+def test_the_demo_meshes_twice_and_compares(tmp_path):
+    """With stand-ins for the setup and the program; the comparison starts as the demo starts it."""
+    programs = {
+        "scripts/setup": "",
+        ".venv/bin/colmap-edges": 'echo "$@" >> runs.txt',
+        ".venv/bin/python": f'exec "{sys.executable}" "$1" --help',
+    }
+    for name, text in programs.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"#!/usr/bin/env bash\n{text}\n")
+        path.chmod(0o755)
+    shutil.copy(SCRIPTS / "demo", tmp_path / "scripts")
+    (tmp_path / "scripts" / "compare_demo.py").symlink_to(SCRIPTS / "compare_demo.py")
+    package = os.fspath(Path(colmap_edges.__file__).parents[1])
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
+    done = subprocess.run(
+        [tmp_path / "scripts" / "demo"],
+        env=environment | {"PYTHONPATH": package},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Print the errors of the demo's meshes" in done.stdout
+    outputs = [line.split()[6] for line in (tmp_path / "runs.txt").read_text().splitlines()]
+    assert outputs == ["demo_output/without_edges", "demo_output/with_edges"]
