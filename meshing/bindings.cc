@@ -172,7 +172,7 @@ nb::ndarray<nb::numpy, double> TakenBack(const Matrix<double, 3>& vertices,
   const auto corners = ToItems<std::array<Index, 3>>(faces);
   if (before.size() != after.size())
     throw std::invalid_argument("vertices and moved ones differ in number");
-  mesher::CheckInput({before, corners, {}, std::vector<mesher::Symmetric>(before.size())});
+  mesher::CheckFaces(corners, {}, before.size());
   {
     nb::gil_scoped_release release;
     mesher::TakeBack(corners, before, num_threads, after);

@@ -164,8 +164,9 @@ def mesh_with_curves(
     if refine:
         measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
         threads = num_threads or os.cpu_count() or 1
-        information, _ = measured.of_vertices(found, len(silhouettes.points))
-        found = fitted(found, information, model.views, patches.depths, threads)
+        if len(patches.depths.views):
+            information, _ = measured.of_vertices(found, len(silhouettes.points))
+            found = fitted(found, information, model.views, patches.depths, threads)
         found = refined(found, measured, len(silhouettes.points), threads)
     if cloud:
         found = with_cloud(found, cloud, rows, num_sfm, num_seen)

@@ -6,27 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from meshes import make_mesh
 from scipy.spatial import ConvexHull, Delaunay
 from solid_points import fibonacci_sphere
 
-from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.shaping import shaped
 
 mesher = pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension is not built")
 
 IDENTITY = np.array([1.0, 0, 0, 1, 0, 1])
 SIGMA = 0.01
-
-
-def make_mesh(vertices, faces, creases=()):
-    count = len(vertices)
-    return Mesh(
-        vertices=np.asarray(vertices, np.float64),
-        faces=np.ascontiguousarray(faces, np.int32),
-        point3D_ids=np.arange(count, dtype=np.int64),
-        colors=np.full((count, 3), 7, np.uint8),
-        creases=np.array(creases, np.int32).reshape(-1, 2),
-    )
 
 
 def roof(sigma=SIGMA, slope=0.5, seed=0):

@@ -6,24 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from meshes import make_mesh
 from scipy.spatial import ConvexHull, Delaunay
 from solid_points import fibonacci_sphere
 
-from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.simplify import simplify
 
 mesher = pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension is not built")
-
-
-def make_mesh(vertices, faces, creases=()):
-    count = len(vertices)
-    return Mesh(
-        vertices=np.asarray(vertices, np.float64),
-        faces=np.ascontiguousarray(faces, np.int32),
-        point3D_ids=np.arange(count, dtype=np.int64),
-        colors=np.random.default_rng(1).integers(0, 256, (count, 3)).astype(np.uint8),
-        creases=np.array(creases, np.int32).reshape(-1, 2),
-    )
 
 
 def roof(bend=0.0):
@@ -107,6 +96,8 @@ def test_creases_stay_and_lose_the_points_that_say_nothing(bend):
 
 def test_vertices_keep_places_colours_and_points():
     mesh = roof()
+    colors = np.random.default_rng(1).integers(0, 256, (len(mesh.vertices), 3))
+    mesh = replace(mesh, colors=colors.astype(np.uint8))
     simple = simplify(mesh, 100)
     ids = simple.point3D_ids
     np.testing.assert_array_equal(simple.vertices, mesh.vertices[ids])

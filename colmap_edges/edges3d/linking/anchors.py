@@ -16,6 +16,7 @@ from colmap_edges.core.arrays import (
     entries_of,
     joined_tables,
     ranges_of,
+    row_numbers,
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.polylines import curve_tangents, unit
@@ -208,8 +209,8 @@ def find_anchors(lines: EdgeLines, ends: FloatArray, normals: FloatArray, view: 
     # Of each edge the place nearest to one of its points.
     order = np.lexsort((np.abs(along), own.edges, hit))
     order = order[meet[order]]
-    keys = np.column_stack([hit, own.edges])[order]
-    chosen = order[np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]]
+    keys = row_numbers(np.column_stack([hit, own.edges])[order])
+    chosen = order[np.unique(keys, return_index=True)[1]]
     return Anchors(
         pieces=hit[chosen] // 2,
         sides=hit[chosen] % 2,

@@ -7,7 +7,6 @@ is, and tracing finds no depths. But where both its ends lie on other edges, the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -27,6 +26,7 @@ from colmap_edges.core.observations import ChainObservations, Observations
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_index import IndexedGraphs, positions_near
 from colmap_edges.edges3d.linking.anchors import AnchoredPieces, find_anchored_pieces
+from colmap_edges.edges3d.linking.joining import with_more
 from colmap_edges.options import PipelineOptions
 
 SAME_PX = 1.5  # maximum distance of the places where the pieces of two views meet an edge
@@ -66,8 +66,8 @@ def with_bridges(
         return edges, 0
     ends = np.array([np.median(pieces.points[rows], axis=0) for rows in groups])
     between = np.array([pieces.edges[rows[0]] for rows in groups])
-    bridges = observed_bridges(edges, ends, between, given, options, num_threads)
-    return joined(edges, bridges), bridges.num_edges
+    longer = with_observed(edges, ends, between, given, options, num_threads)
+    return longer, longer.num_edges - edges.num_edges
 
 
 def agreeing(pieces: AnchoredPieces, least: int) -> list[IntArray]:
@@ -99,7 +99,7 @@ def turn_px(pieces: AnchoredPieces, views: Sequence[View] | Mapping[int, View]) 
     return float(turns.max()) * views[int(pieces.views[0])].focal_px
 
 
-def observed_bridges(
+def with_observed(
     edges: Edges3D,
     ends: FloatArray,
     between: IntArray,
@@ -107,7 +107,7 @@ def observed_bridges(
     options: PipelineOptions,
     num_threads: int,
 ) -> Edges3D:
-    """Those of B bridges that enough views observe, each once.
+    """Add those of B bridges that enough views observe, each once.
 
     Args:
         edges: the edges.
@@ -138,14 +138,12 @@ def observed_bridges(
     chosen = each_once(ends, np.flatnonzero(seen), APART_SPACINGS * spacings.min(axis=1))
     rows = entries_of(offsets, chosen)
     rows = rows[enough[rows]]
-    return Edges3D(
-        points=points[rows],
-        edge_offsets=offsets_of(np.bincount(owners[rows], minlength=len(counts))[chosen]),
-        closed=np.zeros(len(chosen), bool),
-        observations=Observations.of_positions(observed.select(rows)),
-        sigmas=sigmas.max(axis=1)[owners[rows]],
-        end_nodes=np.full((len(chosen), 2), -1, np.int32),
-        colors=np.zeros((len(rows), 3), np.uint8),
+    return with_more(
+        edges,
+        points[rows],
+        np.bincount(owners[rows], minlength=len(counts))[chosen],
+        Observations.of_positions(observed.select(rows)),
+        sigmas.max(axis=1)[owners[rows]],
     )
 
 
@@ -221,18 +219,3 @@ def each_once(ends: FloatArray, rows: IntArray, limits: FloatArray) -> IntArray:
         same = (np.linalg.norm(off, axis=3).max(axis=2) <= limits[row]).any(axis=0)
         free[later[same]] = False
     return rows[free]
-
-
-def joined(edges: Edges3D, more: Edges3D) -> Edges3D:
-    """Both; edges that do not meet at nodes yet."""
-    sizes = np.concatenate([np.diff(edges.edge_offsets), np.diff(more.edge_offsets)])
-    return replace(
-        edges,
-        points=np.concatenate([edges.points, more.points]),
-        edge_offsets=offsets_of(sizes),
-        closed=np.concatenate([edges.closed, more.closed]),
-        observations=Observations.concatenated([edges.observations, more.observations]),
-        sigmas=np.concatenate([edges.sigmas, more.sigmas]),
-        end_nodes=np.concatenate([edges.end_nodes, more.end_nodes]),
-        colors=np.concatenate([edges.colors, more.colors]),
-    )

@@ -41,7 +41,7 @@ from colmap_edges.edges3d.linking.ends import (
     views_near,
 )
 from colmap_edges.edges3d.linking.gaps import observed_along
-from colmap_edges.edges3d.linking.joining import joined
+from colmap_edges.edges3d.linking.joining import joined, with_more
 from colmap_edges.options import LinkingOptions, PipelineOptions
 
 MIN_TURN = np.radians(45.0)  # minimum angle of the circle that both pieces cover
@@ -216,20 +216,13 @@ def without_tips(edges: Edges3D, skip: IntArray) -> Edges3D:
 def filled(edges: Edges3D, gaps: Gaps, partner: IntArray, observations: Observations) -> Edges3D:
     """Join (2E,) ends to their partners, with the points in gaps as edges in between."""
     _, first, owners = np.unique(gaps.owners, return_index=True, return_inverse=True)
-    sizes, count = np.bincount(owners, minlength=len(first)), edges.num_edges + len(first)
+    sizes = np.bincount(owners, minlength=len(first))
     new = edges.num_edges + np.arange(len(first))
     loops = np.flatnonzero(edges.closed)
     partner = np.concatenate([partner, gaps.ends[first].ravel()])
     partner[gaps.ends[first]] = np.column_stack([2 * new, 2 * new + 1])
     partner[2 * loops], partner[2 * loops + 1] = 2 * loops + 1, 2 * loops
     tips = end_points(edges.edge_offsets, 0)[0]
-    longer = Edges3D(
-        points=np.concatenate([edges.points, gaps.points]),
-        edge_offsets=offsets_of(np.concatenate([np.diff(edges.edge_offsets), sizes])),
-        closed=np.concatenate([edges.closed, np.zeros(len(first), bool)]),
-        observations=Observations.concatenated([edges.observations, observations]),
-        sigmas=np.concatenate([edges.sigmas, edges.sigmas[tips[gaps.ends]].max(axis=1)]),
-        end_nodes=np.full((count, 2), -1, np.int32),
-        colors=np.concatenate([edges.colors, np.zeros(gaps.points.shape, np.uint8)]),
-    )
+    sigmas = edges.sigmas[tips[gaps.ends]].max(axis=1)
+    longer = with_more(edges, gaps.points, sizes, observations, sigmas)
     return joined(longer, find_ends(longer), partner)

@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, IntArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.observations import Observations
 from colmap_edges.core.polylines import match_best_first, points_along, unit, walk_joined
 from colmap_edges.edges3d.linking.bends import go_on_smoothly
 from colmap_edges.edges3d.linking.ends import (
@@ -52,6 +53,33 @@ def joined(edges: Edges3D, ends: Ends, partner: IntArray) -> Edges3D:
     order, lengths = points_along(paths, begin, stop)
     loops = np.array([closed for _, closed in paths], bool)
     return edges.reordered(order, offsets_of(lengths), loops)
+
+
+def with_more(
+    edges: Edges3D,
+    points: FloatArray,
+    sizes: IntArray,
+    observations: Observations,
+    sigmas: FloatArray,
+) -> Edges3D:
+    """Add open edges to edges that do not meet at nodes yet.
+
+    Args:
+        edges: edges without nodes.
+        points: (M, 3) points of the added edges, one edge after the other; without colours.
+        sizes: (n,) numbers of points of the added edges.
+        observations: tracks of the M points.
+        sigmas: (M,) standard deviations of the M points, world units.
+    """
+    return Edges3D(
+        points=np.concatenate([edges.points, points]),
+        edge_offsets=offsets_of(np.concatenate([np.diff(edges.edge_offsets), sizes])),
+        closed=np.concatenate([edges.closed, np.zeros(len(sizes), bool)]),
+        observations=Observations.concatenated([edges.observations, observations]),
+        sigmas=np.concatenate([edges.sigmas, sigmas]),
+        end_nodes=np.full((edges.num_edges + len(sizes), 2), -1, np.int32),
+        colors=np.concatenate([edges.colors, np.zeros(points.shape, np.uint8)]),
+    )
 
 
 def match_ends(edges: Edges3D, ends: Ends, options: LinkingOptions, goes_on: GoesOn) -> IntArray:
