@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +13,7 @@ from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.checks import MAX_COORDINATE, checked, path_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints, joined_seen
+from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import DenseOptions, MeshingOptions
@@ -24,6 +25,7 @@ from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.of_model import check_of_model
 from colmap_edges.surfaces.patches.adding import what_they_add
+from colmap_edges.surfaces.patches.depths import Depths
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches
 from colmap_edges.surfaces.patches.fitting import fitted
 from colmap_edges.surfaces.refinement import Measured, refined
@@ -163,14 +165,27 @@ def mesh_with_curves(
         found, sigmas = mesh_with_patches(patches, model, *given)
     if refine:
         measured = Measured(model.views, Tracks.of_model(model), edges, contours, sigmas)
-        threads = num_threads or os.cpu_count() or 1
-        if len(patches.depths.views):
-            information, _ = measured.of_vertices(found, len(silhouettes.points))
-            found = fitted(found, information, model.views, patches.depths, threads)
-        found = refined(found, measured, len(silhouettes.points), threads)
+        about = (len(silhouettes.points), model.views, patches.depths)
+        found = fitted_and_refined(found, measured, *about, num_threads)
     if cloud:
         found = with_cloud(found, cloud, rows, num_sfm, num_seen)
     return found
+
+
+def fitted_and_refined(
+    mesh: Mesh,
+    measured: Measured,
+    num_silhouettes: int,
+    views: Sequence[View],
+    depths: Depths,
+    num_threads: int,
+) -> Mesh:
+    """A mesh moved to the depths that patches measured, then refined within its noise."""
+    threads = num_threads or os.cpu_count() or 1
+    if len(depths.views):
+        information, _ = measured.of_vertices(mesh, num_silhouettes)
+        mesh = fitted(mesh, information, views, depths, threads)
+    return refined(mesh, measured, num_silhouettes, threads)
 
 
 def check_not_all_far(model: Model, num_seen: int) -> None:
