@@ -196,11 +196,10 @@ def mesh_stage(
             options.meshing,
             thread_count(options),
             background,
-            faces.points,
+            faces,
             patches,
             options.refine_mesh,
             cloud,
-            faces.round_points,
         )
         mesh = finished(mesh, extended, options.meshing, thread_count(options))
         stage.counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

@@ -20,7 +20,8 @@ from colmap_edges.options import DenseOptions, MeshingOptions
 from colmap_edges.surfaces.dense.cloud import DenseCloud, with_cloud
 from colmap_edges.surfaces.dense.given import given_cloud
 from colmap_edges.surfaces.extension import load_extension
-from colmap_edges.surfaces.faces.finding import Faces
+from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
+from colmap_edges.surfaces.faces.flattening import flattened, off_faces
 from colmap_edges.surfaces.information import Tracks
 from colmap_edges.surfaces.mesh import Mesh, with_model_attributes
 from colmap_edges.surfaces.of_model import check_of_model
@@ -105,9 +106,7 @@ def mesh(
         options = replace(options, method=method)
     check_of_model(model, {"edges": edges, "contours": contours}, background, faces, patches)
     cloud = given_cloud(points, visibility, model, dense or DenseOptions(), num_threads)
-    plain = faces.points if faces else NO_POINTS
-    round_points = faces.round_points if faces else NO_POINTS
-    given = (background, plain, patches or NO_PATCHES, refine, cloud, round_points)
+    given = (background, faces or NO_FACES, patches or NO_PATCHES, refine, cloud)
     found = mesh_with_curves(model, (edges, contours), options, num_threads, *given)
     return finished(found, model, options, num_threads or os.cpu_count() or 1)
 
@@ -118,11 +117,10 @@ def mesh_with_curves(
     options: MeshingOptions,
     num_threads: int,
     background: Background | None = None,
-    faces: SeenPoints = NO_POINTS,
+    faces: Faces = NO_FACES,
     patches: Patches = NO_PATCHES,
     refine: bool = True,
     cloud: DenseCloud | None = None,
-    round_points: SeenPoints = NO_POINTS,
 ) -> Mesh:
     """Mesh points of a model, curves, silhouettes before a background, and faces.
 
@@ -133,19 +131,21 @@ def mesh_with_curves(
     `point3D_ids` of the result are indices of the points of model and curves; -1, or larger, for
     others.
     """
-    edges, contours = edges_and_contours
     model = model.at_scale(1.0)  # as it is read, so that runs and Python give the same bits
+    edges, contours = edges_and_contours
+    contours = contours and off_faces(contours, faces)
+    edges, contours = (of and flattened(of, faces, model) for of in (edges, contours))
     num_sfm = len(model.points3D_xyz)
     rows = np.arange(num_sfm)
     if cloud:
-        cloud = cloud.away_from(edges_and_contours, faces.points)
+        cloud = cloud.away_from((edges, contours), faces.points.points)
         rows = cloud.where_empty(SeenPoints.of_model(model), model)
         model = model.selected(np.isin(np.arange(num_sfm), rows))
-    curves = [of for of in edges_and_contours if of is not None]
+    curves = [of for of in (edges, contours) if of is not None]
     num_seen = len(model.points3D_xyz) + sum(each.num_points for each in curves)
     check_not_all_far(model, num_seen)
     silhouettes = background.silhouettes if background and options.background_weight else NO_POINTS
-    others = joined_seen([silhouettes, faces, round_points])
+    others = joined_seen([silhouettes, faces.points, faces.round_points])
     polylines = polylines_of(curves, len(model.points3D_xyz), edges.num_edges if edges else 0)
 
     def meshed(added: SeenPoints) -> Mesh:

@@ -12,6 +12,7 @@ from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.options import MeshingOptions
+from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.mesher import mesh_with_curves
 from colmap_edges.surfaces.sky.colours import Colors, upward
 from colmap_edges.surfaces.sky.finding import find_sky
@@ -246,7 +247,8 @@ def test_rays_of_the_sky_open_the_mesh_and_leave_faces():
     model = scene(views)
     sky, _ = find_sky(model, Edges3D.none(), dict(enumerate(map(render, views))))
     middle, track = np.array([[1.25, 0, 0.95]]), np.array([0, 2])
-    faces = SeenPoints(middle, track, np.array([3, 4], np.int32))
+    points = SeenPoints(middle, track, np.array([3, 4], np.int32))
+    faces = replace(NO_FACES, points=points)
     options = replace(MeshingOptions(), long_facet_factor=0.0)
 
     def found(background):

@@ -153,20 +153,19 @@ def thinned(samples: Samples, accepted: IntArray) -> IntArray:
 
 
 def points_of_samples(
-    samples: Samples, accepted: IntArray, views: Sequence[View], grids: Sequence[Grid]
+    samples: Samples, chosen: IntArray, views: Sequence[View], grids: Sequence[Grid]
 ) -> SeenPoints:
-    """Accepted samples, thinned, as points that some agreeing views see.
+    """Samples as points that some agreeing views see.
 
     These are the views that show most nearly the middle gray of all that agree. What stands before
     a plane and was labelled as part of it differs from what other views see of the plane there.
 
     Args:
         samples: all samples.
-        accepted: indices of those to choose from.
+        chosen: (N,) indices of those that become points.
         views: all views.
         grids: their small pictures.
     """
-    chosen = thinned(samples, accepted)
     counts = np.diff(samples.offsets)[chosen]
     offsets, entries = offsets_of(counts), entries_of(samples.offsets, chosen)
     owners, seeing = owners_of(offsets), samples.views[entries]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import Int32Array, IntArray
+from colmap_edges.core.checks import check_arrays, check_values
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.errors import check_type
@@ -19,6 +21,7 @@ from colmap_edges.surfaces.faces.decision import (
     are_plain,
     points_of_samples,
     sample_cells,
+    thinned,
 )
 from colmap_edges.surfaces.faces.enclosure import are_enclosed, shows_backdrop
 from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
@@ -44,7 +47,8 @@ class Faces:
 
     Attributes:
         faces: the faces, each a connected piece of a plane.
-        points: points on them with observing views.
+        points: N points on planar faces with observing views.
+        face_ids: (N,) the planar face on which each of them lies.
         num_planes: number of plane hypotheses.
         num_cells: number of cells in all views.
         num_labelled: number of cells labelled with a plane.
@@ -55,6 +59,7 @@ class Faces:
 
     faces: list[Face]
     points: SeenPoints
+    face_ids: Annotated[IntArray, "N"]
     num_planes: int
     num_cells: int
     num_labelled: int
@@ -73,6 +78,8 @@ class Faces:
             check_type(f"{name}.faces[{index}]", face, (Face,))
         check_type(f"{name}.points", self.points, (SeenPoints,))
         self.points.check(f"{name}.points", num_views)
+        check_arrays(name, self, N=len(self.points.points))
+        check_values(f"{name}.face_ids", self.face_ids, 0, len(self.faces) - 1)
         check_type(f"{name}.round_points", self.round_points, (SeenPoints,))
         self.round_points.check(f"{name}.round_points", num_views)
 
@@ -83,7 +90,13 @@ class Faces:
 
 
 NO_FACES = Faces(
-    faces=[], points=NO_POINTS, num_planes=0, num_cells=0, num_labelled=0, num_believed=0
+    faces=[],
+    points=NO_POINTS,
+    face_ids=np.zeros(0, np.int64),
+    num_planes=0,
+    num_cells=0,
+    num_labelled=0,
+    num_believed=0,
 )
 
 
@@ -119,14 +132,16 @@ def find_faces(
     first = label_scene(*given, evidence, planes, 1, weights)
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     if not len(plain) or plain.mean() < MIN_PLAIN:
-        return first.faces(model, NO_POINTS)
+        return first.faces(NO_FACES.points, NO_FACES.face_ids)
     if not any(shows_backdrop(picture).any() for picture in pictures):
         # On objects before a backdrop, faint lines are shades of round bodies.
         labels = first.accepted_labels(pictures)
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
         planes = find_planes(evidence, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
-    return last.faces(model, points_of_samples(last.samples, last.accepted, model.views, pictures))
+    chosen = thinned(last.samples, last.accepted)
+    points = points_of_samples(last.samples, chosen, model.views, pictures)
+    return last.faces(points, last.face_ids[chosen])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,14 +151,21 @@ class LabelledScene:
     Attributes:
         planes: the plane hypotheses.
         labels: of the cells of all views, -1 where there is no plane.
-        samples: places that labelled cells see.
-        accepted: indices of the accepted samples.
+        samples: S places that labelled cells see.
+        outlined: the faces that accepted samples lie on.
+        face_ids: (S,) the face of each sample, -1 for those that are not accepted.
     """
 
     planes: Planes
     labels: Int32Array
     samples: Samples
-    accepted: IntArray
+    outlined: list[Face]
+    face_ids: IntArray
+
+    @property
+    def accepted(self) -> IntArray:
+        """Indices of the accepted samples."""
+        return np.flatnonzero(self.face_ids >= 0)
 
     def accepted_labels(self, pictures: Sequence[Grid]) -> list[Int32Array]:
         """(rows, columns) labels of each view, -1 also where they are not accepted."""
@@ -153,11 +175,12 @@ class LabelledScene:
         labels[cells] = self.labels[cells]
         return split_by_view(labels, pictures)
 
-    def faces(self, model: Model, points: SeenPoints) -> Faces:
+    def faces(self, points: SeenPoints, face_ids: IntArray) -> Faces:
         """The accepted faces, and points on them."""
         return Faces(
-            faces=outline_faces(self.samples, self.accepted, self.planes, model.camera_centers),
+            faces=self.outlined,
             points=points,
+            face_ids=face_ids,
             num_planes=len(self.planes.offsets),
             num_cells=self.labels.size,
             num_labelled=int(np.sum(self.labels >= 0)),
@@ -182,6 +205,7 @@ def label_scene(
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
     believed = are_believed(samples) & within(bodies, samples.points)
     believed &= are_enclosed(scene, samples, labels, pictures, num_threads)
+    faces, face_ids = outline_faces(samples, np.flatnonzero(believed), planes, model.camera_centers)
     return LabelledScene(
-        planes=planes, labels=labels, samples=samples, accepted=np.flatnonzero(believed)
+        planes=planes, labels=labels, samples=samples, outlined=faces, face_ids=face_ids
     )

@@ -11,7 +11,7 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_o
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
-MIN_CELLS = 8  # minimum number of raster cells of a face
+MIN_CELLS = 32  # minimum number of raster cells of a face
 MAX_SIDE = 2000  # maximum side of that raster, in cells
 
 
@@ -40,20 +40,39 @@ class Face:
 
 def outline_faces(
     samples: Samples, believed: IntArray, planes: Planes, centers: FloatArray
-) -> list[Face]:
-    """The faces that the believed (B,) samples lie on, plane by plane."""
+) -> tuple[list[Face], IntArray]:
+    """The faces that the believed (B,) samples lie on, plane by plane.
+
+    Returns:
+        The faces, and (S,) which of them each sample lies on: -1 for samples that are not believed,
+        and for those of pieces that are too small.
+    """
     faces: list[Face] = []
+    face_ids = np.full(len(samples.points), -1)
     for plane in range(len(planes.offsets)):
         own = believed[samples.planes[believed] == plane]
         if len(own) >= MIN_CELLS:
-            faces += faces_of_plane(samples, own, planes, plane, centers)
-    return faces
+            found, face_ids[own] = faces_of_plane(samples, own, planes, plane, centers, len(faces))
+            faces += found
+    return faces, face_ids
 
 
 def faces_of_plane(
-    samples: Samples, own: IntArray, planes: Planes, plane: int, centers: FloatArray
-) -> list[Face]:
-    """The connected pieces of one plane, on a raster as fine as its samples' cells."""
+    samples: Samples, own: IntArray, planes: Planes, plane: int, centers: FloatArray, first: int
+) -> tuple[list[Face], IntArray]:
+    """The connected pieces of one plane, on a raster as fine as its samples' cells.
+
+    Args:
+        samples: all samples.
+        own: (K,) those that lie on the plane.
+        planes: all planes.
+        plane: index of the plane.
+        centers: (V, 3) of the views.
+        first: index of the first face.
+
+    Returns:
+        The faces, and the index of the face on which each of the K samples lies, or -1.
+    """
     normal, offset = planes.normals[plane], float(planes.offsets[plane])
     basis = np.linalg.svd(normal[None])[2][1:]
     at = samples.points[own] @ basis.T
@@ -64,7 +83,8 @@ def faces_of_plane(
     mask[rows, columns] = 1
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     num_pieces, pieces = cv2.connectedComponents(mask, connectivity=4)
-    faces = []
+    faces: list[Face] = []
+    face_ids = np.full(len(own), -1)
     for piece in range(1, num_pieces):
         inside = (pieces == piece).astype(np.uint8)
         if inside.sum() < MIN_CELLS:
@@ -72,7 +92,9 @@ def faces_of_plane(
         outline, holes = rings(inside)
         world = [(ring - 1.5) * cell + low for ring in (outline, *holes)]
         polygons = [ring @ basis + offset * normal for ring in world]
-        members = own[pieces[rows, columns] == piece]
+        on_piece = pieces[rows, columns] == piece
+        face_ids[on_piece] = first + len(faces)
+        members = own[on_piece]
         views = np.unique(samples.views[entries_of(samples.offsets, members)]).astype(np.int64)
         away = float(np.mean(centers[views] @ normal - offset))
         sign = 1.0 if away >= 0 else -1.0
@@ -87,7 +109,7 @@ def faces_of_plane(
                 plane=plane,
             )
         )
-    return faces
+    return faces, face_ids
 
 
 def rings(inside: Int32Array) -> tuple[FloatArray, list[FloatArray]]:

@@ -120,7 +120,7 @@ def test_samples_are_thinned_to_points_of_a_third_of_their_views():
     chosen = thinned(samples, accepted)
     assert 0 < len(chosen) < len(accepted)
     views = four_views()
-    made = points_of_samples(samples, accepted, views, [blank_grid(view) for view in views])
+    made = points_of_samples(samples, chosen, views, [blank_grid(view) for view in views])
     assert np.array_equal(made.points, samples.points[chosen])
     for row, sample in enumerate(chosen):
         seeing = samples.views[samples.offsets[sample] : samples.offsets[sample + 1]]

@@ -14,7 +14,7 @@ from colmap_edges.export.faces import write_faces
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.faces.evidence import gather_evidence
-from colmap_edges.surfaces.faces.finding import find_faces, label_scene
+from colmap_edges.surfaces.faces.finding import NO_FACES, find_faces, label_scene
 from colmap_edges.surfaces.faces.grids import cells_in, make_grid
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, split_by_view
@@ -129,7 +129,7 @@ def meshed(room, faces, background=None):
 
 
 def test_a_mesh_follows_points_on_faces(room):
-    without, given = meshed(room, NO_POINTS), meshed(room, room.faces.points)
+    without, given = meshed(room, NO_FACES), meshed(room, room.faces)
     assert len(given.vertices) > len(without.vertices) + 300
     assert np.median(distance_to_room(given.vertices)) < 0.01
 
@@ -137,7 +137,7 @@ def test_a_mesh_follows_points_on_faces(room):
 def test_a_mesh_follows_points_on_faces_before_a_background_too(room):
     rays = BackgroundRays(np.zeros(1, np.int32), room.model.views[0].rotation[2:])
     background = Background(rays=rays, silhouettes=NO_POINTS)
-    without = meshed(room, NO_POINTS, background)
-    given = meshed(room, room.faces.points, background)
+    without = meshed(room, NO_FACES, background)
+    given = meshed(room, room.faces, background)
     assert len(given.vertices) > len(without.vertices) + 300
     assert np.median(distance_to_room(given.vertices)) < 0.01
