@@ -62,11 +62,13 @@ class PlaneSearch {
       if (!plane) continue;
       plane = Snapped(*plane);
       const PointSet own = On(*plane, options_.tolerance);
-      tried.emplace_back();
+      tried.push_back({plane->normal, {}});
       for (size_t b = 0; b < own.size(); ++b)
-        if (own[b]) tried.back().emplace_back(b, own[b]);
-      const auto same = [&](const PointSet& other) { return AreSame(own, other); };
-      if (std::any_of(owned.begin(), owned.end(), same)) continue;
+        if (own[b]) tried.back().blocks.emplace_back(b, own[b]);
+      bool same = false;
+      for (size_t k = 0; k < found.size() && !same; ++k)
+        same = !AreApart(plane->normal, found[k].normal) && AreSame(own, owned[k]);
+      if (same) continue;
       VisitPoints(own.data(), own.size(), [&](size_t i) {
         weights_[i] *= 1 - (1 - options_.explained_weight) * Closeness(*plane, i);
       });
@@ -76,7 +78,10 @@ class PlaneSearch {
   }
 
  private:
-  using Filled = std::vector<std::pair<size_t, uint64_t>>;  // a set's blocks that are not empty
+  struct Filled {
+    Vec3 normal;
+    std::vector<std::pair<size_t, uint64_t>> blocks;  // of its points, those that are not empty
+  };
 
   struct Candidate {
     Plane plane;
@@ -110,11 +115,21 @@ class PlaneSearch {
     }
   }
 
+  // Whether a normal is common and another plane's differs from it. Such planes are two, though all
+  // that lies on one may lie on the other: a wall is often known by its line with the ceiling only.
+  bool AreApart(const Vec3& normal, const Vec3& other) const {
+    const auto is_normal = [&](const Vec3& axis) { return std::abs(Dot(axis, normal)) > kSame; };
+    return std::abs(Dot(normal, other)) < kSnapCosine &&
+           std::any_of(common_.begin(), common_.end(), is_normal);
+  }
+
   // Whether not too much of a candidate lies on any tried plane.
   bool IsOpen(const std::vector<Filled>& tried, Candidate* candidate) const {
     for (; candidate->seen < tried.size(); ++candidate->seen) {
+      const Filled& other = tried[candidate->seen];
+      if (AreApart(candidate->plane.normal, other.normal)) continue;
       double shared = 0;
-      for (const auto& [b, word] : tried[candidate->seen]) {
+      for (const auto& [b, word] : other.blocks) {
         const uint64_t both = word & words_[candidate->first + b];
         VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
       }
@@ -218,6 +233,7 @@ class PlaneSearch {
   }
 
   static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
+  static constexpr double kSame = 1 - 1e-9;                 // cosine of equal normals
   static constexpr int kMinPoints = 8;                      // that a plane is fitted to
   // Of the tolerance in the steps of a fit.
   static constexpr double kFactors[] = {2, 1.4, 1, 1};
