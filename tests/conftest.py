@@ -8,6 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+# As the command sets it, and before numpy is loaded: threads that wait for each other burn time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import scenes
 
 from colmap_edges.colmap.model import load_model
@@ -80,7 +84,7 @@ def scene_edges(scene, scene_model):
     return scenes.true_edges(scene_model, scene, noise_px=0.3)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def hash_folder():
     """A function that gives the digest of every file below a folder."""
 
@@ -94,7 +98,7 @@ def hash_folder():
     return digest
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def hash_output(hash_folder):
     """A function that gives the digests of an output but its reports, which hold times."""
 
