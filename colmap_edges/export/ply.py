@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError, extra
-from colmap_edges.runtime.input_files import read_bytes
+from colmap_edges.runtime.input_files import open_file
 from colmap_edges.runtime.output import write_whole
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -86,14 +85,15 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
     Raises:
         ColmapEdgesError: The file is not a PLY, or damaged; or plyfile is not installed.
     """
-    content = read_bytes(path)
-    with extra("reading PLY files", "evaluation"):
+    with open_file(path) as file, extra("reading PLY files", "evaluation"):
         from plyfile import PlyData
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of NaN, which readers check
-            elements = PlyData.read(BytesIO(content)).elements
-    except Exception as error:  # the exceptions of plyfile's parser are not documented
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ColmapEdgesError(f"{path} is not a readable PLY file: {reason}") from error
-    return {element.name: np.array(element.data) for element in elements}
+
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of NaN, which readers check
+                # Of a file, not of its bytes, plyfile reads an element without lists at once.
+                elements = PlyData.read(file).elements
+            return {element.name: np.array(element.data) for element in elements}
+        except Exception as error:  # the exceptions of plyfile's parser are not documented
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise ColmapEdgesError(f"{path} is not a readable PLY file: {reason}") from error

@@ -17,6 +17,8 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.evaluation.metrics.clouds import cloud_to_cloud
 from colmap_edges.evaluation.metrics.statistics import Record, mean
 
+THINNED_AT_ONCE = 4096  # points whose neighbours are searched in one call; no result depends on it
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObservedMask:
@@ -73,10 +75,13 @@ def thin(points: FloatArray, distance: float = 0.2, seed: int = 0) -> FloatArray
     """Keep, in random order, each of the points (N, 3) without a kept one within `distance`."""
     shuffled = points[np.random.default_rng(seed).permutation(len(points))]
     tree, kept = cKDTree(shuffled), np.ones(len(shuffled), dtype=bool)
-    for index in range(len(shuffled)):
-        if kept[index]:
-            kept[tree.query_ball_point(shuffled[index], distance)] = False
-            kept[index] = True
+    for start in range(0, len(shuffled), THINNED_AT_ONCE):
+        rows = start + np.flatnonzero(kept[start : start + THINNED_AT_ONCE])
+        neighbors = tree.query_ball_point(shuffled[rows], distance)
+        for row, near in zip(rows, neighbors, strict=True):
+            if kept[row]:
+                kept[near] = False
+                kept[row] = True
     return np.asarray(shuffled[kept])
 
 
