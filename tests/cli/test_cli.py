@@ -40,6 +40,22 @@ def flags(scene_paths, tmp_path):
     ]
 
 
+@pytest.fixture
+def quick(small, tmp_path):
+    """Flags of a run of the small scene."""
+    scene = ("--image_path", small[0], "--input_path", small[1])
+    return [*scene, "--output_path", tmp_path / "out"]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scene_paths, tmp_path_factory):
+    """What `detect` writes of the usual scene; read-only by agreement."""
+    output = tmp_path_factory.mktemp("undisturbed") / "out"
+    words = ("--image_path", scene_paths[0], "--input_path", scene_paths[1])
+    call("detect", *words, "--output_path", output)
+    return output
+
+
 @pytest.mark.parametrize("command", ["detect", "reconstruct", "mesh", "info"])
 def test_help_names_the_flags(command):
     assert "--verbose" in call(command, "--help")
@@ -125,22 +141,22 @@ def test_detect_says_where_files_are(flags, tmp_path):
     assert len(list((tmp_path / "out" / "overlays").iterdir())) == 10
 
 
-def test_hyphens_and_case_do_not_matter(scene_paths, tmp_path):
+def test_hyphens_and_case_do_not_matter(small, tmp_path):
     call(
-        *("detect", "--image-path", scene_paths[0], "--INPUT-path", scene_paths[1]),
+        *("detect", "--image-path", small[0], "--INPUT-path", small[1]),
         *("--output-path", tmp_path / "out", "--edgegraph.max-gap-points", "3.5"),
     )
     report = (tmp_path / "out" / "report.json").read_text()
     assert '"max_gap_points": 3.5' in report
 
 
-def test_config_gives_defaults_and_flags_go_before(flags, tmp_path):
+def test_config_gives_defaults_and_flags_go_before(quick, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
         "num_threads = 1\nmax-graph-memory-gb = 7\n[EdgeGraph]\nmax_gap_points = 2.5\n"
         "filter_regular_length = true\n"
     )
-    call("detect", *flags, "--config", config, "--max_graph_memory_gb", "8")
+    call("detect", *quick, "--config", config, "--max_graph_memory_gb", "8")
     report = (tmp_path / "out" / "report.json").read_text()
     for text in ('"max_gap_points": 2.5', '"num_threads": 1', '"max_graph_memory_gb": 8'):
         assert text in report
@@ -218,15 +234,15 @@ def test_messages_spell_flags_as_help_does(flags, tmp_path, args, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_one_config_serves_all_commands(flags, tmp_path):
+def test_one_config_serves_all_commands(quick, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(
         "quality = 'low'\nexport = 'DXF, glb'\nmesh_type = 'OBJ'\n"
         "[Detection]\ngamma = 2\n[Meshing]\nmax_faces = 500\n"
     )
-    call("detect", *flags, "--config", config)
+    call("detect", *quick, "--config", config)
     assert '"gamma": 2.0' in (tmp_path / "out" / "report.json").read_text()
-    call("mesh", *flags, "--config", config, "--overwrite", "--report", "0")
+    call("mesh", *quick, "--config", config, "--overwrite", "--report", "0")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["options"]["meshing"]["max_faces"] == 500
     exported = {"edges.dxf", "edges.glb", "mesh.obj", "mesh.glb"}
@@ -236,8 +252,8 @@ def test_one_config_serves_all_commands(flags, tmp_path):
     assert exported[0].read_bytes() == exported[1].read_bytes()
 
 
-def test_more_threads_than_can_be_used(flags, tmp_path):
-    call("mesh", *flags, "--num_threads", 50000, "--report", 0)
+def test_more_threads_than_can_be_used(quick, tmp_path):
+    call("mesh", *quick, "--num_threads", 50000, "--report", 0)
     assert (tmp_path / "out" / "mesh.ply").stat().st_size > 10_000
 
 
@@ -250,8 +266,8 @@ def test_a_mesh_without_edges_needs_no_images(flags, tmp_path, scene_paths):
     assert "Missing --image_path;" in call("mesh", *flags[2:], code=2)
 
 
-def test_empty_mesh_is_reported_with_its_cause(flags):
-    output = call("mesh", *flags, "--Meshing.long_facet_factor", "1e-9", "--use_edges", 0)
+def test_empty_mesh_is_reported_with_its_cause(quick):
+    output = call("mesh", *quick, "--Meshing.long_facet_factor", "1e-9", "--use_edges", 0)
     assert "Note: the mesh is empty" in output
     assert "To change that: raise --Meshing.long_facet_factor, or set it to 0" in output
 
@@ -269,16 +285,15 @@ def test_bad_input_exits_1_in_one_line(flags, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_existing_output_needs_overwrite(flags, tmp_path):
-    call("detect", *flags)
-    assert "--overwrite" in call("detect", *flags, code=1)
-    call("detect", *flags, "--overwrite")
+def test_existing_output_needs_overwrite(quick, tmp_path):
+    call("detect", *quick)
+    assert "--overwrite" in call("detect", *quick, code=1)
+    call("detect", *quick, "--overwrite")
 
 
-def test_info_of_a_model_and_of_an_output(flags, tmp_path, scene_paths):
+def test_info_of_a_model_and_of_an_output(undisturbed, tmp_path, scene_paths):
     assert "images: 10 with poses" in call("info", scene_paths[1])
-    call("detect", *flags)
-    assert "Made by:  colmap-edges detect" in call("info", tmp_path / "out")
+    assert "Made by:  colmap-edges detect" in call("info", undisturbed)
     assert "no readable COLMAP model" in call("info", tmp_path, code=1)
 
 
@@ -289,9 +304,8 @@ def test_info_of_a_workspace(tmp_path, scene_paths):
     assert "images: 10 with poses" in output
 
 
-def test_closed_pipe_is_not_an_error(flags, tmp_path):
-    call("detect", *flags)
-    with start("info", tmp_path / "out") as process:
+def test_closed_pipe_is_not_an_error(undisturbed):
+    with start("info", undisturbed) as process:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
@@ -307,7 +321,9 @@ def test_full_disk_is_one_line_and_leaves_no_files(flags, tmp_path):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
-def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay, hash_output):
+def test_next_run_after_a_kill_equals_an_undisturbed_one(
+    flags, undisturbed, tmp_path, delay, hash_output
+):
     process = Forked(COMMAND, "detect", *flags, "--num_threads", 1)
     deadline = time.monotonic() + 60
     while not any(tmp_path.glob(WORK)) and time.monotonic() < deadline:
@@ -316,9 +332,8 @@ def test_next_run_after_a_kill_equals_an_undisturbed_one(flags, tmp_path, delay,
     process.kill()
     process.communicate()
     call("detect", *flags, "--overwrite")
-    call("detect", *flags[:-1], tmp_path / "undisturbed")
-    assert hash_output(tmp_path / "out") == hash_output(tmp_path / "undisturbed")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "undisturbed"]
+    assert hash_output(tmp_path / "out") == hash_output(undisturbed)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize(
@@ -354,17 +369,17 @@ def test_help_fits_on_two_screens_and_full_help_has_all():
 
 def test_help_comes_at_once():
     start("--help").communicate()  # compiles what was not yet
-    started = time.perf_counter()
+    started = sum(os.times()[2:4])  # of children; other programs may be at work, too
     assert "reconstruct" in start("--help").communicate()[0]
-    assert time.perf_counter() - started < 0.5
+    assert 0 < sum(os.times()[2:4]) - started < 0.5
 
 
 @pytest.mark.parametrize("model", ["sparse/0", "sparse", "sparse/1"])
-def test_workspace_gives_the_paths(scene_paths, tmp_path, model):
-    shutil.copytree(scene_paths[0], tmp_path / "images")
-    shutil.copytree(scene_paths[1], tmp_path / model)
+def test_workspace_gives_the_paths(small, tmp_path, model):
+    shutil.copytree(small[0], tmp_path / "images")
+    shutil.copytree(small[1], tmp_path / model)
     call("detect", "--workspace_path", tmp_path)
-    assert len(list((tmp_path / "edges" / "overlays").iterdir())) == 10
+    assert len(list((tmp_path / "edges" / "overlays").iterdir())) == 6  # one of each image
     call("detect", "--workspace_path", tmp_path, "--output_path", tmp_path / "elsewhere")
     assert (tmp_path / "elsewhere" / "report.json").is_file()
 
@@ -379,20 +394,20 @@ def test_invalid_workspace_is_an_error(tmp_path, folder, message):
     assert output.count("\n") == 1
 
 
-def test_method_paper_sets_the_papers_options(flags, tmp_path):
-    call("mesh", *flags, "--method", "PAPER", "--Meshing.vote_threshold", "2", "--report", "0")
+def test_method_paper_sets_the_papers_options(quick, tmp_path):
+    call("mesh", *quick, "--method", "PAPER", "--Meshing.vote_threshold", "2", "--report", "0")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     expected = asdict(preset("paper"))
     expected["meshing"]["vote_threshold"] = 2
     expected["report"] = False
     assert report["options"] == expected
     assert "pepcs" in next(s for s in report["stages"] if s["name"] == "trace")["counts"]["details"]
-    output = call("mesh", *flags, "--method", "paper", "--quality", "low", "--overwrite", code=2)
+    output = call("mesh", *quick, "--method", "paper", "--quality", "low", "--overwrite", code=2)
     assert "has no effect with --method paper; leave it out" in output
 
 
-def test_flags_go_before_the_preset(flags, tmp_path):
-    call("reconstruct", *flags, "--quality", "LOW", "--ChainDepth.sample_step_points", "9")
+def test_flags_go_before_the_preset(quick, tmp_path):
+    call("reconstruct", *quick, "--quality", "LOW", "--ChainDepth.sample_step_points", "9")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     expected = asdict(preset("low"))
     expected["chain_depth"]["sample_step_points"] = 9

@@ -22,6 +22,7 @@ from colmap_edges.colmap.model import load_model
 from colmap_edges.errors import printable
 
 FAST = ("--use_edges", "0", "--report", "0")
+PLAIN = ("--use_faces", "0", "--use_patches", "0")  # half of the time
 RED = "\x1b[31m"
 
 
@@ -58,15 +59,15 @@ def renamed(scene, folder, names):
 
 @pytest.fixture(scope="module")
 def usual(small, tmp_path_factory):
-    """What a run makes that has no report; read-only by agreement."""
+    """What a run makes; read-only by agreement."""
     output = tmp_path_factory.mktemp("usual") / "out"
-    assert call(small, output, *FAST[2:]).returncode == 0
+    assert call(small, output, *FAST[2:], *PLAIN).returncode == 0
     return output
 
 
 @pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-", "2>&- >/dev/null"])
 def test_closed_streams_do_no_harm(small, tmp_path, closed, hash_output, usual):
-    run = shlex.join(command(small, tmp_path / "out", *FAST[2:]))
+    run = shlex.join(command(small, tmp_path / "out", *FAST[2:], *PLAIN))
     done = subprocess.run(["sh", "-c", f"{run} {closed}"], capture_output=True, timeout=120)
     assert done.returncode == 0
     assert hash_output(tmp_path / "out") == hash_output(usual)
@@ -251,8 +252,8 @@ def test_undecodable_paths_work(small, tmp_path, hash_output, usual):
     scene = bad(b"images"), bad(b"sparse")
     for source, target in zip(small, scene, strict=True):
         shutil.copytree(source, target)
-    cache = ("--cache_path", bad(b"cache"))
-    for flags in (cache, (*cache, "--overwrite"), ("--overwrite", "--output_type", "TXT")):
+    cache = (*PLAIN, "--cache_path", bad(b"cache"))
+    for flags in (cache, (*cache, "--overwrite"), (*PLAIN, "--overwrite", "--output_type", "TXT")):
         done = call(scene, bad(b"out"), *flags)
         assert done.returncode == 0, done.stderr
         if "TXT" not in flags:
@@ -274,7 +275,7 @@ def test_names_invalid_in_text_models(small, tmp_path, name):
     assert done.returncode == 1
     assert f"image name {name!r} has a space or line break" in done.stderr
     assert done.stderr.count("\n") == 1
-    assert call(scene, tmp_path / "out", "--report", "0").returncode == 0
+    assert call(scene, tmp_path / "out", *FAST[2:], *PLAIN).returncode == 0
     names = {view.name for view in load_model(tmp_path / "out" / "sparse").views}
     assert name in names
 

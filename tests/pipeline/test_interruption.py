@@ -14,6 +14,7 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 RUNS, SOAK_RUNS = 4, 50
+PLAIN = ("--use_faces", 0, "--use_patches", 0)  # half of the time
 needs_mounts = pytest.mark.skipif(
     not shutil.which("unshare")
     or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode != 0,
@@ -49,6 +50,14 @@ def undisturbed(mesh_command, tmp_path_factory):
     process.communicate()
     assert process.returncode == 0
     return folder / "edges", folder / "plain", time.monotonic() - started
+
+
+@pytest.fixture(scope="module")
+def plain(mesh_command, tmp_path_factory):
+    """An output without faces; read-only by agreement."""
+    output = tmp_path_factory.mktemp("plain") / "out"
+    assert call_forked(mesh_command(output, *PLAIN)).returncode == 0
+    return output
 
 
 def wait_for(output, process):
@@ -105,13 +114,13 @@ def interrupt(command, output, number, rng, seconds):
 
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
 def test_files_that_cannot_be_whole(
-    mesh_command, undisturbed, tmp_path, hash_output, soak, show, output_type
+    mesh_command, plain, tmp_path, hash_output, soak, show, output_type
 ):
     """With every limit below the largest file a run is one line and leaves nothing."""
-    sizes = sorted({p.stat().st_size for p in undisturbed[0].rglob("*") if p.is_file()})
+    sizes = sorted({p.stat().st_size for p in plain.rglob("*") if p.is_file()})
     limits = [size - 1 for size in sizes] if soak else [sizes[0] - 1, sizes[-1] - 1]
     for limit in limits:
-        command = mesh_command(tmp_path / "out", "--output_type", output_type)
+        command = mesh_command(tmp_path / "out", *PLAIN, "--output_type", output_type)
         check_refused(call_forked(command, file_size=limit), tmp_path)
     show(f"{output_type}: runs with files cut short: {len(limits)}")
 
@@ -128,13 +137,13 @@ def check_refused(done, folder):
 
 @needs_mounts
 @pytest.mark.parametrize("output_type", ["BIN", "TXT"])
-def test_full_disk(mesh_command, undisturbed, tmp_path, hash_output, soak, show, output_type):
+def test_full_disk(mesh_command, plain, tmp_path, hash_output, soak, show, output_type):
     """On a disk too small for the output the run is refused; with room it is as ever."""
-    needed = sum(p.stat().st_size for p in undisturbed[0].rglob("*") if p.is_file()) // 1024
+    needed = sum(p.stat().st_size for p in plain.rglob("*") if p.is_file()) // 1024
     sizes = np.linspace(0.9 * needed, 4, 16 if soak else 1).astype(int).tolist()
     disk = tmp_path / "disk"
     disk.mkdir()
-    flags = ["--output_type", output_type, "--overwrite"]
+    flags = [*PLAIN, "--output_type", output_type, "--overwrite"]
     command = in_shell(mesh_command(disk / "out", *flags))
     for size in sizes:
         script = (
@@ -150,8 +159,7 @@ def test_full_disk(mesh_command, undisturbed, tmp_path, hash_output, soak, show,
         assert (tmp_path / "left").read_text() == "", size
         check_refused(done, disk)
         if output_type == "BIN":
-            expected = hash_output(undisturbed[0])
-            assert hash_output(tmp_path / str(size)) == expected
+            assert hash_output(tmp_path / str(size)) == hash_output(plain)
         assert (tmp_path / str(size) / "sparse" / f"points3D.{output_type.lower()}").is_file()
     show(f"{output_type}: full disks of {len(sizes)} sizes")
 
@@ -166,9 +174,9 @@ def test_read_only_disk(mesh_command, tmp_path):
     assert "Read-only file system" in done.stderr
 
 
-def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
+def test_two_runs_at_once(mesh_command, plain, tmp_path, hash_output):
     """The second is refused while the first goes on undisturbed."""
-    first = Forked(COMMAND, *mesh_command(tmp_path / "out"))
+    first = Forked(COMMAND, *mesh_command(tmp_path / "out", *PLAIN))
     wait_for(tmp_path / "out", first)
     first.send_signal(signal.SIGSTOP)
     try:
@@ -179,14 +187,14 @@ def test_two_runs_at_once(mesh_command, undisturbed, tmp_path, hash_output):
     assert second.stderr.startswith("Error: another run is writing to")
     first.communicate()
     assert first.returncode == 0
-    assert hash_output(tmp_path / "out") == hash_output(undisturbed[0])
+    assert hash_output(tmp_path / "out") == hash_output(plain)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_evaluation_leaves_no_files(undisturbed, small, tmp_path, number):
+def test_interrupted_evaluation_leaves_no_files(plain, small, tmp_path, number):
     pytest.importorskip("embreex", reason="the extra for evaluation is not installed")
-    shutil.copytree(undisturbed[0], tmp_path / "out")
+    shutil.copytree(plain, tmp_path / "out")
     run = ["evaluate", "--run_path", tmp_path / "out", "--input_path", small[1]]
     run += ["--image_path", small[0], "--held_out_views", 2]
     process = Forked(COMMAND, *run)

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import dense_clouds
 import numpy as np
+import pycolmap
 import pytest
 import scenes
 from scipy.spatial import cKDTree
@@ -37,8 +38,9 @@ pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 WITHOUT_FACES = PipelineOptions(use_faces=False, num_threads=2)
 
 
-def paths_of(scene_paths, output):
-    return Paths(image_path=scene_paths[0], input_path=scene_paths[1], output_path=output)
+def paths_of(scene_paths, output, cache=None):
+    images, model = scene_paths
+    return Paths(image_path=images, input_path=model, output_path=output, cache_path=cache)
 
 
 def copy_scene(scene_paths, folder):
@@ -51,37 +53,34 @@ def detect(scene_paths, output, **options):
     return run("detect", paths_of(scene_paths, output), PipelineOptions(**options))
 
 
-def test_detect_writes_a_graph_and_a_picture_an_image(scene, scene_paths, tmp_path):
-    report = detect(scene_paths, tmp_path / "out")
+@pytest.fixture(scope="module")
+def detected(scene_paths, tmp_path_factory):
+    """Output of `detect` on one thread, and its report."""
+    output = tmp_path_factory.mktemp("detected") / "out"
+    return output, detect(scene_paths, output, num_threads=1)
+
+
+def test_detect_writes_a_graph_and_a_picture_an_image(scene, detected):
+    output, report = detected
     for name, image in scene.images.items():
-        graph = np.load(tmp_path / "out" / "edge_graphs" / f"{name}.npz")
+        graph = np.load(output / "edge_graphs" / f"{name}.npz")
         assert len(graph["points"]) == graph["polyline_offsets"][-1] > 500
-        picture = cv2.imread(str(tmp_path / "out" / "overlays" / f"{name}.png"))
+        picture = cv2.imread(str(output / "overlays" / f"{name}.png"))
         assert picture.shape[:2] == image.shape
-    counts = report["stages"][1]["counts"]
-    assert counts["images"] == len(scene.images)
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["stages"] == report["stages"]
-
-
-def test_detect_is_the_same_on_any_number_of_threads(scene_paths, tmp_path, hash_folder):
-    digests = []
-    for threads in (1, 3):
-        output = tmp_path / str(threads)
-        detect(scene_paths, output, num_threads=threads)
-        digests.append(hash_folder(output / "edge_graphs") | hash_folder(output / "overlays"))
-    assert digests[0] == digests[1]
-
-
-def test_stages_have_times_and_memory(scene_paths, tmp_path):
-    stages = detect(scene_paths, tmp_path / "out")["stages"]
+    stages = report["stages"]
+    assert stages[1]["counts"]["images"] == len(scene.images)
+    assert json.loads((output / "report.json").read_text())["stages"] == stages
     assert [stage["name"] for stage in stages] == ["read", "detect"]
     assert all(stage["wall_s"] > 0 and stage["peak_mb"] > 20 for stage in stages)
 
 
-def test_input_is_left_as_it_was(scene_paths, tmp_path, hash_folder):
+def test_detect_is_the_same_on_any_number_of_threads(scene_paths, detected, tmp_path, hash_folder):
+    """And the input is left as it was."""
     before = [hash_folder(path) for path in scene_paths]
-    detect(scene_paths, tmp_path / "out")
+    detect(scene_paths, tmp_path / "out", num_threads=3)
     assert [hash_folder(path) for path in scene_paths] == before
+    for name in ("edge_graphs", "overlays"):
+        assert hash_folder(tmp_path / "out" / name) == hash_folder(detected[0] / name)
 
 
 def damage(kind, images, sparse):
@@ -307,10 +306,16 @@ def test_patches_are_written_after_the_edges(scene_model, scene_edges, tmp_path,
 
 
 @pytest.fixture(scope="module")
-def meshed(scene_paths, tmp_path_factory):
+def cache(tmp_path_factory):
+    """What the runs on the scene have in common: of each, what its options change is done."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="module")
+def meshed(scene_paths, cache, tmp_path_factory):
     """Output of `mesh` on the scene, and its report."""
     output = tmp_path_factory.mktemp("mesh") / "out"
-    return output, run("mesh", paths_of(scene_paths, output), PipelineOptions(num_threads=1))
+    return output, run("mesh", paths_of(scene_paths, output, cache), PipelineOptions(num_threads=1))
 
 
 def test_mesh_writes_every_file(meshed, scene_model):
@@ -326,15 +331,6 @@ def test_mesh_writes_every_file(meshed, scene_model):
     assert len(written.point3D_ids) == len(scene_model.point3D_ids) + edge_points
 
 
-def test_tracing_advances_with_every_view(scene_paths, tmp_path):
-    steps = []
-    paths = paths_of(scene_paths, tmp_path / "out")
-    options = PipelineOptions(report=False)
-    run("reconstruct", paths, options, progress=lambda *step: steps.append(step))
-    traced = [step[1:] for step in steps if step[0] == "trace"]
-    assert traced == [(done, 40) for done in [*range(41), 40]]  # two rounds of twice ten views
-
-
 def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model):
     written = load_model(meshed[0] / "sparse")
     points = written.points3D_xyz[len(scene_model.point3D_ids) :]
@@ -345,7 +341,12 @@ def test_edges_lie_on_the_true_curves_and_cover_them(meshed, scene, scene_model)
 
 
 def test_mesh_is_the_same_on_any_number_of_threads(meshed, scene_paths, tmp_path, hash_folder):
-    run("mesh", paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3))
+    """And tracing advances with every view."""
+    steps = []
+    paths, options = paths_of(scene_paths, tmp_path / "out"), PipelineOptions(num_threads=3)
+    run("mesh", paths, options, progress=lambda *step: steps.append(step))
+    traced = [step[1:] for step in steps if step[0] == "trace"]
+    assert traced == [(done, 40) for done in [*range(41), 40]]  # two rounds of twice ten views
     digests = [hash_folder(output) for output in (meshed[0], tmp_path / "out")]
     for name in ("report.json", "report.html"):  # they hold times
         assert all(digest.pop(name) for digest in digests)
@@ -359,7 +360,7 @@ def test_baseline_meshes_the_sfm_points_alone(scene_paths, tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["mesh.ply", "report.json"]
 
 
-def test_faces_are_meshed_and_written_unless_turned_off(scene_paths, meshed, tmp_path):
+def test_faces_are_meshed_and_written_unless_turned_off(scene_paths, meshed, cache, tmp_path):
     output, report = meshed
     counts = {stage["name"]: stage["counts"] for stage in report["stages"]}
     faces = counts["faces"]
@@ -374,14 +375,19 @@ def test_faces_are_meshed_and_written_unless_turned_off(scene_paths, meshed, tmp
     page = (output / "report.html").read_text(encoding="utf-8")
     assert f"{len(listed)} planar faces and a mesh of" in page
     assert f"planar faces: {len(listed)}" in "\n".join(describe(output, verbose=True))
-    without = run("mesh", paths_of(scene_paths, tmp_path / "out"), WITHOUT_FACES)
+    without = run("mesh", paths_of(scene_paths, tmp_path / "out", cache), WITHOUT_FACES)
     assert "faces" not in [stage["name"] for stage in without["stages"]]
     assert not (tmp_path / "out" / "faces.json").exists()
 
 
-def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, tmp_path):
+@pytest.fixture(scope="module")
+def result(scene, scene_paths):
+    """What Python's `reconstruct` returns for the scene."""
+    return colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
+
+
+def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, result, tmp_path):
     output = meshed[0]
-    result = colmap_edges.reconstruct(scene_paths[1], scene_paths[0])
     read = colmap_edges.read_edges(output)
     assert len(result.faces.faces) == len(read.faces) > 0
     for face, again in zip(result.faces.faces, read.faces, strict=True):
@@ -403,9 +409,8 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, tmp_path):
         colmap_edges.read_edges(tmp_path / "out")
 
 
-def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_paths):
-    count = scene.reconstruction.num_points3D()
-    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0])
+def test_reconstruct_takes_and_returns_pycolmap_objects(meshed, scene, scene_model, result):
+    count = len(scene_model.point3D_ids)
     assert scene.reconstruction.num_points3D() == count
     assert result.reconstruction.num_points3D() == count + len(set(result.point3D_ids.tolist()))
     written = load_model(meshed[0] / "sparse")
@@ -429,13 +434,13 @@ def test_every_public_name_can_be_imported():
 
 
 @pytest.mark.parametrize("method", ["chains", "paper"])
-def test_colors_are_nearly_colmaps_own(scene, scene_paths, method):
+def test_colors_are_nearly_colmaps_own(scene, scene_paths, result, method):
     # Ours are interpolated along chains between colours of 8 bits.
-    options = PipelineOptions(tracing=TracingOptions(method=method))
     if method == "paper":  # which has no faint edges
+        options = PipelineOptions(tracing=TracingOptions(method=method), use_faces=False)
         options = replace(options, detection=derived(options.detection, faint_noises=0.0))
-    result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0], options)
-    extended = result.reconstruction
+        result = colmap_edges.reconstruct(scene.reconstruction, scene_paths[0], options)
+    extended = pycolmap.Reconstruction(result.reconstruction)
     ours = np.array([extended.points3D[i].color for i in result.point3D_ids])
     np.testing.assert_array_equal(ours, result.edges.colors)
     extended.extract_colors_for_all_images(str(scene_paths[0]))
@@ -469,9 +474,9 @@ def test_report_holds_nothing_but_json():
     json.dumps(record, allow_nan=False)
 
 
-def test_without_edges_before_a_backdrop_the_points_are_meshed(scene_paths, tmp_path):
+def test_without_edges_before_a_backdrop_the_points_are_meshed(small, tmp_path):
     options = PipelineOptions(report=False, tracing=TracingOptions(min_observations=100))
-    report = run("mesh", paths_of(scene_paths, tmp_path / "out"), options)
+    report = run("mesh", paths_of(small, tmp_path / "out"), options)
     found = {stage["name"]: stage["counts"] for stage in report["stages"]}
     assert found["trace"]["edges"] == 0
     assert found["mesh"]["faces"] > 100
@@ -511,14 +516,17 @@ def dense_paths(scene_paths, scene_model, tmp_path_factory):
     return folder
 
 
-def test_dense_workspaces_are_meshed_alone_and_with_edges(scene_paths, dense_paths, tmp_path):
+def test_dense_workspaces_are_meshed_alone_and_with_edges(
+    scene_paths, dense_paths, cache, tmp_path
+):
     paths = replace(paths_of(scene_paths, tmp_path / "alone"), dense_path=dense_paths)
     options = PipelineOptions(use_edges=False, report=False)
     found = {stage["name"]: stage["counts"] for stage in run("mesh", paths, options)["stages"]}
     assert list(found) == ["read", "dense", "mesh"]
     assert found["dense"]["points_kept"] > 1000
     assert found["mesh"]["faces"] > 1000
-    sharp = run("mesh", replace(paths, output_path=tmp_path / "sharp"), PipelineOptions())
+    with_edges = replace(paths, output_path=tmp_path / "sharp", cache_path=cache)
+    sharp = run("mesh", with_edges, PipelineOptions())
     assert [stage["name"] for stage in sharp["stages"]][:3] == ["read", "dense", "detect"]
     given = replace(paths_of(scene_paths, tmp_path / "given"), points=dense_paths / "fused.ply")
     given = replace(given, visibility=dense_paths / "fused.ply.vis")
