@@ -18,13 +18,13 @@ from colmap_edges.colmap.model import load_model
 
 # Files that take longest; they start first, so that at the end no process waits for one of them.
 LONGEST = (
-    *("scripts/test_reproduce_results.py", "report/test_report.py", "evaluation/test_scripts.py"),
-    *("cli/test_cli.py", "cli/test_option_extremes.py", "pipeline/test_pipeline.py"),
-    *("project/test_docs.py", "surfaces/test_silhouettes.py", "pipeline/test_interruption.py"),
-    *("cli/test_terminal.py", "pipeline/test_determinism.py", "runtime/test_cache.py"),
-    *("pipeline/test_edge_path.py", "evaluation/test_benchmark.py", "surfaces/test_mesher.py"),
-    *("runtime/test_cluster.py", "poses/test_refine_poses.py", "edges2d/test_working_scale.py"),
-    *("scripts/test_benchmark_scripts.py", "fuzzing/test_fuzzing.py"),
+    *("scripts/test_reproduce_results.py", "project/test_docs.py", "evaluation/test_scripts.py"),
+    *("cli/test_option_extremes.py", "report/test_report.py", "pipeline/test_edge_path.py"),
+    *("cli/test_terminal.py", "cli/test_cli.py", "evaluation/test_benchmark.py"),
+    *("pipeline/test_determinism.py", "pipeline/test_interruption.py"),
+    *("scripts/test_benchmark_scripts.py", "pipeline/test_pipeline.py", "surfaces/test_mesher.py"),
+    *("surfaces/test_silhouettes.py", "poses/test_refine_poses.py", "runtime/test_cache.py"),
+    *("runtime/test_cluster.py", "edges2d/test_working_scale.py", "fuzzing/test_fuzzing.py"),
 )
 RANKS = {name: rank for rank, name in enumerate(LONGEST)}
 

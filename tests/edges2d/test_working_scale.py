@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import load_model, model_from_reconstruction
@@ -38,9 +39,16 @@ def shapes(blur_px, oversampling=16):
     cv2.circle(fine, (width // 4, height // 2), height // 4, 200, -1)
     corners = cv2.boxPoints(((0.7 * width, height / 2), (height / 2, height / 2), 20))
     cv2.fillConvexPoly(fine, corners.astype(np.int32), 180)
-    blurred = cv2.GaussianBlur(fine, (0, 0), blur_px * oversampling)
-    middle = oversampling // 2
-    return np.ascontiguousarray(blurred[middle::oversampling, middle::oversampling])
+    down, across = (blurring(side, blur_px, oversampling) for side in SIZE[::-1])
+    return np.rint(down @ (across @ fine.T).T).astype(np.uint8)
+
+
+def blurring(size, blur_px, oversampling):
+    """(size, size * oversampling) weights of a Gaussian about the middle of each pixel."""
+    places = np.arange(size * oversampling)
+    off = (places - places[oversampling // 2 :: oversampling, None]) / (blur_px * oversampling)
+    weights = np.where(np.abs(off) < 4, np.exp(-(off**2) / 2), 0).astype(np.float32)
+    return csr_array(weights / weights.sum(axis=1, keepdims=True))
 
 
 def bars(width_px, pitch_px):

@@ -1,7 +1,5 @@
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import valid
+from forked import call_forked
 
 from colmap_edges.colmap.model import frames_of_views, load_model, model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
@@ -298,19 +297,6 @@ def test_numbers_in_tables():
 
 
 @pytest.mark.usefixtures("mesher")
-def test_from_dtu_images_to_the_table(root, tmp_path):
-    results = benchmark.run(scan_scenes(root, [6]), tmp_path, ("SfM",))
-    record = results["DTU-006"]["methods"]["SfM"]
-    assert "error" not in record
-    assert record["mesh"]["median"] < 0.1
-    assert record["mesh"]["coverage"] > 0.9
-    assert record["dtu"]["accuracy"] < 1.5
-    assert record["points"]["count"] > 300
-    assert (tmp_path / "DTU-006" / "SfM" / "maps").is_dir()
-    assert "| DTU-006 (mm) | SfM |" in (tmp_path / "evaluation.md").read_text()
-
-
-@pytest.mark.usefixtures("mesher")
 @pytest.mark.parametrize(
     ("missing", "measured", "note"),
     [
@@ -446,14 +432,13 @@ def test_edges_are_read_back(sparse, run_path):
 @pytest.mark.usefixtures("mesher")
 def test_the_command_prints_tables_and_one_line_errors(root, sparse, run_path):
     reference = root / "SampleSet" / "MVS Data" / "Points" / "stl" / "stl006_total.ply"
-    paths = ["--run_path", str(run_path), "--input_path", str(sparse)]
-    command = [sys.executable, "-m", "colmap_edges", "evaluate", *paths]
-    command += ["--reference_path", str(reference)]
-    done = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, check=False)
+    command = ["evaluate", "--run_path", run_path, "--input_path", sparse]
+    command += ["--reference_path", reference]
+    done = call_forked([*command, "--overwrite"])
     assert done.returncode == 0, done.stderr
     assert "| accuracy |" in done.stdout
     assert "| reprojection median px |" in done.stdout
-    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    again = call_forked(command)
     assert again.returncode == 1
     assert again.stderr.startswith("Error: ")
     assert again.stderr.count("\n") == 1

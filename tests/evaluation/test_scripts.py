@@ -42,6 +42,11 @@ def test_dtu_tables_with_a_peer_a_missing_scan_and_again(root, sparse, tmp_path)
     for record in methods.values():
         assert record["mesh"]["median"] < 0.1
         assert record["dtu"]["overall"] < 2
+    assert methods["SfM"]["mesh"]["coverage"] > 0.9
+    assert methods["SfM"]["dtu"]["accuracy"] < 1.5
+    assert methods["SfM"]["points"]["count"] > 300
+    assert (tmp_path / "out" / "DTU-006" / "SfM" / "maps").is_dir()
+    assert "| DTU-006 (mm) | SfM |" in (tmp_path / "out" / "evaluation.md").read_text()
     assert methods["Line3D++"]["points"]["mae"] < 0.3  # between samples 0.5 mm apart
     assert methods["Line3D++"]["points"]["count"] > 10
     again = run_script(*command)
