@@ -19,12 +19,13 @@ from colmap_edges.colmap.model import load_model
 # Files that take longest; they start first, so that at the end no process waits for one of them.
 LONGEST = (
     *("scripts/test_reproduce_results.py", "project/test_docs.py", "evaluation/test_scripts.py"),
-    *("cli/test_option_extremes.py", "report/test_report.py", "pipeline/test_edge_path.py"),
-    *("cli/test_terminal.py", "cli/test_cli.py", "evaluation/test_benchmark.py"),
-    *("pipeline/test_determinism.py", "pipeline/test_interruption.py"),
-    *("scripts/test_benchmark_scripts.py", "pipeline/test_pipeline.py", "surfaces/test_mesher.py"),
+    *("colmap/test_camera_models.py", "cli/test_option_extremes.py", "report/test_report.py"),
+    *("cli/test_environment.py", "cli/test_terminal.py", "cli/test_cli.py"),
+    *("pipeline/test_determinism.py", "pipeline/test_interruption.py", "fuzzing/test_fuzzing.py"),
+    *("scripts/test_benchmark_scripts.py", "pipeline/test_edge_path.py", "core/test_distortion.py"),
+    *("evaluation/test_benchmark.py", "pipeline/test_pipeline.py", "surfaces/test_mesher.py"),
     *("surfaces/test_silhouettes.py", "poses/test_refine_poses.py", "runtime/test_cache.py"),
-    *("runtime/test_cluster.py", "edges2d/test_working_scale.py", "fuzzing/test_fuzzing.py"),
+    *("colmap/test_plausibility.py", "runtime/test_cluster.py", "edges2d/test_working_scale.py"),
 )
 RANKS = {name: rank for rank, name in enumerate(LONGEST)}
 

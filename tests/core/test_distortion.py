@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 from project import DEMO
-from scenes import resample
+from scenes import EDGES_ALONE, resample
 from scipy.spatial import cKDTree
 
 import colmap_edges
@@ -79,7 +79,8 @@ def replace_camera(old, new):
 
 @pytest.fixture(scope="module")
 def pinhole(tmp_path_factory):
-    return colmap_edges.reconstruct(*through_lens("PINHOLE", tmp_path_factory.mktemp("pinhole")))
+    scene = through_lens("PINHOLE", tmp_path_factory.mktemp("pinhole"))
+    return colmap_edges.reconstruct(*scene, EDGES_ALONE)
 
 
 def nearest_px(result, other, views):
@@ -113,7 +114,7 @@ def nearest_px(result, other, views):
 @pytest.mark.parametrize("lens", [lens for lens in LENSES if lens != "PINHOLE"])
 def test_edges_agree_with_those_of_a_pinhole(lens, pinhole, tmp_path):
     reconstruction, images = through_lens(lens, tmp_path)
-    result = colmap_edges.reconstruct(reconstruction, images)
+    result = colmap_edges.reconstruct(reconstruction, images, EDGES_ALONE)
     assert result.edges.num_points > 0.8 * pinhole.edges.num_points > 800
     assert np.median(result.residuals_px) < 0.3
     views = model_from_reconstruction(pinhole.reconstruction).views

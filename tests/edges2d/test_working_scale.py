@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from scenes import EDGES_ALONE
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
@@ -224,7 +225,8 @@ def test_edges_of_enlarged_images_end_to_end(scene, scene_paths):
     views = load_model(scene_paths[1]).views
     errors = {}
     for min_blur_px, scale in ((0.0, 1.0), (1.5, 1.5)):
-        options = PipelineOptions(detection=DetectionOptions(min_blur_px=min_blur_px))
+        detection = DetectionOptions(min_blur_px=min_blur_px)
+        options = replace(EDGES_ALONE, detection=detection)
         result = reconstruct(scene.reconstruction, scene_paths[0], options)
         assert result.stages[1]["counts"]["image_scale"] == scale
         edges = result.edges
@@ -257,7 +259,7 @@ def test_edges_of_images_given_twice_as_large_end_to_end(scene, scene_paths, tmp
         picture = cv2.GaussianBlur(cv2.imread(str(images / image.name)), (0, 0), SOFTENING_PX)
         twice = cv2.resize(picture, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
         cv2.imwrite(str(tmp_path / image.name), twice)
-    result = reconstruct(large, tmp_path, PipelineOptions())
+    result = reconstruct(large, tmp_path, EDGES_ALONE)
     scale = result.stages[1]["counts"]["image_scale"]
     assert 1 / 3.5 < scale <= 0.5
     edges, views = result.edges, model_from_reconstruction(large).views

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 import valid
 from forked import call_forked
+from scenes import EDGES_ALONE
 
 from colmap_edges.colmap.model import frames_of_views, load_model, model_from_reconstruction
 from colmap_edges.errors import ColmapEdgesError
@@ -399,7 +400,8 @@ def test_upsampled_images_give_more_edges(root, sparse):
     """Its faint texture is not detected in each image, so a left-out one shows less of it."""
     counts = []
     for min_blur_px in (0.0, 0.8):
-        options = PipelineOptions(detection=DetectionOptions(min_blur_px=min_blur_px))
+        detection = DetectionOptions(min_blur_px=min_blur_px)
+        options = replace(EDGES_ALONE, detection=detection)
         found = reconstruct(
             load_model(sparse).reconstruction, root / "Rectified" / "scan6", options
         )

@@ -9,6 +9,7 @@ import pycolmap
 import pytest
 from mask_files import BLACK_LEFT, paths_of, write_masks
 from project import DEMO, run_script
+from scenes import EDGES_ALONE
 from scipy.spatial import cKDTree
 
 from colmap_edges.errors import ColmapEdgesError
@@ -19,7 +20,7 @@ from colmap_edges.pipeline.run import run
 
 pytestmark = pytest.mark.pipeline  # runs of the whole pipeline
 
-NOT_ENLARGED = PipelineOptions(detection=DetectionOptions(min_blur_px=0))
+NOT_ENLARGED = replace(EDGES_ALONE, detection=DetectionOptions(min_blur_px=0))
 CANNY = ("--detector", "canny")
 CORNER_PX = 8  # by which chains are led on to their corners
 
@@ -123,7 +124,8 @@ def test_masks_hold_for_edge_images(small, tmp_path):
     maps = write_maps(small, tmp_path / "maps", *CANNY)
     masks = write_masks(tmp_path / "masks", small[0])
     reconstruction = pycolmap.Reconstruction(str(small[1]))
-    found = reconstruct(reconstruction, small[0], mask_path=str(masks), edge_path=str(maps))
+    paths = {"mask_path": str(masks), "edge_path": str(maps)}
+    found = reconstruct(reconstruction, small[0], EDGES_ALONE, **paths)
     assert found.edges.num_points
     assert found.edges.observations.pixels[:, 0].min() >= BLACK_LEFT.shape[1] / 2 - (
         MARGIN_PX + CORNER_PX

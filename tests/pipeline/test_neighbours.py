@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
 from project import DEMO
+from scenes import EDGES_ALONE
 from scipy.spatial import cKDTree
 
 from colmap_edges.edges3d.chains import assembly
-from colmap_edges.options import DetectionOptions, PipelineOptions
+from colmap_edges.options import DetectionOptions
 from colmap_edges.pipeline.reconstruct import reconstruct
 
 pytestmark = pytest.mark.pipeline  # a run of the whole pipeline
@@ -27,7 +30,7 @@ def before_and_after():
         pieces.append(np.concatenate([each.points for each in kept.edges]))
         return merge(given, kept, *arguments)
 
-    options = PipelineOptions(detection=DetectionOptions(min_blur_px=0))
+    options = replace(EDGES_ALONE, detection=DetectionOptions(min_blur_px=0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(assembly, "merge_traced", watched)
         model = pycolmap.Reconstruction(str(DEMO / "sparse"))

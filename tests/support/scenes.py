@@ -20,10 +20,13 @@ import pycolmap
 from colmap_edges.colmap.model import load_model
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.observations import Observations
+from colmap_edges.options import PipelineOptions
 
 SUPERSAMPLING = 4
 BACKGROUND = 128
 DISC_SAMPLES = 180
+# Without the stages after tracing, which change no edge and take as long as all before.
+EDGES_ALONE = PipelineOptions(use_faces=False, use_patches=False, use_sky=False)
 
 
 @dataclass(frozen=True)

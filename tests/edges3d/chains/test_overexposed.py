@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import EDGES_ALONE
 
 pytest.importorskip("manifold3d", reason="the scene is made with manifold3d")
 
@@ -107,7 +108,7 @@ def shares(true, found):
 )
 def test_edges_of_an_overexposed_face_are_no_contours(tmp_path, kind, num_views, blur_px, doubled):
     write_box(tmp_path, kind, num_views, blur_px)
-    found = colmap_edges.reconstruct(tmp_path / "sparse", tmp_path / "images")
+    found = colmap_edges.reconstruct(tmp_path / "sparse", tmp_path / "images", EDGES_ALONE)
     true = edges_of_box()
     edges, every = points_of(found.edges), sampled(true)
     to_true, to_found = (clouds.cloud_to_cloud(*p) for p in ((edges, every), (every, edges)))
