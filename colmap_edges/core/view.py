@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, offsets_of, order_of, parts_of
+from colmap_edges.core.polylines import lengths_of
 
 
 def lift(view: View, undistorted: FloatArray, inverse_depths: FloatArray) -> FloatArray:
@@ -205,5 +206,5 @@ def track_residuals(
     residuals = np.full(len(track_views), np.nan)
     for view, rows in views_with_rows(views, track_views):
         projected, _ = view.project(points[rows])
-        residuals[rows] = np.linalg.norm(projected - track_points2D[rows], axis=1)
+        residuals[rows] = lengths_of(projected - track_points2D[rows])
     return residuals

@@ -40,8 +40,9 @@ def off_block_borders(chains: Chains, data: ByteArray, scale: float) -> BoolArra
     between = BLOCK_PX / 4
     on, off = (weak & are_near(chains.points / scale + shift) for shift in (0, between))
     # True edges are as frequent between the borders and middles of blocks as on them.
-    on &= on.sum(axis=0) > MIN_EXCESS * off.sum(axis=0)
-    return np.asarray(~on.any(axis=1))
+    counts = [np.array([np.count_nonzero(along) for along in of.T]) for of in (on, off)]
+    on &= counts[0] > MIN_EXCESS * counts[1]
+    return ~(on[:, 0] | on[:, 1])
 
 
 def are_near(places: FloatArray) -> BoolArray:

@@ -16,7 +16,7 @@ from colmap_edges.core.arrays import (
     offsets_of,
     owners_of,
 )
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.polylines import lengths_of, unit
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
@@ -99,7 +99,7 @@ class Rays(NamedTuple):
         owners, seeing = owners_of(evidence.offsets), evidence.views
         starts = np.array([view.center for view in views])[seeing]
         away = evidence.points[owners] - starts
-        lengths = np.linalg.norm(away, axis=1)
+        lengths = lengths_of(away)
         limits = np.maximum(DEVIATIONS * evidence.ray_sigmas[owners], DEPTH_SHARE * lengths)
         return cls(seeing, starts, unit(away), lengths, limits)
 

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.polylines import (
+    cross,
     curve_tangents,
     end_points,
+    lengths_of,
     match_best_first,
     nearest_on_lines,
     points_along,
@@ -146,3 +148,13 @@ def test_lines_are_nearest_where_their_connection_is_perpendicular_to_both():
     for point, origin, way in zip(near, origins, ways, strict=True):
         np.testing.assert_allclose(np.cross(point - origin, way), 0, atol=1e-9)
         np.testing.assert_allclose(np.einsum("ni,ni->n", near[1] - near[0], way), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(3,), (0, 3), (7, 3), (4, 1, 3), (2, 5, 2, 3)])
+def test_products_and_lengths_are_numpys_bit_by_bit(shape):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=shape), rng.normal(size=3)
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+    np.testing.assert_array_equal(cross(b, a), np.cross(b, a))
+    np.testing.assert_array_equal(lengths_of(a), np.linalg.norm(a, axis=-1))
+    np.testing.assert_array_equal(lengths_of(a[..., :2]), np.linalg.norm(a[..., :2], axis=-1))

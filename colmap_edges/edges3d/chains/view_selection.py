@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.polylines import lengths_of
 from colmap_edges.core.view import in_images
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
@@ -237,7 +238,7 @@ def angle_weights(
     For neighbours and for observing views, which may have larger angles.
     """
     cosines = np.einsum("ij,ij->i", rays, other_rays) / (
-        np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1) + 1e-300
+        lengths_of(rays) * lengths_of(other_rays) + 1e-300
     )
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     narrow = np.minimum(angles / options.good_angle_deg, 1) ** 2

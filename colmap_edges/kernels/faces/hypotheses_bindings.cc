@@ -1,6 +1,7 @@
-// Bindings of the search for planes, and of what lies on them.
+// Bindings of the search for planes and cylinders, and of what lies on planes.
 #include "common/arrays.h"
 #include "common/bindings.h"
+#include "faces/cylinders.h"
 #include "faces/hypotheses.h"
 #include "faces/incidence.h"
 
@@ -86,6 +87,41 @@ nb::tuple NeighborsOfArrays(Longs offsets, Ints views, Longs observed_offsets, I
   return ToArrays(std::move(rows));
 }
 
+using Pairs3D = InArray<double, nb::shape<-1, 2, 3>>;
+using Ends3D = InArray<double, nb::shape<-1, 2, 2, 3>>;
+
+OutlinePairs ToPairs(const Translation& center, double focal_px, const Pairs3D& normals,
+                     const Points3D& middles, const Points2D& turns, const Ends3D& rays) {
+  const size_t count = normals.shape(0);
+  Require(middles.shape(0) == count && turns.shape(0) == count && rays.shape(0) == count,
+          "what is known of the pairs differs in number");
+  return {{center(0), center(1), center(2)},
+          focal_px,
+          normals.data(),
+          middles.data(),
+          turns.data(),
+          rays.data(),
+          int64_t(count)};
+}
+
+OutArray<int64_t> PairsOfOneRadiusArrays(Translation center, double focal_px, Pairs3D normals,
+                                         Points3D middles, Points2D turns, Ends3D rays,
+                                         Translation other_center, double other_focal_px,
+                                         Pairs3D other_normals, Points3D other_middles,
+                                         Points2D other_turns, Ends3D other_rays, double min_sine,
+                                         double slack_px) {
+  const OutlinePairs one = ToPairs(center, focal_px, normals, middles, turns, rays);
+  const OutlinePairs other =
+      ToPairs(other_center, other_focal_px, other_normals, other_middles, other_turns, other_rays);
+  std::vector<int64_t> found;
+  {
+    nb::gil_scoped_release release;
+    found = PairsOfOneRadius(one, other, min_sine, slack_px);
+  }
+  const size_t count = found.size() / 2;
+  return ToArray(std::move(found), {count, 2});
+}
+
 }  // namespace
 
 void BindFaceHypotheses(nb::module_& m) {
@@ -98,6 +134,10 @@ void BindFaceHypotheses(nb::module_& m) {
   m.def("neighbors_of", &NeighborsOfArrays, "offsets"_a, "views"_a, "observed_offsets"_a,
         "observed"_a, "most"_a,
         "Offsets and views, row by row, that see the most of the same points as each view.");
+  m.def("pairs_of_one_radius", &PairsOfOneRadiusArrays, "center"_a, "focal_px"_a, "normals"_a,
+        "middles"_a, "turns"_a, "rays"_a, "other_center"_a, "other_focal_px"_a, "other_normals"_a,
+        "other_middles"_a, "other_turns"_a, "other_rays"_a, "min_sine"_a, "slack_px"_a,
+        "Pairs of outlines, one of each of two views, that may be of one cylinder.");
 }
 
 }  // namespace colmap_edges

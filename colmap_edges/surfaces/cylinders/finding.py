@@ -26,7 +26,7 @@ from colmap_edges.surfaces.cylinders.support import (
     Support,
     fitted,
     num_fixed_lines,
-    support_of,
+    supports_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_evidence import MIN_BOTH, SAME_SHARE, TRIED_SHARE, FoundRound, Rays
@@ -56,12 +56,11 @@ def find_cylinders(
     free = [rows[lines.fixed[rows] <= MAX_FIXED] for rows in by_view]
     tried, bases = chosen_hypotheses(*find_hypotheses(lines, free), random_seed)
     near = lines_near(free, views, np.unique(bases))
-    chosen = {base: lines.select(rows) for base, rows in near.items()}
     supports = []
-    for h, base in enumerate(bases.tolist()):
-        one = Cylinders(*(part[h : h + 1] for part in tried))
-        support = support_of(chosen[base], one, LOOSE_PX)
-        supports.append(replace(support, rows=near[base][support.rows]))
+    for base, rows in near.items():
+        own = Cylinders(*(part[bases == base] for part in tried))
+        for support in supports_of(lines.select(rows), own, LOOSE_PX):
+            supports.append(replace(support, rows=rows[support.rows]))
     scores = np.array([support.score for support in supports])
     rays = Rays.of(evidence, views)
     used, refused = np.zeros((2, len(lines.views)), bool)

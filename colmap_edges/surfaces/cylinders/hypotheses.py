@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.polylines import cross, unit
+from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
@@ -89,17 +90,14 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
 
 def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
     """The cylinders of which a pair in one view and a pair in another are the outlines."""
-    a, b = (index.ravel() for index in np.indices((len(one.rows), len(other.rows))))
-    cross = np.cross(one.middles[a], other.middles[b])
-    sines = np.linalg.norm(cross, axis=1)
-    axes = cross / (sines[:, None] + 1e-300)
-    good = sines > MIN_ANGLE
-    for pairs, own in ((one, a), (other, b)):
-        for side in range(2):
-            turn = np.einsum("ij,ij->i", pairs.normals[:, side][own], axes)
-            good &= np.abs(turn) < pairs.turns[own, side]
-    kept = np.flatnonzero(good)
-    a, b, axes = a[kept], b[kept], axes[kept]
+    # A little beyond the limit, too, since the kernel rounds otherwise.
+    near = _kernels.pairs_of_one_radius(
+        *as_arrays(lines, one), *as_arrays(lines, other), MIN_ANGLE, 1.01 * SLACK_PX
+    )
+    a, b = np.ascontiguousarray(near.T)
+    meeting = cross(one.middles[a], other.middles[b])
+    sines = np.linalg.norm(meeting, axis=1)
+    axes = meeting / sines[:, None]
     centers = lines.centers[one.rows[a, 0]], lines.centers[other.rows[b, 0]]
     heights = [
         np.einsum("ij,ij->i", middles, center)
@@ -108,13 +106,11 @@ def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
     # The point of the axis nearest to the first view's centre: three planes meet there.
     third = np.einsum("ij,ij->i", axes, centers[0])
     points = (
-        heights[0][:, None] * np.cross(other.middles[b], axes)
-        + heights[1][:, None] * np.cross(axes, one.middles[a])
-        + third[:, None] * cross[kept]
-    ) / sines[kept, None]
+        heights[0][:, None] * cross(other.middles[b], axes)
+        + heights[1][:, None] * cross(axes, one.middles[a])
+        + third[:, None] * meeting
+    ) / sines[:, None]
     rows = np.column_stack([one.rows[a], other.rows[b]])
-    likely = have_one_radius(lines, rows[:, ::2], points, axes)
-    rows, points, axes = rows[likely], points[likely], axes[likely]
     distances, places, depths = tangencies(lines, rows, points, axes)
     low, high = places.min(axis=2), places.max(axis=2)
     shared = (high.min(axis=1) - low.max(axis=1)) > MIN_OVERLAP * (high - low).min(axis=1)
@@ -124,21 +120,15 @@ def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
     return Cylinders(points[good], axes[good], radii[good])
 
 
-def have_one_radius(
-    lines: Lines, rows: IntArray, points: FloatArray, axes: FloatArray
-) -> BoolArray:
-    """(H,) whether the first ends of (H, 2) lines are within `SLACK_PX` of some radius.
-
-    Most hypotheses fail with one line of each view, at a fraction of the cost of all of them.
-    """
-    distances, _, depths = (of[..., 0] for of in tangencies(lines, rows, points, axes, 1))
-    slacks = SLACK_PX * depths / lines.focals[rows]
-    apart = np.abs(np.abs(distances[:, 0]) - np.abs(distances[:, 1]))
-    return np.asarray(apart <= slacks.sum(axis=1))
+def as_arrays(lines: Lines, pairs: Pairs) -> tuple[Any, ...]:
+    """The pairs of a view, of which there is one at least, as arguments of the kernel."""
+    first = pairs.rows[0, 0]
+    view = lines.centers[first], lines.focals[first]
+    return *view, pairs.normals, pairs.middles, pairs.turns, lines.rays[pairs.rows]
 
 
 def tangencies(
-    lines: Lines, rows: IntArray, points: FloatArray, axes: FloatArray, num_ends: int = 2
+    lines: Lines, rows: IntArray, points: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """How the rays to both ends of lines pass axes.
 
@@ -147,14 +137,13 @@ def tangencies(
         rows: (H, n) lines.
         points: (H, 3) points on the axes.
         axes: (H, 3) unit directions.
-        num_ends: 1 for the first end of each line only.
 
     Returns:
-        (H, n, num_ends) signed distances of the rays from the axes, places along the axes, and
-        depths along the rays.
+        (H, n, 2) signed distances of the rays from the axes, places along the axes, and depths
+        along the rays.
     """
-    rays, ways = lines.rays[:, :num_ends][rows], axes[:, None, None]
-    aside = np.cross(np.broadcast_to(ways, rays.shape), rays)
+    rays = lines.rays[rows]
+    aside = cross(axes[:, None, None], rays)
     squares = (aside**2).sum(axis=3) + 1e-300
     away = points[:, None] - lines.centers[rows]
     across = away - np.einsum("hnj,hj->hn", away, axes)[..., None] * axes[:, None]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
+from colmap_edges.core.polylines import cross, unit
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, tangencies
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.round_evidence import MAX_GAP
@@ -16,6 +16,7 @@ from colmap_edges.surfaces.round_evidence import MAX_GAP
 LOOSE_PX = 3.0  # maximum distance of an outline from that of a hypothesis
 CLOSE_PX = 1.5  # of an outline from that of a fitted cylinder
 ENOUGH_PX = 40.0  # length of an outline from which on more does not count
+BLOCK = 32  # cylinders that are compared with all lines at once
 NUM_FITS = 4  # rounds of fitting and choosing
 SAME_PX = 1.0  # maximum distance of outlines from a fixed line that explains them
 EXPLAINED_SHARE = 0.9  # share of outlines that fixed lines are to explain
@@ -49,24 +50,38 @@ def errors_of(lines: Lines, found: Cylinders) -> tuple[FloatArray, FloatArray, F
 
 def support_of(lines: Lines, one: Cylinders, limit_px: float) -> Support:
     """The lines within a limit of a cylinder's outlines, on the stretch with the most."""
-    passing = passing_by(lines, one, limit_px)
-    errors, sides, places = (part[0] for part in errors_of(lines.select(passing), one))
-    near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
-    rows, places = passing[near], np.sort(places[near], axis=1)
-    return on_one_stretch(lines, rows, sides[near, 0] > 0, places, one)
+    return supports_of(lines, one, limit_px)[0]
 
 
-def passing_by(lines: Lines, one: Cylinders, limit_px: float) -> IntArray:
-    """The lines whose first ends are within a limit of a cylinder's outlines, or little beyond."""
-    rays, away, axis = lines.rays[:, 0], one.points[0] - lines.centers, one.axes[0]
-    slopes = rays @ axis
+def supports_of(lines: Lines, found: Cylinders, limit_px: float) -> list[Support]:
+    """`support_of` of H cylinders."""
+    supports = []
+    for block in blocks(len(found.radii), BLOCK):
+        part = Cylinders(*(of[block] for of in found))
+        for h, passing in enumerate(passing_by(lines, part, limit_px)):
+            one = Cylinders(*(of[h : h + 1] for of in part))
+            errors, sides, places = (of[0] for of in errors_of(lines.select(passing), one))
+            near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
+            rows, places = passing[near], np.sort(places[near], axis=1)
+            supports.append(on_one_stretch(lines, rows, sides[near, 0] > 0, places, one))
+    return supports
+
+
+def passing_by(lines: Lines, found: Cylinders, limit_px: float) -> list[IntArray]:
+    """Of H cylinders the lines with first ends within a limit of outlines, or little beyond."""
+    points, axes, radii = found
+    rays, middle = np.ascontiguousarray(lines.rays[:, 0]), points.mean(axis=0)
+    centers, points = lines.centers - middle, points - middle
+    slopes = rays @ axes.T
     squares = np.maximum(1 - slopes**2, 1e-12)  # of the sines of the angles to the axis
-    # (axis x ray) . away = ray . (away x axis)
-    heights = np.einsum("ij,ij->i", rays, np.cross(away, axis))
-    depths = (np.einsum("ij,ij->i", rays, away) - slopes * (away @ axis)) / squares
-    limits = 1.01 * limit_px * depths / lines.focals
-    near = np.abs(np.abs(heights) / np.sqrt(squares) - one.radii[0]) < limits
-    return np.flatnonzero(near)
+    # With `away` from centre to point: (axis x ray) . away = ray . (away x axis).
+    heights = rays @ cross(points, axes).T - cross(rays, centers) @ axes.T
+    ahead = rays @ points.T - np.einsum("ij,ij->i", rays, centers)[:, None]
+    aside = np.einsum("ij,ij->i", points, axes) - centers @ axes.T
+    depths = (ahead - slopes * aside) / squares
+    limits = 1.01 * limit_px * depths / lines.focals[:, None]
+    near = np.abs(np.abs(heights) / np.sqrt(squares) - radii) < limits
+    return [np.flatnonzero(own) for own in near.T]
 
 
 def on_one_stretch(

@@ -15,6 +15,7 @@ from colmap_edges.core.arrays import (
     owners_of,
 )
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.polylines import lengths_of
 
 TANGENT_REACH = 8  # half length, in points, of the chord that is an edge point's tangent
 MAX_BEND = 0.05  # maximum deviation of the edge from that chord, relative to its length
@@ -92,7 +93,7 @@ def sight_of(
     """
     owners, counts = owners_of(offsets), np.maximum(np.diff(offsets), 1)
     away = points[owners] - model.camera_centers[views]
-    distances = np.linalg.norm(away, axis=1) + 1e-300
+    distances = lengths_of(away) + 1e-300
     away /= distances[:, None]
     sums = np.column_stack([np.bincount(owners, axis, len(points)) for axis in away.T])
     length = np.linalg.norm(sums, axis=1) + 1e-300

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator, cg
 
-from colmap_edges.core.arrays import FloatArray, offsets_of
+from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -65,14 +65,22 @@ def fitted(
     if not len(differences.depths) or not precisions.any():
         return mesh
     precisions = np.maximum(precisions, 1e-9 * float(precisions.max()))
-    _, same, counts = np.unique(mesh.vertices, axis=0, return_inverse=True, return_counts=True)
-    most = np.where(counts[same.ravel()] > 1, 0, MAX_MOVE / np.sqrt(precisions))
+    most = np.where(are_repeated(mesh.vertices), 0, MAX_MOVE / np.sqrt(precisions))
     offsets = np.clip(best_offsets(differences, precisions), -most, most)
     moved = mesh.vertices + offsets[:, None] * normals
     vertices = load_extension().taken_back(mesh.vertices, moved, mesh.faces, num_threads)
     return replace(
         mesh, vertices=vertices, stats={**mesh.stats, "depths_fitted": len(differences.depths)}
     )
+
+
+def are_repeated(points: FloatArray) -> BoolArray:
+    """(N,) whether (N, 3) points are there more than once."""
+    order = np.lexsort(points.T)  # sorts ten times as fast as `np.unique` of rows
+    same = np.concatenate([[False], (np.diff(points[order], axis=0) == 0).all(axis=1), [False]])
+    repeated = np.zeros(len(points), bool)
+    repeated[order] = same[1:] | same[:-1]
+    return repeated
 
 
 def best_offsets(differences: Differences, precisions: FloatArray) -> FloatArray:

@@ -7,7 +7,13 @@ from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.polylines import unit
-from colmap_edges.surfaces.revolution.meridians import Axis, Meridian, meridian_of, voted
+from colmap_edges.surfaces.revolution.meridians import (
+    Axis,
+    Meridian,
+    meridian_of,
+    touched_by,
+    voted,
+)
 from colmap_edges.surfaces.revolution.samples import Samples
 
 NUM_ROUNDS = 6
@@ -101,7 +107,6 @@ def moved(
 
 def all_points(samples: Samples, meridian: Meridian, axis: Axis) -> FloatArray:
     """(m, 2) where the samples touch the body about another axis, or as before if nowhere."""
-    other = meridian_of(samples, meridian.rows, axis)
-    points = meridian.points.copy()
-    points[np.searchsorted(meridian.rows, other.rows)] = other.points
-    return points
+    there, inside = touched_by(samples, meridian.rows, axis)
+    points = np.column_stack([there.places, there.radii]) / axis.pixel
+    return np.where(inside[:, None], points, meridian.points)

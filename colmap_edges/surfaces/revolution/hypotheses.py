@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray
+from colmap_edges.core.arrays import FloatArray, IntArray, blocks
 from colmap_edges.core.curves3d import ARC, CIRCLE, Curves3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, rows_by_view
@@ -32,6 +32,7 @@ MAX_TILT = np.cos(np.radians(5.0))  # between the direction of a pair and the pl
 # Maximum distances of profiles of two views: pixels along and across the axis, and angle.
 AGREE = (8.0, 4.0, 0.2)
 MAX_USES = 2  # maximum number of axes of the same samples
+BLOCK = 64  # pairs of profiles that are compared at once, in the cache
 MAX_AXES = 40  # maximum number of axes of mirrored outlines
 
 
@@ -107,13 +108,15 @@ def planes_of(samples: Samples, rows: IntArray, rng: np.random.Generator) -> Pla
     first, second, across = first[good], second[good], across[good]
     middles = unit(rays[first] + rays[second])
     tried = across[:NUM_TRIED]
-    fits = np.abs(tried @ middles.T) * focal < MIDDLE_PX
-    fits &= np.abs(tried @ across.T) > MAX_TILT
+    products = tried @ middles.T  # in place: new arrays of this size take as long as the products
+    fits = np.abs(products, out=products) < MIDDLE_PX / focal
+    np.matmul(tried, across.T, out=products)
+    fits &= np.abs(products, out=products) > MAX_TILT
     left = np.ones(len(good), bool)
     found: list[FloatArray] = []
     kept: list[IntArray] = []
     while len(good) and len(found) < NUM_PLANES:
-        counts = (fits & left).sum(axis=1)
+        counts = np.count_nonzero(fits & left, axis=1)
         best = int(np.argmax(counts))
         if counts[best] < MIN_PAIRS:
             break
@@ -206,9 +209,13 @@ def different(rows: IntArray, counts: IntArray, num_samples: int) -> IntArray:
 
 def common(profiles: FloatArray, angles: FloatArray) -> IntArray:
     """(K,) how many points of two profiles agree; (K, 2, n, 2) points, (K, 2, n) their angles."""
-    near = np.ones((len(profiles), profiles.shape[2], profiles.shape[2]), bool)
-    with np.errstate(invalid="ignore"):
-        for part, limit in zip((*np.moveaxis(profiles, 3, 0), angles), AGREE, strict=True):
-            near &= np.abs(part[:, 0, :, None] - part[:, 1, None, :]) < limit
-    found: IntArray = np.minimum(near.any(axis=1).sum(axis=1), near.any(axis=2).sum(axis=1))
+    found = np.zeros(len(profiles), np.int64)
+    parts = (*np.moveaxis(profiles, 3, 0), angles)
+    for block in blocks(len(found), BLOCK):
+        near = np.ones((1, 1, 1), bool)
+        for part, limit in zip(parts, AGREE, strict=True):
+            with np.errstate(invalid="ignore"):
+                one, other = part[block, 0, :, None], part[block, 1, None, :]
+                near = near & (np.abs(one - other) < limit)
+        found[block] = [np.minimum(*(of.any(axis=k).sum() for k in range(2))) for of in near]
     return found

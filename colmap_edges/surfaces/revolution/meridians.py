@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, IntArray, Table
-from colmap_edges.core.polylines import unit
+from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table
+from colmap_edges.core.polylines import cross, unit
 from colmap_edges.surfaces.revolution.samples import Samples
 
 MIN_SINE = 0.1  # minimum sine between the plane of ray and axis and the normal
@@ -100,10 +100,10 @@ def touched(
         away: (..., 3) vectors from points of the axes to the rays' starts.
         directions: (..., 3) unit directions of the axes.
     """
-    across = np.cross(directions, rays)
+    across = cross(directions, rays)
     sines = np.einsum("...j,...j->...", normals, across)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths = np.einsum("...j,...j->...", normals, np.cross(away, directions)) / sines
+        depths = np.einsum("...j,...j->...", normals, cross(away, directions)) / sines
         points = away + depths[..., None] * rays
         places = np.einsum("...j,...j->...", points, directions)
         outwards = points - places[..., None] * directions
@@ -114,14 +114,20 @@ def touched(
     return Touched(depths, places, radii, slopes, np.abs(rises), np.abs(sines), passing)
 
 
-def meridian_of(samples: Samples, rows: IntArray, axis: Axis) -> Meridian:
-    """The points at which the rays of (n,) samples touch the body, if it is one of revolution."""
+def touched_by(samples: Samples, rows: IntArray, axis: Axis) -> tuple[Touched, BoolArray]:
+    """Where the rays of (n,) samples touch bodies about an axis, and which do in its ball."""
     away, directions = samples.centers[rows] - axis.point, axis.direction[None]
     there = touched(samples.rays[rows], samples.normals[rows], away, directions)
     with np.errstate(invalid="ignore"):
         inside = (there.depths > 0) & (there.sines > MIN_SINE) & (there.rises > MIN_RISE)
         inside &= there.radii > MIN_RADIUS_PX * axis.pixel
         inside &= there.places**2 + there.radii**2 < axis.reach**2
+    return there, inside
+
+
+def meridian_of(samples: Samples, rows: IntArray, axis: Axis) -> Meridian:
+    """The points at which the rays of (n,) samples touch the body, if it is one of revolution."""
+    there, inside = touched_by(samples, rows, axis)
     kept = np.flatnonzero(inside)
     there = Touched(*(part[kept] for part in there))
     return Meridian(

@@ -110,8 +110,11 @@ def test_hypotheses_left_out_early_have_no_radius(can, monkeypatch):
     lines, views = can.lines, can.views
     rows = rows_by_view(lines.views, len(views))
     found, bases = hypotheses.find_hypotheses(lines, rows)
+    kernel = hypotheses._kernels.pairs_of_one_radius
     monkeypatch.setattr(
-        hypotheses, "have_one_radius", lambda lines, rows, *_: np.ones(len(rows), bool)
+        hypotheses._kernels,
+        "pairs_of_one_radius",
+        lambda *given: kernel(*given[:-1], 100 * hypotheses.SLACK_PX),
     )
     all_found, all_bases = hypotheses.find_hypotheses(lines, rows)
     assert len(bases) > 0

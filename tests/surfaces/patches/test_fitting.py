@@ -12,7 +12,7 @@ from colmap_edges.errors import ColmapEdgesError
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS
 from colmap_edges.surfaces.patches.finding import find_patches
-from colmap_edges.surfaces.patches.fitting import fitted, normals_of_vertices
+from colmap_edges.surfaces.patches.fitting import are_repeated, fitted, normals_of_vertices
 
 mesher = pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension is not built")
 
@@ -114,3 +114,9 @@ def test_sheets_that_touch_stay_together(scene, depths):
     found = fitted(both, np.tile(information, (2, 1)), scene[0].views, depths, 1)
     np.testing.assert_array_equal(found.vertices[doubled], mesh.vertices[doubled])
     assert (found.vertices != vertices).any()
+
+
+def test_points_that_are_there_twice():
+    points = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1], [0.0, 1, 2], [-0.0, 1, 0]])
+    assert are_repeated(points).tolist() == [True, True, True, False, False, True]
+    assert are_repeated(points[:0]).tolist() == []
