@@ -18,7 +18,8 @@ from colmap_edges.colmap.model import load_model
 
 # Files that take longest; they start first, so that at the end no process waits for one of them.
 LONGEST = (
-    *("scripts/test_reproduce_results.py", "project/test_docs.py", "evaluation/test_scripts.py"),
+    *("project/test_examples.py", "scripts/test_reproduce_results.py", "project/test_docs.py"),
+    *("evaluation/test_scripts.py", "scripts/test_make_scene.py", "pipeline/test_dark_corners.py"),
     *("colmap/test_camera_models.py", "cli/test_option_extremes.py", "report/test_report.py"),
     *("cli/test_environment.py", "cli/test_terminal.py", "cli/test_cli.py"),
     *("pipeline/test_determinism.py", "pipeline/test_interruption.py", "fuzzing/test_fuzzing.py"),
