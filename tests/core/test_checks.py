@@ -21,6 +21,7 @@ from colmap_edges.export.ply import write_ply
 from colmap_edges.export.svg import write_svg
 from colmap_edges.images.background import BackgroundRays
 from colmap_edges.surfaces.faces.finding import NO_FACES
+from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.silhouettes import Background
 
 NOT_DATA = (None, 5, "x", [], {}, np.zeros((3, 3)), object, True)
@@ -254,9 +255,18 @@ def test_background_and_faces_of_another_model_are_refused(scene_model):
     ):
         with pytest.raises(ColmapEdgesError, match=message):
             mesh(scene_model, background=Background(rays, NO_POINTS))
+    corners, views = np.eye(3), np.zeros(1, np.int64)
+    face = Face(
+        normal=corners[2], offset=0.0, area=1.0, outline=corners, holes=(), views=views, plane=0
+    )
     seen = SeenPoints(np.zeros((1, 3)), np.array([0, 1]), one + 99)
+    faces = replace(NO_FACES, faces=[face], points=seen, face_ids=views)
     with pytest.raises(ColmapEdgesError, match=r"faces\.points\.track_views holds view 99"):
-        mesh(scene_model, faces=replace(NO_FACES, points=seen))
+        mesh(scene_model, faces=faces)
+    with pytest.raises(
+        ColmapEdgesError, match=r"faces\.face_ids\[0\] is 1; it must be from 0 to 0"
+    ):
+        mesh(scene_model, faces=replace(faces, face_ids=views + 1))
 
 
 def test_files_that_cannot_be_written_are_errors(scene_edges, sphere, tmp_path):

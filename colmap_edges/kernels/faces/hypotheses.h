@@ -37,8 +37,9 @@ class PlaneSearch {
     for (size_t i = 0; i < points.size(); ++i) total_ += whole_[i] = weights[points.given(i)];
   }
 
-  // One plane after the other, each with the most support by points that are not on others yet.
-  std::vector<Plane> Run(const std::vector<Plane>& planes) {
+  // One plane after the other, each with the most support by points that are not on others yet, and
+  // then those at which others end; the second number is how many the first are.
+  std::pair<std::vector<Plane>, size_t> Run(const std::vector<Plane>& planes) {
     const double least = options_.min_share * total_;
     weights_ = whole_;
     Score(planes, least);
@@ -62,26 +63,23 @@ class PlaneSearch {
       if (!plane) continue;
       plane = Snapped(*plane);
       const PointSet own = On(*plane, options_.tolerance);
-      tried.push_back({plane->normal, {}});
+      tried.emplace_back();
       for (size_t b = 0; b < own.size(); ++b)
-        if (own[b]) tried.back().blocks.emplace_back(b, own[b]);
-      bool same = false;
-      for (size_t k = 0; k < found.size() && !same; ++k)
-        same = !AreApart(plane->normal, found[k].normal) && AreSame(own, owned[k]);
-      if (same) continue;
+        if (own[b]) tried.back().emplace_back(b, own[b]);
+      const auto same = [&](const PointSet& other) { return AreSame(own, other); };
+      if (std::any_of(owned.begin(), owned.end(), same)) continue;
       VisitPoints(own.data(), own.size(), [&](size_t i) {
         weights_[i] *= 1 - (1 - options_.explained_weight) * Closeness(*plane, i);
       });
       found.push_back(*plane), owned.push_back(own);
     }
-    return found;
+    const size_t count = found.size();
+    AddEnds(&found, std::move(owned));
+    return {found, count};
   }
 
  private:
-  struct Filled {
-    Vec3 normal;
-    std::vector<std::pair<size_t, uint64_t>> blocks;  // of its points, those that are not empty
-  };
+  using Filled = std::vector<std::pair<size_t, uint64_t>>;  // a set's blocks that are not empty
 
   struct Candidate {
     Plane plane;
@@ -115,21 +113,61 @@ class PlaneSearch {
     }
   }
 
-  // Whether a normal is common and another plane's differs from it. Such planes are two, though all
-  // that lies on one may lie on the other: a wall is often known by its line with the ceiling only.
-  bool AreApart(const Vec3& normal, const Vec3& other) const {
-    const auto is_normal = [&](const Vec3& axis) { return std::abs(Dot(axis, normal)) > kSame; };
-    return std::abs(Dot(normal, other)) < kSnapCosine &&
-           std::any_of(common_.begin(), common_.end(), is_normal);
+  // Adds planes with common normals that share most of their points with one that ends there: a
+  // wall may be known by its line with the ceiling alone, which makes it a duplicate of the
+  // ceiling.
+  void AddEnds(std::vector<Plane>* found, std::vector<PointSet> owned) {
+    std::vector<std::pair<double, const Candidate*>> ends;
+    for (const Candidate& candidate : candidates_)
+      if (IsCommon(candidate.plane.normal)) ends.emplace_back(-candidate.weight, &candidate);
+    std::stable_sort(ends.begin(), ends.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    const size_t count = found->size();
+    for (const auto& [weight, candidate] : ends) {
+      if (int(found->size()) >= options_.max_planes) return;
+      const Plane plane = Moved(candidate->plane);
+      const PointSet own = On(plane, options_.tolerance);
+      bool is_end = false, is_new = true;
+      for (size_t k = 0; k < found->size() && is_new; ++k) {
+        if (!AreSame(own, owned[k])) continue;
+        is_new = std::abs(Dot(plane.normal, (*found)[k].normal)) < kSnapCosine;
+        is_end = is_end || (k < count && Ends(owned[k], plane));
+      }
+      if (is_new && is_end) found->push_back(plane), owned.push_back(own);
+    }
+  }
+
+  // The parallel plane in the middle of what lies on a plane.
+  Plane Moved(const Plane& plane) const {
+    double sum = 0, total = 0;
+    const PointSet on = On(plane, options_.tolerance);
+    VisitPoints(on.data(), on.size(), [&](size_t i) {
+      const double sure = whole_[i] / points_.Variance(i, plane.normal);
+      total += sure, sum += sure * Dot(plane.normal, points_.point(i));
+    });
+    return {plane.normal, sum / total};
+  }
+
+  bool IsCommon(const Vec3& normal) const {
+    return std::any_of(common_.begin(), common_.end(),
+                       [&](const Vec3& other) { return std::abs(Dot(other, normal)) > 1 - 1e-9; });
+  }
+
+  // Whether the points of a plane lie on one side of another one.
+  bool Ends(const PointSet& points, const Plane& other) const {
+    double sides[2] = {};
+    VisitPoints(points.data(), points.size(), [&](size_t i) {
+      const double off = other.Distance(points_.point(i)) / options_.tolerance;
+      if (off * off > points_.Variance(i, other.normal)) sides[off > 0] += whole_[i];
+    });
+    return std::min(sides[0], sides[1]) <= kBeyond * std::max(sides[0], sides[1]);
   }
 
   // Whether not too much of a candidate lies on any tried plane.
   bool IsOpen(const std::vector<Filled>& tried, Candidate* candidate) const {
     for (; candidate->seen < tried.size(); ++candidate->seen) {
-      const Filled& other = tried[candidate->seen];
-      if (AreApart(candidate->plane.normal, other.normal)) continue;
       double shared = 0;
-      for (const auto& [b, word] : other.blocks) {
+      for (const auto& [b, word] : tried[candidate->seen]) {
         const uint64_t both = word & words_[candidate->first + b];
         VisitPoints(&both, 1, [&, at = &whole_[64 * b]](size_t i) { shared += at[i]; });
       }
@@ -233,8 +271,8 @@ class PlaneSearch {
   }
 
   static constexpr double kSnapCosine = 0.984807753012208;  // of 10 degrees
-  static constexpr double kSame = 1 - 1e-9;                 // cosine of equal normals
-  static constexpr int kMinPoints = 8;                      // that a plane is fitted to
+  static constexpr double kBeyond = 0.05;  // of a plane's points, behind the one at which it ends
+  static constexpr int kMinPoints = 8;     // that a plane is fitted to
   // Of the tolerance in the steps of a fit.
   static constexpr double kFactors[] = {2, 1.4, 1, 1};
 

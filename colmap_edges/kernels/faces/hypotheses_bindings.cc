@@ -45,17 +45,20 @@ nb::tuple SearchPlanesArrays(Points3D points, Points3D tangents, Points3D rays, 
   for (size_t i = 0; i < common.shape(0); ++i)
     axes.push_back({common(i, 0), common(i, 1), common(i, 2)});
   std::vector<double> found_normals, found_offsets;
+  size_t num_first;
   {
     nb::gil_scoped_release release;
     const PlanePoints tried(evidence, max_slope);
-    for (const Plane& plane : PlaneSearch(tried, weights.data(), axes, search).Run(planes)) {
+    const auto [found, count] = PlaneSearch(tried, weights.data(), axes, search).Run(planes);
+    for (const Plane& plane : found) {
       found_normals.insert(found_normals.end(), {plane.normal.x, plane.normal.y, plane.normal.z});
       found_offsets.push_back(plane.offset);
     }
+    num_first = count;
   }
   const size_t count = found_offsets.size();
   return nb::make_tuple(ToArray(std::move(found_normals), {count, 3}),
-                        ToArray(std::move(found_offsets), {count}));
+                        ToArray(std::move(found_offsets), {count}), num_first);
 }
 
 nb::tuple PlanesOfPointsArrays(Points3D points, Points3D tangents, Points3D rays, Doubles sigmas,
@@ -127,7 +130,9 @@ OutArray<int64_t> PairsOfOneRadiusArrays(Translation center, double focal_px, Pa
 void BindFaceHypotheses(nb::module_& m) {
   m.def("search_planes", &SearchPlanesArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
         "weights"_a, "normals"_a, "offsets"_a, "common"_a, "max_slope"_a, "options"_a,
-        "max_planes"_a, "Normals and offsets of the planes chosen among candidates.");
+        "max_planes"_a,
+        "Normals and offsets of the planes chosen among candidates, then of those at which others "
+        "end, and the number of the first.");
   m.def("planes_of_points", &PlanesOfPointsArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
         "normals"_a, "offsets"_a, "tolerance"_a, "max_slope"_a,
         "Offsets and planes, row by row, that each point lies on.");

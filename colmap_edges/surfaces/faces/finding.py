@@ -123,7 +123,7 @@ def find_faces(
     """
     pictures = [grids.get(v) or blank_grid(view) for v, view in enumerate(model.views)]
     evidence = gather_evidence(model, edges)
-    planes = find_planes(evidence, np.random.default_rng(random_seed))
+    planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
     if not len(planes.offsets):
         return NO_FACES
     # Gray is not compared yet, which takes the most time: any plane near the true one will do.
@@ -137,7 +137,7 @@ def find_faces(
         # On objects before a backdrop, faint lines are shades of round bodies.
         labels = first.accepted_labels(pictures)
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))
-        planes = find_planes(evidence, np.random.default_rng(random_seed))
+        planes = find_planes(evidence, model.camera_centers, np.random.default_rng(random_seed))
     last = label_scene(*given, evidence, planes, NUM_ROUNDS, EvidenceWeights())
     chosen = thinned(last.samples, last.accepted)
     points = points_of_samples(last.samples, chosen, model.views, pictures)

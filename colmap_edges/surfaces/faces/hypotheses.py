@@ -21,7 +21,8 @@ TOLERANCE = 1.2  # maximum distance of a point from its plane, in standard devia
 MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
 MAX_PLANES = 60  # maximum number of planes
 EXPLAINED_WEIGHT = 0.3  # weight of edges after each plane that they lie on: two meet at an edge
-SAME_SHARE = 0.7  # minimum share of shared points of duplicate planes
+SAME_SHARE = 0.7  # maximum share of shared points of planes that are nearly parallel
+MAX_BEYOND = 0.05  # maximum share of views behind a plane at which others end
 SNAP_GAIN = 0.97  # minimum share of a plane's support kept when it takes a common normal
 
 
@@ -134,10 +135,15 @@ class Hypotheses:
 
     def best_of(
         self, found: Planes, more: tuple[FloatArray, FloatArray], common: FloatArray
-    ) -> Planes:
-        """The planes with the most support among those found before and (H) more."""
+    ) -> tuple[Planes, Planes]:
+        """The planes with the most support among those found before and (H) more.
+
+        Returns:
+            The planes, and others that share most of their points with one that ends there: a wall
+            may be known by its line with the ceiling alone.
+        """
         options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, SAME_SHARE, SNAP_GAIN)
-        normals, offsets = _kernels.search_planes(
+        normals, offsets, count = _kernels.search_planes(
             self.points,
             self.tangents,
             self.rays,
@@ -150,7 +156,10 @@ class Hypotheses:
             np.array(options),
             MAX_PLANES,
         )
-        return Planes(normals=normals, offsets=offsets)
+        first, others = slice(count), slice(count, None)
+        return Planes(normals=normals[first], offsets=offsets[first]), Planes(
+            normals=normals[others], offsets=offsets[others]
+        )
 
     def lie_alone(self, planes: Planes) -> BoolArray:
         """(N,) whether points lie on none of the planes."""
@@ -180,16 +189,26 @@ def nearest(points: FloatArray, sources: IntArray, ranks: IntArray) -> IntArray:
     return found
 
 
-def find_planes(evidence: Evidence, rng: np.random.Generator) -> Planes:
-    """Planes on which much of the evidence lies, those with the most first."""
+def find_planes(evidence: Evidence, centers: FloatArray, rng: np.random.Generator) -> Planes:
+    """Planes on which much of the evidence lies, those with the most first, of (V, 3) views.
+
+    Planes at which others end follow, if the views are on one side of them: people do not walk
+    through walls.
+    """
     none = Planes(normals=np.zeros((0, 3)), offsets=np.zeros(0))
     if len(evidence.points) < 8:
         return none
     tried = Hypotheses(evidence, rng)
-    common, found = tried.common_normals(), none
+    common, found, weights = tried.common_normals(), none, tried.weights
     for _ in range(NUM_DRAWS):
-        weights = tried.weights * tried.lie_alone(found)
         if not weights.any():
             break
-        found = tried.best_of(found, tried.candidates(common, weights), common)
-    return found
+        found, _ = tried.best_of(found, tried.candidates(common, weights), common)
+        weights = tried.weights * tried.lie_alone(found)
+    found, ends = tried.best_of(found, tried.candidates(common, tried.weights), common)
+    beyond = (centers @ ends.normals.T > ends.offsets).mean(axis=0)
+    closed = np.minimum(beyond, 1 - beyond) <= MAX_BEYOND
+    return Planes(
+        normals=np.concatenate([found.normals, ends.normals[closed]]),
+        offsets=np.concatenate([found.offsets, ends.offsets[closed]]),
+    )

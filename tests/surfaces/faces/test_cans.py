@@ -106,7 +106,7 @@ def are_seen(view, points):
 def labelled(can, num_rounds, weights):
     """The labels of all views, with planes found from the edges."""
     evidence = gather_evidence(can.model, can.edges)
-    planes = find_planes(evidence, np.random.default_rng(0))
+    planes = find_planes(evidence, can.model.camera_centers, np.random.default_rng(0))
     return label_scene(can.model, can.pictures, (), 1, evidence, planes, num_rounds, weights)
 
 

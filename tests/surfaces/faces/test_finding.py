@@ -80,7 +80,7 @@ def test_threads_and_views_without_images_change_nothing_else(room):
 def test_faint_lines_are_sought_on_accepted_labels(room):
     model, pictures = room.model, [room.grids[v] for v in range(len(room.model.views))]
     evidence = gather_evidence(model, room.edges)
-    planes = find_planes(evidence, np.random.default_rng(0))
+    planes = find_planes(evidence, model.camera_centers, np.random.default_rng(0))
     found = label_scene(model, pictures, (), 1, evidence, planes, 1, EvidenceWeights())
     accepted = found.accepted_labels(pictures)
     assert sum(np.sum(labels >= 0) for labels in accepted) == len(found.accepted)

@@ -1,12 +1,14 @@
 """Planes through edges and points of walls."""
 
 import numpy as np
+import pytest
 
 from colmap_edges.surfaces.faces import hypotheses
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.hypotheses import find_planes
 
 SIGMA = 0.004
+CENTERS = np.array([[1.0, 0.5, -100]])  # of the only view
 
 
 def evidence_of(points, tangents, weights):
@@ -54,7 +56,7 @@ def test_a_picture_does_not_tilt_its_wall():
     tangents = np.concatenate([tangents, np.zeros_like(picture)])
     for seed in range(4):
         evidence = evidence_of(points, tangents, np.ones(len(points)))
-        planes = find_planes(evidence, np.random.default_rng(seed))
+        planes = find_planes(evidence, CENTERS, np.random.default_rng(seed))
         assert error_of(planes, np.array([0.0, 0, 1]), 0.0) < SIGMA
 
 
@@ -71,5 +73,50 @@ def test_points_on_no_plane_are_drawn_again(monkeypatch):
     tangents = np.concatenate([np.zeros_like(much), tangents @ slope])
     for seed in range(4):
         evidence = evidence_of(points, tangents, np.ones(len(points)))
-        planes = find_planes(evidence, np.random.default_rng(seed))
+        planes = find_planes(evidence, CENTERS, np.random.default_rng(seed))
         assert error_of(planes, slope[2], 0.0) < 2 * SIGMA
+
+
+def lines_of(*ends, count=150):
+    """Points and tangents along lines between two ends each."""
+    points = [np.linspace(*map(np.array, pair), count) for pair in ends]
+    tangents = [np.broadcast_to(each[-1] - each[0], each.shape) for each in points]
+    found = np.concatenate(tangents)
+    return np.concatenate(points), found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def planes_of_ceiling(seed, centers):
+    """Planes of a room of which the wall at x = 3 is known by its line with the ceiling, z = 2."""
+    walls = [((0.0, 0, 0), (0.0, 0, 2)), ((0.0, 3, 0), (0.0, 3, 2)), ((0.0, 0, 0), (0.0, 3, 0))]
+    ceiling = [((0.0, 0, 2), (0.0, 3, 2)), ((0.0, 3, 2), (3.0, 3, 2)), ((3.0, 0, 2), (3.0, 3, 2))]
+    points, tangents = lines_of(*walls, *ceiling)
+    points += SIGMA / 2 * np.random.default_rng(seed).normal(size=points.shape)
+    evidence = evidence_of(points, tangents, np.ones(len(points)))
+    return find_planes(evidence, centers, np.random.default_rng(seed))
+
+
+def walls_across_x(planes):
+    """Where planes of which x is the normal are, ascending."""
+    across = np.abs(planes.normals[:, 0]) > 1 - 1e-3
+    return np.sort(planes.offsets[across] * np.sign(planes.normals[across, 0]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wall_is_known_by_its_line_with_the_ceiling(seed):
+    found = walls_across_x(planes_of_ceiling(seed, CENTERS))
+    assert found == pytest.approx([0, 3], abs=SIGMA)
+    around = np.array([[1.0, 0.5, -100], [5.0, 0.5, -100]])  # a camera went through it
+    assert walls_across_x(planes_of_ceiling(seed, around)) == pytest.approx([0], abs=SIGMA)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_wall_stands_on_a_line_of_a_pattern(seed):
+    """Tiles go on behind the line."""
+    tiles = [((0.0, 3, 2), (3.0, 3, 2)), ((0.0, 0, 2), (3.0, 0, 2))]
+    tiles += [((x, 0.0, 2.0), (x, 3.0, 2.0)) for x in (0.0, 1.0, 2.0, 3.0)]
+    walls = [((0.0, 0, 0), (0.0, 0, 2)), ((0.0, 3, 0), (0.0, 3, 2)), ((0.0, 0, 0), (0.0, 3, 0))]
+    points, tangents = lines_of(*tiles, *walls)
+    points += SIGMA / 2 * np.random.default_rng(seed).normal(size=points.shape)
+    evidence = evidence_of(points, tangents, np.ones(len(points)))
+    found = walls_across_x(find_planes(evidence, CENTERS, np.random.default_rng(seed)))
+    assert found == pytest.approx([0, 3], abs=SIGMA)
