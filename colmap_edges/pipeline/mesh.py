@@ -142,7 +142,7 @@ def round_stage(
     with stages.stage("round_faces") as stage:
         evidence, seed = gather_evidence(model, edges), options.random_seed
         lines, samples = outlines
-        straight = find_cylinders(lines, model.views, evidence)
+        straight = find_cylinders(lines, model.views, evidence, seed)
         turned = find_bodies(samples, curves, model.views, evidence, straight.faces, seed)
         points = joined_seen([straight.points, turned.points])
         found = [*straight.faces, *turned.faces]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
     BoolArray,
     FloatArray,
     Int32Array,
     IntArray,
+    offsets_of,
     owners_of,
 )
 from colmap_edges.core.polylines import lengths_of, unit
@@ -27,35 +29,19 @@ MAX_COSINE = 0.5
 BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
 MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
 MIN_STEPS = 48  # minimum number of points around the full circle
-SPACING_PX = 6.5  # maximum distance of points
+SPACING_PX = 8.0  # maximum distance of points
 MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
 DEPTH_SHARE = 0.02  # ... and in its depth
 
 # Of hypotheses of cylinders and of other bodies of revolution.
-MAX_BASES = 12  # number of views whose outlines are paired, evenly chosen
-NUM_PARTNERS = 4  # number of other such views with which each is combined
 MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines of a pair
 MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the planes of pairs of two views
 SAME_SHARE = 0.3  # maximum share of outlines that are those of a better body
 TRIED_SHARE = 0.7  # maximum share of outlines with which other bodies were tried
 COVERED_SHARE = 0.4  # minimum number of outlines at a place, relative to the largest number
 MAX_GAP = 0.6  # maximum gap between outlines along the axis, in radii
-
-
-def evenly(count: int, most: int) -> IntArray:
-    """At most so many of a number of indices, evenly chosen."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
-
-
-def pairs_of_views(centers: FloatArray) -> Iterator[tuple[int, IntArray]]:
-    """Some of the views with (V, 3) centres, and others with which to combine each."""
-    bases = evenly(len(centers), MAX_BASES)
-    for rank, base in enumerate(bases.tolist()):
-        later = bases[rank + 1 :]
-        later = later[np.argsort(np.linalg.norm(centers[later] - centers[base], axis=1))]
-        yield base, later[evenly(len(later), NUM_PARTNERS)]
 
 
 class FoundRound(NamedTuple):
@@ -121,3 +107,79 @@ class Rays(NamedTuple):
         """What (n,) rays say that enter a body after (n,) lengths at (n,) places of its axis."""
         behind, limits = self.lengths[rows] - reach, self.limits[rows]
         return Sight(self.views[rows], places, behind > limits, behind < -limits)
+
+
+def show_all_around(
+    both: BoolArray,
+    inside: BoolArray,
+    point: FloatArray,
+    direction: FloatArray,
+    views: Sequence[View],
+) -> bool:
+    """Whether many of the views that contain a body show both its outlines, from all around it.
+
+    Args:
+        both: (V,) whether they show both outlines.
+        inside: (V,) whether they contain it.
+        point: (3,) of the axis.
+        direction: (3,) unit direction of the axis.
+        views: the V views.
+    """
+    showing = np.flatnonzero(both & inside)
+    if len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
+        return False
+    away = np.array([views[v].center for v in showing.tolist()]) - point
+    toward = unit(away - np.outer(away @ direction, direction))
+    return bool(np.min(toward @ toward.T) <= MAX_COSINE)
+
+
+class Frontal(NamedTuple):
+    """The most frontal views of points on a body.
+
+    Attributes:
+        order: (P, n) indices of views, the most frontal one first.
+        kept: (P, n) whether such a view sees the point.
+        toward: (P, V, 3) unit directions to all views.
+    """
+
+    order: IntArray
+    kept: BoolArray
+    toward: FloatArray
+
+
+def frontal_views(
+    points: FloatArray, normals: FloatArray, seen: BoolArray, centers: FloatArray
+) -> Frontal:
+    """The most frontal views of (P, 3) points, of those that see them.
+
+    Args:
+        points: (P, 3) points on the body.
+        normals: (P, 3) their unit normals.
+        seen: (P, V) whether a view sees the body where a point is.
+        centers: (V, 3) the views' centres.
+    """
+    toward = unit(centers - points[:, None])
+    cosines = np.einsum("pvj,pj->pv", toward, normals)
+    visible = seen & (cosines > MIN_COSINE)
+    order = np.argsort(-np.where(visible, cosines, -1), axis=1, kind="stable")[:, :NUM_SEEING]
+    return Frontal(order, np.take_along_axis(visible, order, axis=1), toward)
+
+
+def seen_away_from_edges(
+    points: FloatArray, frontal: Frontal, views: IntArray, evidence: Evidence, step: float
+) -> SeenPoints:
+    """Points that views see and that have no edge point within a distance.
+
+    Args:
+        points: (P, 3) points.
+        frontal: their views, as indices into `views`.
+        views: (V,) numbers of the views.
+        evidence: the edge points.
+        step: the distance, world units.
+    """
+    edges = evidence.points[evidence.edge_ids >= 0]
+    near = cKDTree(edges).query(points, distance_upper_bound=step)[0] if len(edges) else np.inf
+    some = frontal.kept.any(axis=1) & np.isinf(near)
+    kept = frontal.kept[some]
+    chosen = views[frontal.order[some][kept]].astype(np.int32)
+    return SeenPoints(points[some], offsets_of(kept.sum(axis=1)), chosen)

@@ -11,13 +11,16 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import cross, unit
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.cylinders.lines import Lines
-from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX, evenly, pairs_of_views
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
+MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
+MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
 MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
 MAX_LINES = 300  # maximum number of lines in a view, the longest ones
+MAX_BASES = 200  # maximum number of views that are combined with others, evenly chosen
 MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
-MAX_TRIED = 600  # maximum number of hypotheses
-SLACK_PX = 1.0  # maximum distance of outlines from those of a cylinder
+NUM_PARTNERS = 4  # number of other views with which a view is combined
+SLACK_PX = 2.0  # maximum distance of the four outlines from those of a hypothesis
 
 
 class Cylinders(NamedTuple):
@@ -57,6 +60,7 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
     middle = unit(rays.sum(axis=1))
     along = unit(rays[:, 1] - rays[:, 0])
     first, second = np.triu_indices(len(rows), 1)
+    turned = np.linalg.norm(np.cross(along[first], along[second]), axis=1)
     gap = np.abs(np.einsum("ij,ij->i", planes[first], middle[second])) * focal[first]
     short = np.minimum(lines.lengths[rows[first]], lines.lengths[rows[second]])
     ends = np.einsum("ikj,ij->ik", rays[second], along[first]) * focal[first][:, None]
@@ -64,7 +68,12 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
     beside = np.minimum(ends.max(axis=1), own.max(axis=1)) - np.maximum(
         ends.min(axis=1), own.min(axis=1)
     )
-    kept = np.flatnonzero((gap > MIN_WIDTH_PX) & (beside > MIN_OVERLAP * short))
+    kept = np.flatnonzero(
+        (turned < MAX_TURN)
+        & (gap > MIN_WIDTH_PX)
+        & (short > MIN_ASPECT * gap)
+        & (beside > MIN_OVERLAP * short)
+    )
     kept = np.sort(kept[np.argsort(-short[kept], kind="stable")[:MAX_PAIRS]])
     one, other = first[kept], second[kept]
     outwards = np.stack(
@@ -102,10 +111,12 @@ def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
         + third[:, None] * meeting
     ) / sines[:, None]
     rows = np.column_stack([one.rows[a], other.rows[b]])
-    distances, _, depths = tangencies(lines, rows, points, axes)
+    distances, places, depths = tangencies(lines, rows, points, axes)
+    low, high = places.min(axis=2), places.max(axis=2)
+    shared = (high.min(axis=1) - low.max(axis=1)) > MIN_OVERLAP * (high - low).min(axis=1)
     radii = np.abs(distances).mean(axis=(1, 2))
     off = (np.abs(distances) - radii[:, None, None]) * lines.focals[rows][:, :, None] / depths
-    good = (np.abs(off) < SLACK_PX).all(axis=(1, 2)) & (depths > 0).all(axis=(1, 2))
+    good = shared & (np.abs(off) < SLACK_PX).all(axis=(1, 2)) & (depths > 0).all(axis=(1, 2))
     return Cylinders(points[good], axes[good], radii[good])
 
 
@@ -143,20 +154,36 @@ def tangencies(
     return distances, places, depths
 
 
-def find_hypotheses(lines: Lines, free: Sequence[IntArray]) -> Cylinders:
-    """Cylinders whose four outlines two views show, at most `MAX_TRIED` of them, evenly chosen.
+def find_hypotheses(lines: Lines, free: Sequence[IntArray]) -> tuple[Cylinders, IntArray]:
+    """All cylinders whose four outlines two views show, and the first of these views.
 
     Args:
         lines: all lines.
         free: (V,) the lines of each view that are no fixed edges.
     """
-    rows = [own[np.argsort(-lines.lengths[own], kind="stable")[:MAX_LINES]] for own in free]
-    pairs = [pairs_of(lines, np.sort(own)) for own in rows]
+    rows = [longest(lines, own) for own in free]
+    pairs = [pairs_of(lines, own) for own in rows]
     seen = np.flatnonzero([len(of.rows) for of in pairs])
-    found = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))]
-    centers = np.array([lines.centers[rows[view][0]] for view in seen.tolist()]).reshape(-1, 3)
-    for one, others in pairs_of_views(centers):
-        found += [combined(lines, pairs[seen[one]], pairs[other]) for other in seen[others]]
+    found, views = [Cylinders(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))], [0]
+    bases = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), MAX_BASES)).astype(np.int64))
+    for i in bases.tolist():
+        for other in partners(lines, rows, seen[i], seen[i + 1 :]).tolist():
+            found.append(combined(lines, pairs[seen[i]], pairs[other]))
+            views.append(seen[i])
+    counts = [len(of.radii) for of in found]
     together = Cylinders(*(np.concatenate(part) for part in zip(*found, strict=True)))
-    chosen = evenly(len(together.radii), MAX_TRIED)
-    return Cylinders(*(part[chosen] for part in together))
+    return together, np.repeat(np.array(views, np.int64), counts)
+
+
+def longest(lines: Lines, rows: IntArray) -> IntArray:
+    """The `MAX_LINES` longest of the (n,) lines of a view, in order."""
+    return np.sort(rows[np.argsort(-lines.lengths[rows], kind="stable")[:MAX_LINES]])
+
+
+def partners(lines: Lines, rows: list[IntArray], view: int, others: IntArray) -> IntArray:
+    """At most `NUM_PARTNERS` of other views, evenly chosen by their distance."""
+    centers = np.array([lines.centers[rows[other][0]] for other in others]).reshape(-1, 3)
+    order = np.argsort(np.linalg.norm(centers - lines.centers[rows[view][0]], axis=1))
+    chosen = np.unique(np.linspace(0, len(order) - 1, min(NUM_PARTNERS, len(order))).astype(int))
+    found: IntArray = others[order[chosen]]
+    return found

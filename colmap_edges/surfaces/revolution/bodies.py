@@ -6,45 +6,34 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.ndimage import uniform_filter1d
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile, closed_along
-from colmap_edges.surfaces.revolution.sight import entries_of, rays_that_meet, shell_of
+from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
-    BOTH_SHARE,
-    MAX_COSINE,
     MAX_THROUGH,
-    MIN_BOTH,
-    MIN_COSINE,
     MIN_STEPS,
-    NUM_SEEING,
     SPACING_PX,
     Rays,
     Sight,
+    frontal_views,
+    seen_away_from_edges,
+    show_all_around,
 )
-from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
+MAX_BEFORE = 0.3  # maximum share of rays that end before a place of the body that a view sees
+OUTLINED = 0.98  # maximum cosine of the angle around the axis at which an outline is seen
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
 CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in its deviations
+RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
+RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
 END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
-
-
-def found_on(
-    profile: Profile, rays: Rays, views: Sequence[View], evidence: Evidence
-) -> tuple[list[RoundFace], SeenPoints] | None:
-    """The faces of a body with a profile, and points on them; None if views do not believe it."""
-    if not is_believed(profile, rays_that_meet(shell_of(profile), rays), views):
-        return None
-    whole = with_caps(profile, rays)
-    points = points_on(whole, seen_bins(whole, views), views, evidence)
-    return faces_of(whole, np.flatnonzero(showing_both(profile))), points
 
 
 def showing_both(profile: Profile) -> BoolArray:
@@ -59,25 +48,22 @@ def is_believed(profile: Profile, sight: Sight, views: Sequence[View]) -> bool:
     places = np.linspace(profile.places[0], profile.places[-1], 9) * axis.pixel
     along = axis.point + places[:, None] * axis.direction
     inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
-    met = int((~sight.before).sum() + profile.shown.sum())  # or touch it
+    met = int((~sight.before).sum()) + len(profile.rows)
     is_solid = bool(sight.through.sum() <= MAX_THROUGH * met)
-    showing = np.flatnonzero(showing_both(profile) & inside)
-    if not is_solid or len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
-        return False
-    away = np.array([views[v].center for v in showing.tolist()]) - axis.point
-    toward = unit(away - np.outer(away @ axis.direction, axis.direction))
-    return bool(np.min(toward @ toward.T) <= MAX_COSINE)
+    return is_solid and show_all_around(
+        showing_both(profile), inside, axis.point, axis.direction, views
+    )
 
 
-def with_caps(profile: Profile, rays: Rays) -> Profile:
+def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:
     """The profile continued to the axis at ends that close smoothly, as those of balls and eggs.
 
-    There the square of the radius is a quadratic function of the place, and few rays pass through
-    the cap.
+    There the square of the radius is a quadratic function of the place. No rim may be around the
+    end, as around an opening, and few rays may pass through the cap.
     """
     for end in (1, -1):
         found = cap_of(profile, end)
-        if found is None:
+        if found is None or has_rim(profile, end, evidence):
             continue
         whole = joined(profile, *found, end)
         sight = rays_that_meet(shell_of(whole), rays)
@@ -136,8 +122,25 @@ def cap_of(profile: Profile, end: int) -> tuple[FloatArray, FloatArray, FloatArr
     return (heights + start) * end, np.sqrt(squares), normals
 
 
-def seen_bins(profile: Profile, views: Sequence[View]) -> BoolArray:
-    """(V, B) whether a view sees a bin: it shows both outlines there.
+def has_rim(profile: Profile, end: int, evidence: Evidence) -> bool:
+    """Whether edges run around an end of a profile, as around an opening."""
+    axis, last = profile.axis, -1 if end > 0 else 0
+    edges = evidence.points[evidence.edge_ids >= 0] - axis.point
+    along = edges @ axis.direction
+    across = edges - np.outer(along, axis.direction)
+    off = np.hypot(
+        along / axis.pixel - profile.places[last],
+        np.linalg.norm(across, axis=1) / axis.pixel - profile.radii[last],
+    )
+    near = across[off < 2 * RIM_PX]
+    basis = np.linalg.svd(axis.direction[None])[2][1:]
+    angles = np.arctan2(near @ basis[0], near @ basis[1])
+    turn = len(np.unique(np.floor(angles / (2 * np.pi) * 36)))
+    return turn > RIM_SHARE * 36
+
+
+def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArray:
+    """(V, B) whether a view sees a bin: it shows both outlines there, and nothing lies before it.
 
     Where a view can see no outline, on top of a body, those of the nearest bin count.
     """
@@ -151,7 +154,7 @@ def seen_bins(profile: Profile, views: Sequence[View]) -> BoolArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         cosines = rises * profile.radii + slopes * (profile.places - heights[:, None])
         cosines /= rises * reach[:, None]
-        outlined = np.abs(cosines) < 1
+        outlined = np.abs(cosines) < OUTLINED
     outlined &= profile.shown.any(axis=(0, 1)) & (profile.normals[:, 1] > 0.25)
     for view in range(len(views)):
         own = np.flatnonzero(outlined[view])
@@ -160,11 +163,16 @@ def seen_bins(profile: Profile, views: Sequence[View]) -> BoolArray:
             continue
         nearest = own[np.argmin(np.abs(np.arange(count)[:, None] - own), axis=1)]
         seen[view] = seen[view, nearest]
-    return seen
+    bins = np.argmin(np.abs(sight.places[:, None] - profile.places), axis=1)
+    before, every = np.zeros((2, len(views), count))
+    np.add.at(every, (sight.views, bins), 1)
+    np.add.at(before, (sight.views[sight.before], bins[sight.before]), 1)
+    before, every = (uniform_filter1d(of, 5, axis=1, mode="constant") for of in (before, every))
+    return np.asarray(seen & ~(before > MAX_BEFORE * every))
 
 
 def points_on(
-    profile: Profile, seen: BoolArray, views: Sequence[View], evidence: Evidence
+    profile: Profile, shell: Shell, seen: BoolArray, views: Sequence[View], evidence: Evidence
 ) -> SeenPoints:
     """Points on a body, away from its edges, with the views that see them."""
     axis = profile.axis
@@ -182,23 +190,12 @@ def points_on(
     points = axis.point + axis.pixel * local
     normals = slopes[owners, :1] * axis.direction + slopes[owners, 1:] * away
     centers = np.array([views[v].center for v in showing.tolist()])
-    edges = evidence.points[evidence.edge_ids >= 0]
-    if len(edges):
-        beside = cKDTree(edges).query(points, distance_upper_bound=step * axis.pixel)[0]
-        away_from_edges = np.isinf(beside)
-        points, normals = points[away_from_edges], normals[away_from_edges]
-        owners = owners[away_from_edges]
-    toward = unit(centers - points[:, None])
-    cosines = np.einsum("pvj,pj->pv", toward, normals)
-    cosines[~seen[showing][:, bins[owners]].T] = -1
-    order = np.argsort(-cosines, axis=1, kind="stable")[:, :NUM_SEEING]
-    rows, ranks = np.nonzero(np.take_along_axis(cosines, order, axis=1) > MIN_COSINE)
-    columns = order[rows, ranks]
-    starts, ways = points[rows], toward[rows, columns]
-    free = np.isinf(entries_of(shell_of(profile), starts, ways, skipped=2.0)[0])
-    counts = np.bincount(rows[free], minlength=len(points))
-    tracks = showing[columns[free]].astype(np.int32)
-    return SeenPoints(points[counts > 0], offsets_of(counts[counts > 0]), tracks)
+    frontal = frontal_views(points, normals, seen[showing][:, bins[owners]].T, centers)
+    rows, ranks = np.nonzero(frontal.kept)
+    toward = frontal.toward[rows, frontal.order[rows, ranks]]
+    hidden = np.isfinite(entries_of(shell, points[rows], toward, skipped=2.0)[0])
+    frontal.kept[rows[hidden], ranks[hidden]] = False
+    return seen_away_from_edges(points, frontal, showing, evidence, step * axis.pixel)
 
 
 def along_profile(

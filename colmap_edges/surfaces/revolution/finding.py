@@ -11,18 +11,25 @@ from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.seen_points import NO_POINTS, joined_seen
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.revolution.bodies import MAX_DEVIATION_PX, found_on
-from colmap_edges.surfaces.revolution.fitting import fitted
-from colmap_edges.surfaces.revolution.hypotheses import axes_of_circles, axes_of_mirrored
-from colmap_edges.surfaces.revolution.meridians import (
-    Axis,
-    axis_about,
-    meridian_of,
-    samples_near,
-    voted,
+from colmap_edges.surfaces.revolution.bodies import (
+    MAX_DEVIATION_PX,
+    is_believed,
+    points_on,
+    seen_bins,
+    showing_both,
+    with_caps,
 )
+from colmap_edges.surfaces.revolution.fitting import fitted
+from colmap_edges.surfaces.revolution.hypotheses import (
+    axes_of_circles,
+    axes_of_mirrored,
+    centers_of,
+)
+from colmap_edges.surfaces.revolution.meridians import Axis, meridian_of, samples_near, voted
+from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
+from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import SAME_SHARE, TRIED_SHARE, FoundRound, Rays
 from colmap_edges.surfaces.round_face import RoundFace
 
@@ -69,10 +76,14 @@ def find_bodies(
         for profile in profiles_of(free, meridian, axis, len(views)):
             if profile.deviation > MAX_DEVIATION_PX or used[profile.rows].mean() > SAME_SHARE:
                 continue
-            if body := found_on(profile, rays, views, evidence):
-                used[profile.rows] = True
-                faces += body[0]
-                points.append(body[1])
+            if not is_believed(profile, rays_that_meet(shell_of(profile), rays), views):
+                continue
+            used[profile.rows] = True
+            whole = with_caps(profile, rays, evidence)
+            shell = shell_of(whole)
+            seen = seen_bins(whole, rays_that_meet(shell, rays), views)
+            points.append(points_on(whole, shell, seen, views, evidence))
+            faces += faces_of(whole, np.flatnonzero(showing_both(profile)))
     return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
     )
@@ -81,8 +92,10 @@ def find_bodies(
 def axis_of_face(face: RoundFace, views: Sequence[View]) -> Axis:
     """The axis of a cylinder, with a ball that reaches beyond it."""
     place, radius = face.profile.mean(axis=0)
-    reach = float(np.ptp(face.profile[:, 0]) + 2 * radius)
-    return axis_about(face.point + place * face.direction, face.direction, reach, views)
+    point = face.point + place * face.direction
+    centers, focals = centers_of(views)
+    pixel = float(np.median(np.linalg.norm(point - centers, axis=1) / focals))
+    return Axis(point, face.direction, float(np.ptp(face.profile[:, 0]) + 2 * radius), pixel)
 
 
 def are_on_cylinder(samples: Samples, axis: Axis, face: RoundFace) -> BoolArray:

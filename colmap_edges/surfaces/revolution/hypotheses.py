@@ -11,19 +11,14 @@ from colmap_edges.core.arrays import FloatArray, IntArray, blocks
 from colmap_edges.core.curves3d import ARC, CIRCLE, Curves3D
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, rows_by_view
-from colmap_edges.surfaces.revolution.meridians import (
-    MIN_RISE,
-    MIN_SINE,
-    Axis,
-    axis_about,
-    centers_of,
-    touched,
-)
+from colmap_edges.surfaces.revolution.meridians import MIN_RISE, MIN_SINE, Axis, touched
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX, pairs_of_views
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
 MAX_CIRCLES = 60  # maximum number of circles, the longest ones
 CIRCLE_REACH = 4.0  # radius of the ball around a circle, relative to the circle's
+MAX_BASES = 12  # number of views in which mirrored outlines are sought, evenly chosen
+NUM_PARTNERS = 3  # number of other views with which each is combined
 MAX_SAMPLES = 250  # maximum number of samples of a view, on the longest chains
 MAX_PAIRS = 2000  # maximum number of mirrored pairs of a view
 NUM_TRIED = 200  # number of pairs whose planes are tried
@@ -57,10 +52,16 @@ def axes_of_circles(curves: Curves3D, views: Sequence[View]) -> list[Axis]:
     """The axes of the longest circles and arcs."""
     rows = np.flatnonzero((curves.kinds == ARC) | (curves.kinds == CIRCLE))
     rows = rows[np.argsort(-curves.lengths()[rows], kind="stable")[:MAX_CIRCLES]]
-    return [
-        axis_about(curves.frames[k, 0], curves.normals[k], CIRCLE_REACH * curves.radii[k, 0], views)
-        for k in rows
-    ]
+    points, reach = curves.frames[rows, 0], CIRCLE_REACH * curves.radii[rows, 0]
+    centers, focals = centers_of(views)
+    pixels = np.median(np.linalg.norm(points[:, None] - centers, axis=2) / focals, axis=1)
+    balls = zip(points, curves.normals[rows], reach, pixels, strict=True)
+    return [Axis(a, b, float(c), float(d)) for a, b, c, d in balls]
+
+
+def centers_of(views: Sequence[View]) -> tuple[FloatArray, FloatArray]:
+    """(V, 3) centres and (V,) focal lengths of views."""
+    return np.array([view.center for view in views]), np.array([view.focal_px for view in views])
 
 
 def axes_of_mirrored(samples: Samples, views: Sequence[View], random_seed: int) -> list[Axis]:
@@ -73,18 +74,19 @@ def axes_of_mirrored(samples: Samples, views: Sequence[View], random_seed: int) 
     """
     rng = np.random.default_rng(random_seed)
     rows_of = rows_by_view(samples.views, len(views))
-    centers, focals = centers_of(views)
-    pairs = list(pairs_of_views(centers))
-    planes = {base: planes_of(samples, rows_of[base], rng) for base, _ in pairs}
+    bases = np.unique(np.linspace(0, len(views) - 1, min(len(views), MAX_BASES)).astype(int))
+    planes = [planes_of(samples, rows_of[base], rng) for base in bases]
+    centers, focals = centers_of([views[base] for base in bases])
     normals, rows = [np.zeros((0, 2, 3))], [np.zeros((0, 2, 2 * NUM_KEPT), np.int64)]
-    for base, partners in pairs:
-        own = planes[base]
-        for other in (planes[partner] for partner in partners.tolist()):
+    for i, own in enumerate(planes[:-1]):
+        order = np.argsort(np.linalg.norm(centers[i + 1 :] - centers[i], axis=1))
+        chosen = np.unique(np.linspace(0, len(order) - 1, NUM_PARTNERS).astype(int))
+        for other in (planes[j] for j in (i + 1 + order[chosen]).tolist()):
             a, b = (part.ravel() for part in np.indices((len(own.normals), len(other.normals))))
             normals.append(np.stack([own.normals[a], other.normals[b]], axis=1))
             rows.append(np.stack([own.rows[a], other.rows[b]], axis=1))
-    both = np.concatenate(normals), np.concatenate(rows)
-    return axes_of_planes(samples, *both, centers, focals)
+    pairs = np.concatenate(normals), np.concatenate(rows)
+    return axes_of_planes(samples, *pairs, centers, focals)
 
 
 def planes_of(samples: Samples, rows: IntArray, rng: np.random.Generator) -> Planes:

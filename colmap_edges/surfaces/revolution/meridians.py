@@ -6,7 +6,6 @@ the normal that the image shows, this determines the point; all views must agree
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +13,6 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Table
 from colmap_edges.core.polylines import cross, unit
-from colmap_edges.core.view import View
 from colmap_edges.surfaces.revolution.samples import Samples
 
 MIN_SINE = 0.1  # minimum sine between the plane of ray and axis and the normal
@@ -40,20 +38,6 @@ class Axis(NamedTuple):
     direction: FloatArray
     reach: float
     pixel: float
-
-
-def axis_about(
-    point: FloatArray, direction: FloatArray, reach: float, views: Sequence[View]
-) -> Axis:
-    """The axis through a point, where a pixel has the length that most of the views see."""
-    centers, focals = centers_of(views)
-    pixel = np.median(np.linalg.norm(point - centers, axis=1) / focals)
-    return Axis(point, direction, float(reach), float(pixel))
-
-
-def centers_of(views: Sequence[View]) -> tuple[FloatArray, FloatArray]:
-    """(V, 3) centres and (V,) focal lengths of views."""
-    return np.array([view.center for view in views]), np.array([view.focal_px for view in views])
 
 
 @dataclass(frozen=True, kw_only=True)

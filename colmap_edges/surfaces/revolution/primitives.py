@@ -6,12 +6,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from colmap_edges.core.arrays import FloatArray, IntArray
-from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.revolution.profiles import MIN_BINS, Profile
 from colmap_edges.surfaces.round_face import RoundFace
 
-MAX_OFF_PX = 0.5  # maximum root mean square distance of a profile from a line or an arc
+# Maximum root mean square distance from a line or an arc: in deviations of the profile, or pixels.
+MAX_OFF, LEAST_OFF_PX = 2.0, 0.4
 MIN_LINE = 0.5  # minimum share of a line that is a part of the profile
+SAME_RADIUS = 0.02  # maximum difference of a cylinder's radii, relative
+CENTERED = 0.05  # maximum distance of the centre of a sphere's arc from the axis, in radii of it
+MAX_ARC = 4.0  # maximum radius of an arc, in lengths of the profile: longer ones are no arcs
 NUM_KNOTS = 12  # maximum number of points of other profiles
 
 
@@ -31,14 +34,15 @@ def faces_of(profile: Profile, views: IntArray) -> list[RoundFace]:
             profile=part * profile.axis.pixel,
             views=views,
         )
-        for kind, part in parts_of(points, MAX_OFF_PX)
+        for kind, part in parts_of(points, max(MAX_OFF * profile.deviation, LEAST_OFF_PX))
     ]
 
 
 def parts_of(points: FloatArray, limit: float) -> list[tuple[str, FloatArray]]:
     """Kinds and profiles of the parts of (n, 2) points within a limit of lines and arcs."""
-    if whole := line_of(points, limit) or arc_of(points, limit):
-        return [whole]
+    for whole in (line_of(points, limit), arc_of(points, limit)):
+        if whole:
+            return [whole]
     first, last = longest_line(points, limit)
     if last - first < max(MIN_LINE * len(points), MIN_BINS):
         return [("revolution", curve_of(points))]
@@ -50,41 +54,48 @@ def parts_of(points: FloatArray, limit: float) -> list[tuple[str, FloatArray]]:
 
 
 def line_of(points: FloatArray, limit: float) -> tuple[str, FloatArray] | None:
-    """The cylinder, or else the cone, within a limit of (n, 2) points, or None."""
+    """The cylinder or cone within a limit of (n, 2) points, or None."""
     places, radii = points.T
-    for degree, kind in enumerate(("cylinder", "cone")):
-        line = np.polynomial.Polynomial.fit(places, radii, degree)
-        off = (radii - line(places)) / np.hypot(1, line.deriv()(0))
-        ends = np.column_stack([places, line(places)])[[0, -1]]
-        if np.sqrt(np.mean(off**2)) <= limit and ends[:, 1].min() >= 0:
-            return kind, ends
-    return None
+    line = np.polynomial.Polynomial.fit(places, radii, 1)
+    ends = line(places[[0, -1]])
+    slope = float(np.diff(ends)[0] / np.ptp(places))
+    off = (radii - line(places)) / np.hypot(1, slope)
+    if np.sqrt(np.mean(off**2)) > limit or ends.min() < 0:
+        return None
+    if abs(ends[1] - ends[0]) < SAME_RADIUS * ends.mean():
+        ends[:] = ends.mean()
+        return "cylinder", np.column_stack([places[[0, -1]], ends])
+    return "cone", np.column_stack([places[[0, -1]], ends])
 
 
 def arc_of(points: FloatArray, limit: float) -> tuple[str, FloatArray] | None:
-    """The sphere, or else the torus, within a limit of (n, 2) points, or None."""
+    """The sphere or torus within a limit of (n, 2) points, or None."""
+    scale = float(np.linalg.norm(points[-1] - points[0]))
     middle = points.mean(axis=0)
-    away = points - middle
-    matrix = np.column_stack([2 * away, np.ones(len(points))])
-    x, y, rest = np.linalg.lstsq(matrix, (away**2).sum(axis=1), rcond=None)[0]
-    radius = np.sqrt(max(rest + x**2 + y**2, 1e-12))
-    start = np.array([middle[0] + x, radius, middle[1] + y])
+    start = np.linalg.lstsq(
+        np.column_stack([2 * (points - middle), np.ones(len(points))]),
+        ((points - middle) ** 2).sum(axis=1),
+        rcond=None,
+    )[0]
+    center = middle + start[:2]
+    radius = float(np.sqrt(max(start[2] + start[:2] @ start[:2], 1e-12)))
+    if radius > MAX_ARC * scale:
+        return None
+    is_sphere = abs(center[1]) < CENTERED * radius
 
     def off(x: FloatArray) -> FloatArray:
-        distances: FloatArray = np.hypot(points[:, 0] - x[0], points[:, 1] - x[2:].sum()) - x[1]
+        distances: FloatArray = np.hypot(points[:, 0] - x[0], points[:, 1] - x[2:3].sum()) - x[1]
         return distances
 
-    for count, kind in ((2, "sphere"), (3, "torus")):  # the centre of a sphere is on the axis
-        found = least_squares(off, start[:count])
-        if np.sqrt(np.mean(found.fun**2)) <= limit:
-            center, own = (
-                np.array([found.x[0], found.x[2:].sum()]),
-                points[[0, len(points) // 2, -1]],
-            )
-            ends = center + found.x[1] * unit(own - center)
-            ends[:, 1] = np.where(own[:, 1] == 0, 0, np.maximum(ends[:, 1], 0))
-            return kind, ends
-    return None
+    start = np.array([center[0], radius] if is_sphere else [center[0], radius, center[1]])
+    found = least_squares(off, start)
+    if np.sqrt(np.mean(found.fun**2)) > limit:
+        return None
+    center = np.array([found.x[0], found.x[2:3].sum()])
+    away = points[[0, len(points) // 2, -1]] - center
+    ends = center + found.x[1] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    ends[:, 1] = np.where(points[[0, len(points) // 2, -1], 1] == 0, 0, np.maximum(ends[:, 1], 0))
+    return ("sphere" if is_sphere else "torus"), ends
 
 
 def longest_line(points: FloatArray, limit: float) -> tuple[int, int]:
