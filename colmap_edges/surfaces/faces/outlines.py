@@ -11,7 +11,7 @@ from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, entries_o
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.hypotheses import Planes
 
-MIN_CELLS = 32  # minimum number of raster cells of a face
+MIN_CELLS = 8  # minimum number of raster cells of a face
 MAX_SIDE = 2000  # maximum side of that raster, in cells
 
 
