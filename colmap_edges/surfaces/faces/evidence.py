@@ -55,8 +55,7 @@ def gather_evidence(model: Model, edges: Edges3D) -> Evidence:
     rays, pixels, spread = sight_of(points, offsets, views, model)
     num_sfm = len(model.points3D_xyz)
     ray_sigmas = pixels / spread
-    known = np.isfinite(edges.sigmas)
-    ray_sigmas[num_sfm:][known] = edges.sigmas[known]
+    ray_sigmas[num_sfm:] = ray_sigmas_of(edges, pixels[num_sfm:], spread[num_sfm:])
     lengths = edge_lengths(edges) / pixels[num_sfm:]
     return Evidence(
         points=points,
@@ -107,6 +106,15 @@ def sight_of(
         own = sizes[offsets[rows, None] + np.arange(count)]
         pixels[rows] = np.partition(own, rank, axis=1)[:, rank]
     return sums / length[:, None], pixels, spread
+
+
+def ray_sigmas_of(edges: Edges3D, pixels: FloatArray, spread: FloatArray) -> FloatArray:
+    """(N,) standard deviations of edge points along their rays, world units.
+
+    They are those of the edges where known, otherwise follow from `pixels` and `spread` (N,) of
+    `sight_of`.
+    """
+    return np.where(np.isfinite(edges.sigmas), edges.sigmas, pixels / spread)
 
 
 def tangents_of(edges: Edges3D) -> FloatArray:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.surfaces.faces.evidence import gather_evidence
+from colmap_edges.surfaces.faces.evidence import ray_sigmas_of, sight_of
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.faces.labelling import ON_TOLERANCE
 
@@ -32,12 +32,13 @@ def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:
     """
     if not len(faces.face_ids) or not curves.num_points:
         return curves
-    first, evidence = len(model.points3D_xyz), gather_evidence(model, curves)
-    rays, sigmas = evidence.rays[first:], evidence.sigmas[first:]
+    seen = curves.observations
+    rays, sigmas, spread = sight_of(curves.points, seen.offsets, seen.views, model)
+    ray_sigmas = ray_sigmas_of(curves, sigmas, spread)
     planes = planes_next_to(curves.points, faces)
     cosines = np.einsum("nkj,nj->nk", planes[..., :3], rays)
     away = planes[..., 3] - np.einsum("nkj,nj->nk", planes[..., :3], curves.points)
-    deviations = np.hypot(sigmas[:, None], evidence.ray_sigmas[first:, None] * cosines)
+    deviations = np.hypot(sigmas[:, None], ray_sigmas[:, None] * cosines)
     in_noise = np.where(np.abs(cosines) >= MIN_COSINE, np.abs(away) / deviations, np.inf)
     rows = np.arange(curves.num_points), np.argmin(np.nan_to_num(in_noise, nan=np.inf), axis=1)
     moved = in_noise[rows] <= ON_TOLERANCE
