@@ -38,8 +38,8 @@ class PlaneSearch {
   }
 
   // One plane after the other, each with the most support by points that are not on others yet, and
-  // then those at which others end; the second number is how many the first are.
-  std::pair<std::vector<Plane>, size_t> Run(const std::vector<Plane>& planes) {
+  // then, if wanted, those at which others end; the second number is how many the first are.
+  std::pair<std::vector<Plane>, size_t> Run(const std::vector<Plane>& planes, bool with_ends) {
     const double least = options_.min_share * total_;
     weights_ = whole_;
     Score(planes, least);
@@ -74,7 +74,7 @@ class PlaneSearch {
       found.push_back(*plane), owned.push_back(own);
     }
     const size_t count = found.size();
-    AddEnds(&found, std::move(owned));
+    if (with_ends) AddEnds(&found, std::move(owned));
     return {found, count};
   }
 

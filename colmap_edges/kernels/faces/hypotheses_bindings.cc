@@ -34,7 +34,7 @@ nb::tuple ToArrays(Rows<int32_t>&& rows) {
 
 nb::tuple SearchPlanesArrays(Points3D points, Points3D tangents, Points3D rays, Doubles sigmas,
                              Doubles weights, Points3D normals, Doubles offsets, Points3D common,
-                             double max_slope, Doubles options, int max_planes) {
+                             double max_slope, Doubles options, int max_planes, bool with_ends) {
   const PlaneEvidence evidence = ToEvidence(points, tangents, rays, sigmas);
   Require(weights.size() == sigmas.size(), "points and weights differ in number");
   Require(options.size() == 5, "options are missing");
@@ -49,7 +49,8 @@ nb::tuple SearchPlanesArrays(Points3D points, Points3D tangents, Points3D rays, 
   {
     nb::gil_scoped_release release;
     const PlanePoints tried(evidence, max_slope);
-    const auto [found, count] = PlaneSearch(tried, weights.data(), axes, search).Run(planes);
+    const auto [found, count] =
+        PlaneSearch(tried, weights.data(), axes, search).Run(planes, with_ends);
     for (const Plane& plane : found) {
       found_normals.insert(found_normals.end(), {plane.normal.x, plane.normal.y, plane.normal.z});
       found_offsets.push_back(plane.offset);
@@ -130,9 +131,9 @@ OutArray<int64_t> PairsOfOneRadiusArrays(Translation center, double focal_px, Pa
 void BindFaceHypotheses(nb::module_& m) {
   m.def("search_planes", &SearchPlanesArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
         "weights"_a, "normals"_a, "offsets"_a, "common"_a, "max_slope"_a, "options"_a,
-        "max_planes"_a,
-        "Normals and offsets of the planes chosen among candidates, then of those at which others "
-        "end, and the number of the first.");
+        "max_planes"_a, "with_ends"_a,
+        "Normals and offsets of the planes chosen among candidates, then, if wanted, of those at "
+        "which others end, and the number of the first.");
   m.def("planes_of_points", &PlanesOfPointsArrays, "points"_a, "tangents"_a, "rays"_a, "sigmas"_a,
         "normals"_a, "offsets"_a, "tolerance"_a, "max_slope"_a,
         "Offsets and planes, row by row, that each point lies on.");

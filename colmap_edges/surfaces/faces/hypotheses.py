@@ -134,13 +134,23 @@ class Hypotheses:
         return normals, offsets
 
     def best_of(
-        self, found: Planes, more: tuple[FloatArray, FloatArray], common: FloatArray
+        self,
+        found: Planes,
+        more: tuple[FloatArray, FloatArray],
+        common: FloatArray,
+        with_ends: bool = False,
     ) -> tuple[Planes, Planes]:
         """The planes with the most support among those found before and (H) more.
 
+        Args:
+            found: planes found before.
+            more: normals and offsets of the others.
+            common: (A, 3) normals that many planes have.
+            with_ends: whether planes at which others end are sought, too.
+
         Returns:
-            The planes, and others that share most of their points with one that ends there: a wall
-            may be known by its line with the ceiling alone.
+            The planes, and those at which others end: a wall may be known by its line with the
+            ceiling alone, and shares all of its points with it.
         """
         options = (TOLERANCE, MIN_SHARE, EXPLAINED_WEIGHT, SAME_SHARE, SNAP_GAIN)
         normals, offsets, count = _kernels.search_planes(
@@ -155,6 +165,7 @@ class Hypotheses:
             MAX_SLOPE,
             np.array(options),
             MAX_PLANES,
+            with_ends,
         )
         first, others = slice(count), slice(count, None)
         return Planes(normals=normals[first], offsets=offsets[first]), Planes(
@@ -190,10 +201,15 @@ def nearest(points: FloatArray, sources: IntArray, ranks: IntArray) -> IntArray:
 
 
 def find_planes(evidence: Evidence, centers: FloatArray, rng: np.random.Generator) -> Planes:
-    """Planes on which much of the evidence lies, those with the most first, of (V, 3) views.
+    """Planes on which much of the evidence lies, those with the most first.
 
-    Planes at which others end follow, if the views are on one side of them: people do not walk
-    through walls.
+    Planes at which others end follow, if nearly all cameras are on one side of them: nobody takes
+    photographs from within or behind a wall.
+
+    Args:
+        evidence: observed points.
+        centers: (V, 3) camera centres of all views.
+        rng: of the random choice of hypotheses.
     """
     none = Planes(normals=np.zeros((0, 3)), offsets=np.zeros(0))
     if len(evidence.points) < 8:
@@ -205,7 +221,8 @@ def find_planes(evidence: Evidence, centers: FloatArray, rng: np.random.Generato
             break
         found, _ = tried.best_of(found, tried.candidates(common, weights), common)
         weights = tried.weights * tried.lie_alone(found)
-    found, ends = tried.best_of(found, tried.candidates(common, tried.weights), common)
+    everywhere = tried.candidates(common, tried.weights)
+    found, ends = tried.best_of(found, everywhere, common, with_ends=True)
     beyond = (centers @ ends.normals.T > ends.offsets).mean(axis=0)
     closed = np.minimum(beyond, 1 - beyond) <= MAX_BEYOND
     return Planes(

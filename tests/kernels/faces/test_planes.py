@@ -112,7 +112,7 @@ def test_planes_are_those_of_a_search_that_weighs_all(seed):
     planes, common = random_planes(rng, 200), np.eye(3)[:2]
     expected = greedy(evidence, weights, planes, common, 12)
     normals, offsets, count = _kernels.search_planes(
-        *evidence, weights, *planes, common, SLOPE, np.array(OPTIONS), 12
+        *evidence, weights, *planes, common, SLOPE, np.array(OPTIONS), 12, True
     )
     normals, offsets = normals[:count], offsets[:count]
     assert len(offsets) == len(expected) > 3
@@ -126,11 +126,13 @@ def test_no_plane_without_points_or_candidates():
     none, options = np.zeros((0, 3)), np.array(OPTIONS)
     empty = np.zeros(0)
     found = _kernels.search_planes(
-        none, none, none, empty, empty, none, empty, none, SLOPE, options, 9
+        none, none, none, empty, empty, none, empty, none, SLOPE, options, 9, True
     )
     assert found[0].shape == (0, 3)
     evidence = random_points(np.random.default_rng(0), 60)
-    found = _kernels.search_planes(*evidence, np.ones(60), none, empty, none, SLOPE, options, 9)
+    found = _kernels.search_planes(
+        *evidence, np.ones(60), none, empty, none, SLOPE, options, 9, True
+    )
     assert found[1].shape == (0,)
 
 
