@@ -102,5 +102,8 @@ def test_a_point_next_to_the_cameras_plane_makes_no_more_cells_than_points():
     points[0] = 1e15, 0, 1e-3
     pixels, depths = view.project_undistorted(points)
     assert len(pixels) > MIN_POINTS
-    found = DepthRange(overall=(0.1, 1.0), pixels=pixels, inverse_depths=1 / depths)
+    depth_range = (0.1, 1.0)
+    found = DepthRange(
+        of_points=depth_range, overall=depth_range, pixels=pixels, inverse_depths=1 / depths
+    )
     assert np.isfinite(found.at(pixels)).all()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
@@ -13,12 +14,15 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import lengths_of
 from colmap_edges.core.view import in_images
-from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
 
 # margin of a view's range of inverse depths, on both sides, relative to the range
 RANGE_MARGIN = 0.25
-NEAR_POINTS = 16  # nearest SfM points that determine the depth range of a pixel
+# Plain walls behind all SfM points of a view are up to this many times as far as these.
+BEYOND_POINTS = 3
+NEAR_POINTS = 16  # mean number of SfM points that determine the depth range of a pixel
+MIN_NEAR = 6  # minimum number of these; with fewer the range is that of the view
+BORDER_CELLS = 2  # empty cells around the cells with points
 MIN_POINTS = 20  # minimum number of SfM points of a view; with fewer its pose is used instead
 MOST_SHARED = 8192  # maximum number of points of a view by which its neighbours are scored
 MOST_BY_POSE = 256  # maximum number of views that a view without points is compared with
@@ -29,39 +33,65 @@ class DepthRange:
     """Range of inverse depths (1 / world units) of a view, overall and near its SfM points.
 
     Attributes:
-        overall: smallest and largest inverse depth.
+        of_points: smallest and largest inverse depth of its SfM points, with a margin; of its pose
+            if these are too few.
+        overall: the same, but as far as plain walls behind all points may be.
         pixels: (n, 2) float64 undistorted pixels of its SfM points; empty if these are too few.
         inverse_depths: (n,) float64 of these points.
     """
 
+    of_points: tuple[float, float]
     overall: tuple[float, float]
     pixels: FloatArray
     inverse_depths: FloatArray
 
+    @classmethod
+    def without_points(cls, by_pose: tuple[float, float]) -> DepthRange:
+        """The range of a view with too few SfM points, given that by its pose."""
+        none = np.zeros(0)
+        return cls(
+            of_points=by_pose,
+            overall=(by_pose[0] / BEYOND_POINTS, by_pose[1]),
+            pixels=none.reshape(0, 2),
+            inverse_depths=none,
+        )
+
     def at(self, undistorted: FloatArray) -> FloatArray:
         """(N, 2) smallest and largest inverse depth at (N, 2) undistorted pixels.
 
-        That of the SfM points nearest to the centre of the pixel's cell, with a margin for surfaces
-        in front of or behind them. Cells are square, of about four SfM points each.
+        That of the SfM points in the pixel's square cell and the eight cells around it, with a
+        margin for surfaces in front of or behind them. Where points are few, walls may be plain,
+        and nothing is known of them: the range is the overall one.
         """
-        if len(self.pixels) <= NEAR_POINTS:
-            return np.tile(self.overall, (len(undistorted), 1))
         low, high = self.overall
-        # column by column: numpy reduces rows of two elements slowly
+        ranges = np.tile(np.array(self.overall), (len(undistorted), 1))
+        if len(self.pixels) <= NEAR_POINTS:
+            return ranges
+        # Column by column: numpy reduces rows of two elements slowly.
         corner = np.array([column.min() for column in self.pixels.T])
         extent = np.maximum([np.ptp(column) for column in self.pixels.T], 1.0)
-        size = 2 * float(np.sqrt(extent.prod() / len(self.pixels)))
+        size = float(np.sqrt(extent.prod() / len(self.pixels) * NEAR_POINTS / 9))
         # Points near the camera's plane may project anywhere: no more cells in a row than points.
         size = max(size, float(extent.max()) / len(self.pixels))
-        last = np.ceil(extent / size) - 1
-        columns, rows = np.clip((undistorted - corner) // size, 0, last).T
-        cells, own = np.unique(rows * (last[0] + 1) + columns, return_inverse=True)
-        places = np.column_stack([cells % (last[0] + 1), cells // (last[0] + 1)])
-        inverse = _kernels.nearest_ranges(
-            self.pixels, self.inverse_depths, places * size + size / 2 + corner, size, NEAR_POINTS
-        )
-        margin = 0.15 * (high - low)
-        ranges: FloatArray = np.clip(inverse[own] + (-margin, margin), low, high)
+        columns, rows = (extent // size).astype(np.int64) + 1 + 2 * BORDER_CELLS
+
+        def cells_of(pixels: FloatArray) -> IntArray:
+            x, y = ((pixels - corner) // size + BORDER_CELLS).T
+            cells = np.clip(y, 0, rows - 1) * columns + np.clip(x, 0, columns - 1)
+            return np.asarray(cells, np.int64)
+
+        own, cells = cells_of(self.pixels), cells_of(undistorted)
+        counts = np.bincount(own, minlength=rows * columns).reshape(rows, columns)
+        nearest, farthest = np.zeros(counts.shape), np.full(counts.shape, np.inf)
+        np.maximum.at(nearest.reshape(-1), own, self.inverse_depths)
+        np.minimum.at(farthest.reshape(-1), own, self.inverse_depths)
+        margin = 0.15 * (self.of_points[1] - self.of_points[0])
+        around = [
+            ndimage.minimum_filter(farthest, 3).ravel()[cells] - margin,
+            ndimage.maximum_filter(nearest, 3).ravel()[cells] + margin,
+        ]
+        known = ndimage.convolve(counts, np.ones((3, 3), counts.dtype)).ravel()[cells] >= MIN_NEAR
+        ranges[known] = np.clip(np.column_stack(around)[known], low, high)
         return ranges
 
 
@@ -138,15 +168,20 @@ def inverse_depth_ranges(model: Model, observed: csr_array) -> tuple[DepthRange,
         if len(inverse) < MIN_POINTS:
             if focus is None:
                 focus, distances = find_focus(model), nearest_distances(model.camera_centers)
-            overall, none = pose_range(model, index, focus, distances[index]), np.zeros(0)
-            ranges.append(
-                DepthRange(overall=overall, pixels=none.reshape(0, 2), inverse_depths=none)
-            )
+            by_pose = pose_range(model, index, focus, distances[index])
+            ranges.append(DepthRange.without_points(by_pose))
             continue
         low, high = np.percentile(inverse, [0.5, 99.5])
         margin = RANGE_MARGIN * (high - low) + 0.02 * low
-        overall = float(max(low - margin, 0.1 * low)), float(high + margin)
-        ranges.append(DepthRange(overall=overall, pixels=undistorted, inverse_depths=inverse))
+        nearest, farthest = float(high + margin), float(max(low - margin, 0.1 * low))
+        ranges.append(
+            DepthRange(
+                of_points=(farthest, nearest),
+                overall=(min(farthest, float(low) / BEYOND_POINTS), nearest),
+                pixels=undistorted,
+                inverse_depths=inverse,
+            )
+        )
     return tuple(ranges)
 
 

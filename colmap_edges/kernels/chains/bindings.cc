@@ -16,7 +16,6 @@
 #include "chains/side_gray.h"
 #include "common/arrays.h"
 #include "common/edge_index.h"
-#include "common/nearest_ranges.h"
 
 namespace colmap_edges {
 namespace {
@@ -291,31 +290,6 @@ OutArray<double> SlidePositionsArray(Rotation rotation, Translation translation,
   return ToArray(std::move(moved), {size_t(undistorted.shape(0)), views.size()});
 }
 
-OutArray<double> NearestRangesArray(Points2D points, Doubles values, Points2D places, double cell,
-                                    int num_nearest) {
-  const size_t count = points.shape(0), num_places = places.shape(0);
-  Require(count > 0 && values.size() == count, "there are no points, or not as many values");
-  Require(num_nearest > 0 && cell > 0, "num_nearest and cell must be positive");
-  for (size_t k = 0; k < 2 * count; ++k) {
-    const double offset = std::abs(points.data()[k] - points.data()[k % 2]);
-    Require(offset / cell <= 2.0 * double(count), "points are not finite or cells too small");
-  }
-  for (size_t k = 0; k < 2 * num_places; ++k) {
-    Require(std::isfinite(places.data()[k]), "a place is not finite");
-  }
-  std::vector<double> ranges(2 * num_places);
-  {
-    nb::gil_scoped_release release;
-    const PointGrid grid(reinterpret_cast<const Vec2*>(points.data()), values.data(),
-                         int64_t(count), cell);
-    for (size_t i = 0; i < num_places; ++i) {
-      const ValueRange range = grid.Nearest({places(i, 0), places(i, 1)}, size_t(num_nearest));
-      ranges[2 * i] = range.low, ranges[2 * i + 1] = range.high;
-    }
-  }
-  return ToArray(std::move(ranges), {num_places, 2});
-}
-
 nb::tuple CountAroundArrays(Points2D pixels, Doubles depths, Doubles margins, Longs curves,
                             double radius_px, double slope, int num_threads) {
   const size_t count = pixels.shape(0);
@@ -390,10 +364,6 @@ void BindChains(nb::module_& m) {
   m.def("slide_positions", &SlidePositionsArray, "rotation"_a, "translation"_a, "focal"_a,
         "undistorted"_a, "inverse_depths"_a, "positions"_a, "views"_a, "num_threads"_a,
         "(N, K) positions nearest to the points on their observing chains.");
-  m.def("nearest_ranges", &NearestRangesArray, "points"_a, "values"_a, "places"_a, "cell"_a,
-        "num_nearest"_a,
-        "(m, 2) smallest and largest of the values of the points nearest to each place. Points are "
-        "searched in a grid of square cells.");
   m.def("count_around", &CountAroundArrays, "pixels"_a, "depths"_a, "margins"_a, "curves"_a,
         "radius_px"_a, "slope"_a, "num_threads"_a,
         "(N,) numbers of neighbours on other curves that are nearer, (N,) that are equally far.");

@@ -159,6 +159,13 @@ class Sampler {
     const Hypothesis* hypothesis;
   };
 
+  // A neighbour with hypotheses of one sample, their density, and the sample's ray in its frame.
+  struct Visible {
+    int32_t neighbor;
+    double density;
+    Vec3 ray;
+  };
+
   float Likelihood(const Sides& a, const Sides& b) const {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
     return p_.side_likelihoods[256 * dark + bright];
@@ -173,7 +180,8 @@ class Sampler {
     return Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
   }
   void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Seen* seen);
-  void Gather(size_t sample);
+  void Gather(size_t sample, int64_t point);
+  bool Holds(const Visible& view, double inverse_depth) const;
   int Agreeing(int64_t u);
   double RatioOf(int64_t u);
   Cluster MakeCluster(int64_t u);
@@ -191,7 +199,7 @@ class Sampler {
   std::vector<EpipolarIndex::Crossed> crossed_;
   // Of one sample:
   std::vector<Candidate> candidates_;
-  std::vector<std::pair<int32_t, double>> visible_;  // neighbours with hypotheses, densities
+  std::vector<Visible> visible_;
   std::vector<double> ratios_;                       // by candidate; 0 for none
   std::vector<int64_t> agree_;                       // by neighbour
   SampleClusters found_;
@@ -213,7 +221,7 @@ inline const SampleClusters& Sampler::Clusters(const int64_t* points, const Dept
   }
   found_.offsets.resize(1), found_.clusters.clear(), found_.supports.clear();
   for (size_t s = 0; s < count; ++s) {
-    Gather(s);
+    Gather(s, points[s]);
     ratios_.resize(candidates_.size());
     for (size_t u = 0; u < candidates_.size(); ++u) ratios_[u] = RatioOf(int64_t(u));
     AddBestClusters();
@@ -223,12 +231,12 @@ inline const SampleClusters& Sampler::Clusters(const int64_t* points, const Dept
 }
 
 // The hypotheses of a sample with all neighbours, sorted by inverse depth.
-inline void Sampler::Gather(size_t sample) {
+inline void Sampler::Gather(size_t sample, int64_t point) {
   candidates_.clear(), visible_.clear();
   for (size_t n = 0; n < pairs_.size(); ++n) {
     const Seen& seen = seen_[n][sample];
     if (seen.begin == seen.end) continue;
-    visible_.push_back({int32_t(n), seen.density});
+    visible_.push_back({int32_t(n), seen.density, RayIn(point, pairs_[n])});
     for (int32_t h = seen.begin; h < seen.end; ++h) {
       const Hypothesis& own = hypotheses_[n][h];
       candidates_.push_back(
@@ -331,19 +339,29 @@ inline int Sampler::Agreeing(int64_t u) {
   return num;
 }
 
+// Whether a sample at an inverse depth lies within the bounds of a neighbour's chains.
+inline bool Sampler::Holds(const Visible& view, double inverse_depth) const {
+  const Pair& pair = pairs_[view.neighbor];
+  const Vec3 x = view.ray + inverse_depth * pair.translation;
+  const double scale = pair.view->focal() / x[2];
+  return x[2] > 0 && pair.view->Reaches({scale * x[0], scale * x[1]}, 0);
+}
+
 // Likelihood ratio of the agreement with hypothesis u, true edge against chance; 0 if no path needs
 // it. A neighbour agrees by chance with the probability x / (1 + x) for x expected intersections in
-// the window of two hypotheses. Distances and side similarities are further factors.
+// the window of two hypotheses. Distances and side similarities are further factors. Neighbours
+// that cannot see it say nothing.
 inline double Sampler::RatioOf(int64_t u) {
   if (Agreeing(u) < 2) return 0;
   const double q = p_.detection_rate, v = p_.visibility_rate;
   const double window = std::sqrt(2.0) * p_.max_disagreement_px;
   const Candidate& own = candidates_[u];
   double ratio = 1;
-  for (const auto& [n, density] : visible_) {
-    const int64_t agreeing = agree_[n];
+  for (const Visible& view : visible_) {
+    const int64_t agreeing = agree_[view.neighbor];
+    if (agreeing < 0 && !Holds(view, own.inverse_depth)) continue;
     const double sigma = agreeing >= 0 ? candidates_[agreeing].sigma : own.sigma;
-    const double x = std::clamp(window * (own.sigma + sigma) * density, 0.02, 50.0);
+    const double x = std::clamp(window * (own.sigma + sigma) * view.density, 0.02, 50.0);
     double seen = (1 - q) * (1 + x);
     if (agreeing >= 0) {
       const Candidate& other = candidates_[agreeing];

@@ -33,7 +33,7 @@ MAX_THROUGH = 0.1  # maximum number of views that see a plane behind it, per agr
 MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per agreeing view
 # Minimum share of the accepted cells that are PLAIN_CELLS or farther from all observed points:
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
-MIN_PLAIN = 1 / 4
+MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face

@@ -150,7 +150,7 @@ def find_patches(
         for sites, points, edge in zip(active, sfm, on_edges, strict=True)
     ]
     scene = make_scene(model, grids, neighborhood)
-    ranges = np.array([of.overall for of in neighborhood.ranges]).reshape(-1, 2)
+    ranges = np.array([of.of_points for of in neighborhood.ranges]).reshape(-1, 2)
     steps = (LEAST_VARIANCE, MIN_COSINE, NUM_SWEEPS, BELIEVED, seed, num_threads)
     num_found = scene.search([of.view(np.uint8) for of in active], hypotheses, ranges, *steps)
     others = around(neighborhood.observing_views)

@@ -17,7 +17,7 @@ from colmap_edges.edges3d.chains.depths import ChainDepths, compute_chain_depths
 from colmap_edges.edges3d.chains.view_selection import DepthRange
 from colmap_edges.options import ChainDepthOptions
 
-RANGE = DepthRange(overall=(0.05, 1.0), pixels=np.zeros((0, 2)), inverse_depths=np.zeros(0))
+RANGE = DepthRange.without_points((0.05, 1.0))
 VIEW = known.looking((1.0, -4.0, 2.0), roll=0.3)
 
 

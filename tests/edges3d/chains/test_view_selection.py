@@ -145,7 +145,7 @@ def test_depth_ranges_hold_the_depths_seen_and_little_else():
     points, observed = ball(400), np.random.default_rng(1).random((400, 12)) < 0.5
     model = known.model_of(RING, points, observed)
     ranges = inverse_depth_ranges(model, observation_matrix(model))
-    for view, (low, high) in enumerate(r.overall for r in ranges):
+    for view, (low, high) in enumerate(r.of_points for r in ranges):
         inverse = 1 / RING[view].cam_from_world(points[observed[:, view]])[:, 2]
         assert 0 < low < inverse.min()
         assert inverse.max() < high
@@ -213,6 +213,20 @@ def test_depths_around_a_place_are_those_of_the_points_there():
     assert near[0] < 1 / 5 < near[1]
     assert far[0] < 1 / 10 < far[1] < near[1]
     assert found.at(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_where_no_points_are_plain_walls_may_be_farther():
+    """A picture on the wall to the left; to the right of it, all that is behind it."""
+    rng = np.random.default_rng(0)
+    picture = np.column_stack([rng.uniform(-2, -1, 200), np.full(200, 3.0), rng.uniform(0, 1, 200)])
+    view = known.looking((0, -5, 0.5))
+    model = known.model_of([view], picture)
+    (found,) = inverse_depth_ranges(model, observation_matrix(model))
+    on_it, aside = view.project_undistorted(np.array([[-1.5, 3, 0.5], [1.5, 3, 0.5]]))[0]
+    near, far = found.at(np.array([on_it, aside]))
+    np.testing.assert_allclose(far, found.overall)
+    inverse = 1 / view.cam_from_world(picture)[:, 2]
+    assert far[0] < 0.34 * inverse.min() < 0.9 * inverse.min() < near[0] < inverse.min()
 
 
 def test_many_views_without_points_are_compared_with_those_near_by_only(monkeypatch):

@@ -178,6 +178,29 @@ def test_sides_without_likelihood_are_no_match():
     assert depth_by_sides([(200, 20), (200, 20)], table)[2] == 0
 
 
+def score_with_a_third_view(depths):
+    """Log likelihood ratio of a depth that two views agree on; the third sees it at none of these.
+
+    Its chains are at the given depths.
+    """
+    source, views = two_crossings([(60, 180), (60, 180)])
+    along, pose = np.linspace(-20, 20, 41), (np.eye(3), np.array([1.5, 0.0, 0.0]))
+    chains = [np.column_stack([np.full(41, FOCAL * 1.5 / z), along]) for z in depths]
+    normals, offsets = np.tile([[1.0, 0.0]], (82, 1)), np.array([0, 41, 82])
+    views.append(edge_index(np.concatenate(chains), normals, offsets, np.zeros(2, bool), pose))
+    return _kernels.chain_depths(
+        source, views, np.array([20]), np.array([0, 1]), np.array([[0.1, 1.0]]), 1.0, 1.0,
+        ANY_SIDES, 0.1, 0.5, 0.8, 0.0, 4.0, 6, 1,
+    )[2][0]  # fmt: skip
+
+
+def test_views_that_cannot_see_a_depth_say_nothing_about_it():
+    """Depths of 2 and 4 agree in two views; a third that sees neither there speaks against them."""
+    alone = depth_by_sides([(60, 180), (60, 180)], ANY_SIDES)[1]
+    assert score_with_a_third_view([1.2, 1.3]) == pytest.approx(alone)  # to one side of both
+    assert alone - 0.6 < score_with_a_third_view([1.2, 9.0]) < alone - 0.3
+
+
 def test_samples_off_the_chains_are_refused():
     view = edge_index(np.zeros((1, 2)), np.zeros((1, 2)), np.array([0, 1]), np.zeros(1, bool))
     with pytest.raises(ValueError, match="not a point"):
