@@ -200,8 +200,8 @@ class Sampler {
   // Of one sample:
   std::vector<Candidate> candidates_;
   std::vector<Visible> visible_;
-  std::vector<double> ratios_;                       // by candidate; 0 for none
-  std::vector<int64_t> agree_;                       // by neighbour
+  std::vector<double> ratios_;  // by candidate; 0 for none
+  std::vector<int64_t> agree_;  // by neighbour
   SampleClusters found_;
 };
 
