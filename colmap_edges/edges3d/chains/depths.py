@@ -9,7 +9,7 @@ the paper's three-view selection).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -169,8 +169,7 @@ def learn_side_likelihoods(
 ) -> SideLikelihoods:
     """Learn how side intensities differ between views, for one edge and for different edges.
 
-    Learned from depths that are reliable by geometry alone and in the range of the SfM points, for
-    some samples of some views.
+    Learned from depths that are reliable by geometry alone, for some samples of some views.
 
     Args:
         given: the V views with their graphs and neighbours.
@@ -187,8 +186,7 @@ def learn_side_likelihoods(
     same, chance = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2), np.int64)]
     count = len(given.views)
     for view in np.linspace(0, count - 1, np.clip(count // 8, 2, 6)).astype(int).tolist():
-        known = replace(ranges[view], overall=ranges[view].of_points)
-        depths = compute_chain_depths(given, view, known, few, num_threads)
+        depths = compute_chain_depths(given, view, ranges[view], few, num_threads)
         owners = owners_of(depths.support_offsets)
         sure = depths.scores[owners] >= sure_score(depths)
         own = given.graph(view).sides[depths.samples[owners]].astype(int)

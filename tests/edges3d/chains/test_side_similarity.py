@@ -97,14 +97,14 @@ def learned_from(noise, num_lines):
         graph = known.graph_of(view, [known.line(*each) for each in ends])
         sides = own[graph.polyline_ids] + rng.normal(0, noise, (len(graph.points), 2))
         graphs.append(replace(graph, sides=np.clip(sides, 0, 255).astype(np.uint8)))
-    model = known.model_of(views)
+    model = known.model_of(views, rng.uniform(-0.8, 0.8, (300, 3)))
     near = select_views(model, ViewSelectionOptions())
     given = make_input(model, Graphs.of(graphs), near)
     return learn_side_likelihoods(given, near.ranges, ChainDepthOptions(), 0, 1)
 
 
 def test_what_sides_say_is_learned_from_the_views():
-    sides = learned_from(noise=2.0, num_lines=150)
+    sides = learned_from(noise=2.0, num_lines=100)
     table = sides.table
     assert 3 < sides.limit < 15
     assert table[2, 2] > 5
