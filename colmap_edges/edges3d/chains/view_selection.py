@@ -47,11 +47,11 @@ class DepthRange:
 
     @classmethod
     def without_points(cls, by_pose: tuple[float, float]) -> DepthRange:
-        """The range of a view with too few SfM points: surfaces may be at any distance."""
+        """The range of a view with too few SfM points, from that by its pose."""
         none = np.zeros(0)
         return cls(
             of_points=by_pose,
-            overall=(0.0, by_pose[1]),
+            overall=(by_pose[0] / BEYOND_POINTS, by_pose[1]),
             pixels=none.reshape(0, 2),
             inverse_depths=none,
         )

@@ -15,7 +15,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.background import MAX_DEVIATION, MIN_VIEWS_RATIO
-from colmap_edges.surfaces.sky.regions import Regions, rays_of
+from colmap_edges.surfaces.sky.regions import Regions, border_of, rays_of
 
 NUM_SAMPLES = 100_000  # pixels of all regions whose colours are compared
 NUM_ROUNDS = 12  # of reweighting; the first ones still follow regions that are no backdrop
@@ -78,17 +78,26 @@ def agreeing_regions(
     directions: FloatArray,
     off: FloatArray,
 ) -> BoolArray:
-    """(R,) regions of which most (n,) samples deviate little from the model; or none."""
-    found = np.zeros(len(regions.views), bool)
+    """(R,) regions of which most (n,) samples deviate little from the model; or none.
+
+    In views of an overexposed backdrop, a light face of a body may agree with the model by the
+    view's factor. Most of what reaches the border of a view must agree, too.
+    """
     seen_by, agree = regions.views[owners], off <= MAX_DEVIATION
-    counts = np.bincount(owners, minlength=len(found))
-    found = np.bincount(owners, agree, minlength=len(found)) > AGREEING * counts
+    counts = np.bincount(owners, minlength=len(regions.views))
+    found = np.bincount(owners, agree, minlength=len(counts)) > AGREEING * counts
     chosen = found[owners]
     shown = len(np.unique(seen_by[chosen])) >= MIN_VIEWS_RATIO * len(views)
     if chosen.mean() < MIN_SHARE or not shown:
         return np.zeros(len(found), bool)
     is_round = np.linalg.norm(directions[chosen].mean(axis=0)) <= MAX_MEAN_LENGTH
-    return found & is_round
+    outer = counts * np.isin(
+        np.arange(len(counts)), np.concatenate([border_of(labels) for labels in regions.labels])
+    )
+    at_border, agreeing = (
+        np.bincount(regions.views, each, len(views)) for each in (outer, outer * found)
+    )
+    return found & is_round & (agreeing >= MIN_SHARE * at_border)[regions.views]
 
 
 def agreeing_pixels(

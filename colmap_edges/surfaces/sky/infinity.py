@@ -9,7 +9,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.sky.regions import Regions, rays_of, small_pixels
+from colmap_edges.surfaces.sky.regions import Regions, border_of, rays_of, small_pixels
 
 MIN_COMMON = 20  # minimum number of common points that tell the exposures of two views
 MIN_MATCHES = 0.3  # minimum number of agreeing views of a pixel, in the mean of a region
@@ -181,11 +181,6 @@ def samples_of(regions: Regions, view: int) -> tuple[IntArray, IntArray]:
     ]
     owners = np.repeat(own, [len(inside) for inside in spread])
     return owners, np.concatenate([np.zeros(0, np.int64), *spread])
-
-
-def border_of(labels: Int32Array) -> Int32Array:
-    """Regions along the border of a picture, and -1."""
-    return np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
 
 
 def adjacent_pairs(labels: Int32Array, near: BoolArray) -> Int32Array:

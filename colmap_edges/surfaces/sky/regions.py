@@ -115,6 +115,11 @@ def rays_of(view: View, picture: Picture, pixels: IntArray) -> FloatArray:
     return unit(rays)
 
 
+def border_of(labels: Int32Array) -> Int32Array:
+    """Regions along the border of a picture, and -1."""
+    return np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+
+
 def find_regions(
     views: Sequence[View],
     pictures: Mapping[int, Picture],
