@@ -1,5 +1,7 @@
 """A far backdrop looks the same from all places; walls do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
@@ -107,6 +109,24 @@ def test_regions_that_disagree_are_left_out():
     regions = regions_of(views, gradient)
     regions.pictures[4][:, :40] = 60  # a plain curtain
     shown = find_backdrop(views, regions)
+    assert [of.any() for of in shown] == [index != 4 for index in range(VIEWS)]
+
+
+def test_a_face_of_a_body_is_none_where_the_border_shows_something_else():
+    """The factor of a view with an overexposed backdrop is free, and any plain face fits it."""
+    views = orbit()
+    regions = regions_of(views, gradient)
+    outside = regions.labels[4] >= 0
+    noise = np.random.default_rng(2).integers(0, 256, (int(outside.sum()), 1))  # fits no factor
+    regions.pictures[4][outside] = noise
+    face = np.s_[22:43, 27:53]
+    regions.pictures[4][face] = 0.8 * gradient(views[4]).reshape(HEIGHT, WIDTH, 3)[face]
+    regions.labels[4][face] = 5
+    for labels in regions.labels[5:]:
+        labels[labels >= 0] += 1
+    of_views = np.insert(regions.views, 5, 4)
+    with_face = replace(regions, views=of_views, below=np.zeros(VIEWS + 1, bool))
+    shown = find_backdrop(views, with_face)
     assert [of.any() for of in shown] == [index != 4 for index in range(VIEWS)]
 
 
