@@ -188,7 +188,8 @@ def test_background_reaches_the_mesher(small, tmp_path):
     assert meshes[0] == meshes[1] == meshes[2]
     found = reconstruct(pycolmap.Reconstruction(str(scene[1])), scene[0], options)
     assert len(found.background.rays.cameras) == counts["background"]["background_rays"]
-    given = mesh(scene[1], found.edges, background=found.background, contours=found.contours)
+    others = {name: getattr(found, name) for name in ("background", "contours", "faces", "patches")}
+    given = mesh(scene[1], found.edges, **others)
     assert len(given.faces) == counts["mesh"]["faces"]
     unused = replace(options, meshing=replace(options.meshing, background_weight=0.0))
     report = run("mesh", paths_of(scene, tmp_path, None), unused, overwrite=True)

@@ -398,9 +398,8 @@ def test_faces_in_python_are_those_of_a_run(scene_paths, meshed, result, tmp_pat
     found = {name: getattr(result, name) for name in ("contours", "background", "patches")}
     given = colmap_edges.mesh(scene_paths[1], result.edges, faces=result.faces, **found)
     assert len(given.faces) == meshed[1]["stages"][-2]["counts"]["faces"]
-    # The mesh of this scene's points and edges lacks nothing of its faces.
     without = colmap_edges.mesh(scene_paths[1], result.edges, **found)
-    assert np.array_equal(without.vertices, given.vertices)
+    assert len(given.vertices) > len(without.vertices) + 0.5 * len(result.faces.points.points) > 0
     shutil.copytree(output, tmp_path / "out")
     listed = json.loads((output / "faces.json").read_text())
     listed["faces"][0]["image_ids"].append(999)
