@@ -65,7 +65,7 @@ class DepthRange:
         """
         low, high = self.overall
         ranges = np.tile(np.array(self.overall), (len(undistorted), 1))
-        if len(self.pixels) <= NEAR_POINTS:
+        if not len(self.pixels):
             return ranges
         # Column by column: numpy reduces rows of two elements slowly.
         corner = np.array([column.min() for column in self.pixels.T])

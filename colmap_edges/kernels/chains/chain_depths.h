@@ -123,6 +123,7 @@ inline DepthRange WithNeighborhood(const DepthRange& range, double a, double b, 
 struct Seen {
   int32_t begin = 0, end = 0;
   double density = 0;  // intersections of the right polarity per unit of inverse depth
+  Vec3 ray{};          // of the sample, in the neighbour's frame
 };
 
 // Likelihood ratio of the difference of two agreeing hypotheses, true edge against chance, given
@@ -159,13 +160,6 @@ class Sampler {
     const Hypothesis* hypothesis;
   };
 
-  // A neighbour with hypotheses of one sample, their density, and the sample's ray in its frame.
-  struct Visible {
-    int32_t neighbor;
-    double density;
-    Vec3 ray;
-  };
-
   float Likelihood(const Sides& a, const Sides& b) const {
     const int dark = std::abs(int(a[0]) - int(b[0])), bright = std::abs(int(a[1]) - int(b[1]));
     return p_.side_likelihoods[256 * dark + bright];
@@ -180,8 +174,8 @@ class Sampler {
     return Multiply(pair.rotation, {x[0] / source_.focal(), x[1] / source_.focal(), 1});
   }
   void Collect(int64_t i, const DepthRange& range, int32_t neighbor, Seen* seen);
-  void Gather(size_t sample, int64_t point);
-  bool Holds(const Visible& view, double inverse_depth) const;
+  void Gather(size_t sample);
+  bool Holds(int32_t neighbor, const Seen& seen, double inverse_depth) const;
   int Agreeing(int64_t u);
   double RatioOf(int64_t u);
   Cluster MakeCluster(int64_t u);
@@ -199,9 +193,9 @@ class Sampler {
   std::vector<EpipolarIndex::Crossed> crossed_;
   // Of one sample:
   std::vector<Candidate> candidates_;
-  std::vector<Visible> visible_;
-  std::vector<double> ratios_;  // by candidate; 0 for none
-  std::vector<int64_t> agree_;  // by neighbour
+  std::vector<std::pair<int32_t, const Seen*>> visible_;  // neighbours with hypotheses
+  std::vector<double> ratios_;                            // by candidate; 0 for none
+  std::vector<int64_t> agree_;                            // by neighbour
   SampleClusters found_;
 };
 
@@ -221,7 +215,7 @@ inline const SampleClusters& Sampler::Clusters(const int64_t* points, const Dept
   }
   found_.offsets.resize(1), found_.clusters.clear(), found_.supports.clear();
   for (size_t s = 0; s < count; ++s) {
-    Gather(s, points[s]);
+    Gather(s);
     ratios_.resize(candidates_.size());
     for (size_t u = 0; u < candidates_.size(); ++u) ratios_[u] = RatioOf(int64_t(u));
     AddBestClusters();
@@ -231,12 +225,12 @@ inline const SampleClusters& Sampler::Clusters(const int64_t* points, const Dept
 }
 
 // The hypotheses of a sample with all neighbours, sorted by inverse depth.
-inline void Sampler::Gather(size_t sample, int64_t point) {
+inline void Sampler::Gather(size_t sample) {
   candidates_.clear(), visible_.clear();
   for (size_t n = 0; n < pairs_.size(); ++n) {
     const Seen& seen = seen_[n][sample];
     if (seen.begin == seen.end) continue;
-    visible_.push_back({int32_t(n), seen.density, RayIn(point, pairs_[n])});
+    visible_.push_back({int32_t(n), &seen});
     for (int32_t h = seen.begin; h < seen.end; ++h) {
       const Hypothesis& own = hypotheses_[n][h];
       candidates_.push_back(
@@ -301,7 +295,7 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
     hypotheses.push_back({rho, sigma, double(s) + t, view.polyline(s), likelihood});
   });
   if (hypotheses.size() == before) return;
-  seen->begin = int32_t(before), seen->end = int32_t(hypotheses.size());
+  seen->begin = int32_t(before), seen->end = int32_t(hypotheses.size()), seen->ray = a;
   // n intersections span (n - 1) / (n + 1) of the visible part of the range on average. Half of
   // them have the wrong polarity.
   const double span = (farthest - nearest) * double(count + 1) / std::max(double(count - 1), 0.1);
@@ -340,9 +334,9 @@ inline int Sampler::Agreeing(int64_t u) {
 }
 
 // Whether a sample at an inverse depth lies within the bounds of a neighbour's chains.
-inline bool Sampler::Holds(const Visible& view, double inverse_depth) const {
-  const Pair& pair = pairs_[view.neighbor];
-  const Vec3 x = view.ray + inverse_depth * pair.translation;
+inline bool Sampler::Holds(int32_t neighbor, const Seen& seen, double inverse_depth) const {
+  const Pair& pair = pairs_[neighbor];
+  const Vec3 x = seen.ray + inverse_depth * pair.translation;
   const double scale = pair.view->focal() / x[2];
   return x[2] > 0 && pair.view->Reaches({scale * x[0], scale * x[1]}, 0);
 }
@@ -357,11 +351,11 @@ inline double Sampler::RatioOf(int64_t u) {
   const double window = std::sqrt(2.0) * p_.max_disagreement_px;
   const Candidate& own = candidates_[u];
   double ratio = 1;
-  for (const Visible& view : visible_) {
-    const int64_t agreeing = agree_[view.neighbor];
-    if (agreeing < 0 && !Holds(view, own.inverse_depth)) continue;
+  for (const auto& [n, with] : visible_) {
+    const int64_t agreeing = agree_[n];
+    if (agreeing < 0 && !Holds(n, *with, own.inverse_depth)) continue;
     const double sigma = agreeing >= 0 ? candidates_[agreeing].sigma : own.sigma;
-    const double x = std::clamp(window * (own.sigma + sigma) * view.density, 0.02, 50.0);
+    const double x = std::clamp(window * (own.sigma + sigma) * with->density, 0.02, 50.0);
     double seen = (1 - q) * (1 + x);
     if (agreeing >= 0) {
       const Candidate& other = candidates_[agreeing];

@@ -15,7 +15,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.background import MAX_DEVIATION, MIN_VIEWS_RATIO
-from colmap_edges.surfaces.sky.regions import Regions, border_of, rays_of
+from colmap_edges.surfaces.sky.regions import Regions, rays_of
 
 NUM_SAMPLES = 100_000  # pixels of all regions whose colours are compared
 NUM_ROUNDS = 12  # of reweighting; the first ones still follow regions that are no backdrop
@@ -91,9 +91,7 @@ def agreeing_regions(
     if chosen.mean() < MIN_SHARE or not shown:
         return np.zeros(len(found), bool)
     is_round = np.linalg.norm(directions[chosen].mean(axis=0)) <= MAX_MEAN_LENGTH
-    outer = counts * np.isin(
-        np.arange(len(counts)), np.concatenate([border_of(labels) for labels in regions.labels])
-    )
+    outer = counts * regions.at_border
     at_border, agreeing = (
         np.bincount(regions.views, each, len(views)) for each in (outer, outer * found)
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.sky.regions import Regions, border_of, rays_of, small_pixels
+from colmap_edges.surfaces.sky.regions import Regions, rays_of, small_pixels
 
 MIN_COMMON = 20  # minimum number of common points that tell the exposures of two views
 MIN_MATCHES = 0.3  # minimum number of agreeing views of a pixel, in the mean of a region
@@ -83,9 +83,7 @@ def spread(matches: Matches, regions: Regions, is_sky: BoolArray) -> BoolArray:
     beside = np.concatenate(
         [adjacent_pairs(*each) for each in zip(regions.labels, regions.near, strict=True)]
     )
-    at_border = np.isin(
-        np.arange(len(is_sky)), np.concatenate([border_of(r) for r in regions.labels])
-    )
+    at_border = regions.at_border
     found, count = is_sky, -1
     while found.sum() > count:
         count = int(found.sum())

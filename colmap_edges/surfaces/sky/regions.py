@@ -50,6 +50,14 @@ class Regions:
     views: IntArray
     below: BoolArray
 
+    @property
+    def at_border(self) -> BoolArray:
+        """(R,) whether they reach the border of their picture."""
+        borders = [(of[0], of[-1], of[:, 0], of[:, -1]) for of in self.labels]
+        return np.isin(
+            np.arange(len(self.views)), np.concatenate([np.hstack(of) for of in borders])
+        )
+
     def pixels(self, view: int) -> tuple[IntArray, list[IntArray]]:
         """The regions of a view, and the indices of their pixels in its flattened picture."""
         own = np.flatnonzero(self.views == view)
@@ -113,11 +121,6 @@ def rays_of(view: View, picture: Picture, pixels: IntArray) -> FloatArray:
     rows, columns = np.divmod(pixels, picture.shape[1])
     rays = view.rays((np.column_stack([columns, rows]) + 0.5) / scale_of(view, picture))
     return unit(rays)
-
-
-def border_of(labels: Int32Array) -> Int32Array:
-    """Regions along the border of a picture, and -1."""
-    return np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
 
 
 def find_regions(
