@@ -86,9 +86,9 @@ def test_own_edges_come_back(demo, default, tmp_path):
     found = edges_of(demo, write_maps(demo, tmp_path / "maps", "--min_blur_px", "0"))
     assert length(found) == pytest.approx(length(default), rel=0.05)
     # Chains at whole pixels differ by noise: a few pieces fall on the other side of the limit
-    # between edges and contours: 0.91 and 0.93, with the contours 0.96.
-    for edges, others in ((found, default), (default, found)):
-        assert share_near(edges, (others.points, others.segments), 0.01) > 0.9
+    # between edges and contours: 0.93 of what is found was there before, and 0.91 is found again.
+    for edges, others, least in ((found, default, 0.92), (default, found, 0.9)):
+        assert share_near(edges, (others.points, others.segments), 0.01) > least
 
 
 @pytest.mark.parametrize(("method", "least"), [("chains", 0.6), ("paper", 0.2)])
