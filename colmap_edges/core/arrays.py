@@ -93,6 +93,19 @@ def entries_of(offsets: IntArray, rows: IntArray) -> IntArray:
     return ranges_of(offsets[rows], offsets[rows + 1])
 
 
+def medians_of(values: FloatArray | IntArray, owners: IntArray, count: int) -> FloatArray:
+    """(count,) medians of the finite ones of (N,) values of each owner; NaN without any."""
+    finite = np.isfinite(values)
+    values, owners = values[finite], owners[finite]
+    values = values[np.lexsort((values, owners))]
+    counts = np.bincount(owners, minlength=count)
+    starts, some = np.cumsum(counts) - counts, counts > 0
+    low, high = ((starts + half)[some] for half in ((counts - 1) // 2, counts // 2))
+    medians = np.full(count, np.nan)
+    medians[some] = (values[low] + values[high]) / 2
+    return medians
+
+
 def ranges_of(starts: IntArray, ends: IntArray) -> IntArray:
     """The concatenated half-open ranges from (n,) starts to (n,) ends."""
     lengths = ends - starts

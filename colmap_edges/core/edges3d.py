@@ -231,6 +231,14 @@ class Edges3D:
         """(N,) edge index of each point."""
         return owners_of(self.edge_offsets)
 
+    @property
+    def num_views(self) -> IntArray:
+        """(E,) number of views that observe any point of each edge."""
+        seen = self.observations
+        count = int(seen.views.max(initial=0)) + 1
+        pairs = np.unique(self.edge_ids[seen.points] * count + seen.views)
+        return np.bincount(pairs // count, minlength=self.num_edges)
+
     @cached_property
     def segments(self) -> Int32Array:
         """(S, 2) pairs of consecutive edge points; closed edges also connect last and first."""

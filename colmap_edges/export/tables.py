@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from colmap_edges.core.arrays import IntArray, owners_of
+from colmap_edges.core.arrays import IntArray
 from colmap_edges.core.checks import checked
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import extra
@@ -59,7 +59,7 @@ def to_pandas(edges: Edges3D) -> EdgeTables:
         "closed": edges.closed,
         "first_node": column(edges.end_nodes[:, 0]),
         "last_node": column(edges.end_nodes[:, 1]),
-        "num_views": observing_views(edges),
+        "num_views": edges.num_views,
     }
     return EdgeTables(
         frame(of_edges).rename_axis(index="edge"), frame(of_points).rename_axis(index="point")
@@ -79,11 +79,3 @@ def load_pandas() -> tuple[Any, Any]:
         return pandas.arrays.IntegerArray(ids.astype(np.int64), ids < 0)
 
     return pandas.DataFrame, column
-
-
-def observing_views(edges: Edges3D) -> IntArray:
-    """(E,) number of views that observe any point of each edge."""
-    observations = edges.observations
-    owners = edges.edge_ids[owners_of(observations.offsets)]
-    pairs = np.unique(np.column_stack([owners, observations.views]), axis=0)
-    return np.bincount(pairs[:, 0], minlength=edges.num_edges)

@@ -9,13 +9,12 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.curves3d import LINE, Curves3D
+from colmap_edges.core.upright import up_direction
 from colmap_edges.core.view import View
 from colmap_edges.declared_options import shown
 from colmap_edges.errors import OptionError
 from colmap_edges.export.units import AXES
 
-LEVEL = 0.1  # weight of the images' upward directions against that of their level rows
-ROLLED = 0.5  # images whose upward directions agree less than this share of where they look
 NEAR_DEG = 30.0  # the images' estimate is that precise
 LINE_DEG = 1.5  # lines this close to vertical or horizontal count as such
 AXIS_DEG = 5.0  # an axis of the model this close is taken itself: the model has been aligned
@@ -38,23 +37,6 @@ def direction(up: Any) -> FloatArray:
     if not 0 < length < np.inf:
         raise OptionError(f"up is {shown(up)}; give three numbers or one of: {', '.join(AXES)}")
     return np.asarray(given / length)
-
-
-def up_direction(views: Sequence[View]) -> FloatArray:
-    """(3,) unit upward direction by the images alone, in world coordinates.
-
-    Rows of images are taken as level. Images that look one way, but are turned in every
-    direction, look down, as those of a drone do.
-    """
-    rotations = np.array([view.rotation for view in views])
-    right, up, forward = rotations[:, 0], -rotations[:, 1], rotations[:, 2].mean(axis=0)
-    mean = up.mean(axis=0)
-    if np.linalg.norm(mean) < ROLLED * np.linalg.norm(forward):
-        return np.asarray(-forward / np.linalg.norm(forward))
-    # The least squares of right . v and of LEVEL * |v - up|.
-    level = right.T @ right / len(views) + LEVEL * np.eye(3)
-    found = np.linalg.solve(level, mean)
-    return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
 
 
 def upward(views: Sequence[View], curves: Curves3D | None = None) -> FloatArray:

@@ -100,7 +100,7 @@ def find_edges(
     detection.graphs.release()
     if model is not given:
         viewer.show_model(model)
-    viewer.show_edges(traced.edges, len(model.views))
+    viewer.show_edges(traced.edges)
     curves = curve_stage(traced.edges, settings, stages)
     found = (model, traced.edges, detection, small, settings, stages)
     background, hidden = background_or_sky(*found) if finds_open else (None, ())

@@ -19,7 +19,7 @@ from colmap_edges.report.packing import compressed, data_uri, embedded, pack
 from colmap_edges.report.pictures import reprojected_layer
 from colmap_edges.report.scene3d import scene_data
 from colmap_edges.report.still import still_picture
-from colmap_edges.report.tracks import edge_data, edge_details, views_per_edge
+from colmap_edges.report.tracks import edge_data, edge_details
 from colmap_edges.runtime.output import write_whole
 
 
@@ -97,8 +97,7 @@ def charts(contents: Contents, residuals: FloatArray) -> list[Chart]:
     edges = contents.edges
     if edges is None:
         return []
-    num_views = views_per_edge(edges, len(contents.model.views))
-    return edge_charts(num_views, residuals, edges.lengths())
+    return edge_charts(edges.num_views, residuals, edges.lengths())
 
 
 def file_rows(folder: Path) -> list[tuple[str, str]]:

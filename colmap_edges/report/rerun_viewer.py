@@ -18,13 +18,13 @@ import numpy as np
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import ByteArray, IntArray
 from colmap_edges.core.edges3d import Edges3D
+from colmap_edges.core.upright import up_direction
 from colmap_edges.core.view import View
 from colmap_edges.errors import ColmapEdgesError
-from colmap_edges.export.upright import nearest_axis, up_direction
+from colmap_edges.export.upright import nearest_axis
 from colmap_edges.report.contents import ImagePicture
 from colmap_edges.report.faces3d import closed_rings, largest, triangulated
 from colmap_edges.report.scene3d import pyramid_depth
-from colmap_edges.report.tracks import views_per_edge
 from colmap_edges.report.viewpoint import bounds
 from colmap_edges.runtime.output import check_apart, check_file, one_line, write_whole
 from colmap_edges.surfaces.faces.outlines import Face
@@ -45,8 +45,8 @@ class Viewer:
     def show_picture(self, view: View, picture: ImagePicture) -> None:
         """Show the reduced picture of an image at its camera."""
 
-    def show_edges(self, edges: Edges3D, num_views: int) -> None:
-        """Show the 3D edges of a model with `num_views` views."""
+    def show_edges(self, edges: Edges3D) -> None:
+        """Show the 3D edges."""
 
     def show_faces(self, faces: Sequence[Face]) -> None:
         """Show the planar faces between the edges."""
@@ -113,15 +113,14 @@ class RerunViewer(Viewer):
             "height": height,
         }
 
-    def show_edges(self, edges: Edges3D, num_views: int) -> None:
+    def show_edges(self, edges: Edges3D) -> None:
         """Show the 3D edges as lines coloured by the number of views that observe them."""
-        views = views_per_edge(edges, num_views)
         self.log(
             "edges",
             LineStrips3D={
                 "strips": edges.polylines(),
-                "colors": colors_of(views),
-                "labels": [f"edge {i}, {n} views" for i, n in enumerate(views)],
+                "colors": colors_of(edges.num_views),
+                "labels": [f"edge {i}, {n} views" for i, n in enumerate(edges.num_views)],
                 "show_labels": False,
                 "radii": self.rerun.Radius.ui_points(1.0),
             },

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import FloatArray, IntArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, IntArray, medians_of, offsets_of
 from colmap_edges.core.curves3d import KINDS, Curves3D
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.report.contents import Packed
@@ -21,31 +21,12 @@ def edge_of_observation(edges: Edges3D) -> IntArray:
     return edges.edge_ids[edges.observations.points]
 
 
-def views_per_edge(edges: Edges3D, num_views: int) -> IntArray:
-    """(E,) number of views that observe any point of each edge."""
-    pairs = np.unique(edge_of_observation(edges) * num_views + edges.observations.views)
-    return np.bincount(pairs // max(num_views, 1), minlength=edges.num_edges)
-
-
 def residual_per_edge(edges: Edges3D, residuals: FloatArray) -> FloatArray:
     """(E,) mean residual of each edge's observations, pixels."""
     owners, finite = edge_of_observation(edges), np.isfinite(residuals)
     sums = np.bincount(owners[finite], residuals[finite], edges.num_edges)
     counts = np.bincount(owners[finite], minlength=edges.num_edges)
     return np.asarray(sums / np.maximum(counts, 1))
-
-
-def medians_of(values: FloatArray, owners: IntArray, count: int) -> FloatArray:
-    """(count,) medians of the finite ones of (N,) values of each owner; NaN without any."""
-    finite = np.isfinite(values)
-    values, owners = values[finite], owners[finite]
-    values = values[np.lexsort((values, owners))]
-    counts = np.bincount(owners, minlength=count)
-    starts, some = np.cumsum(counts) - counts, counts > 0
-    low, high = ((starts + half)[some] for half in ((counts - 1) // 2, counts // 2))
-    medians = np.full(count, np.nan)
-    medians[some] = (values[low] + values[high]) / 2
-    return medians
 
 
 def edge_data(
@@ -67,7 +48,7 @@ def edge_data(
     counts = np.bincount(owners, minlength=edges.num_edges)
     return {
         "length": edges.lengths().astype(np.float32),
-        "views": views_per_edge(edges, len(model.views)).astype(np.int32),
+        "views": edges.num_views.astype(np.int32),
         "residual": residual_per_edge(edges, residuals).astype(np.float32),
         "points": np.diff(edges.edge_offsets).astype(np.int32),
         "track_offsets": offsets_of(counts).astype(np.int32),

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.edges3d import Edges3D
-from colmap_edges.export.upright import up_direction
+from colmap_edges.core.polylines import unit
+from colmap_edges.core.upright import up_direction
 from colmap_edges.report.contents import Contents
 
 FOV = np.pi / 4  # vertical field of view
@@ -38,14 +39,9 @@ class Viewpoint:
     @property
     def axes(self) -> FloatArray:
         """(3, 3) unit vectors to the right, downwards and forwards, as rows."""
-        forward = normalized(self.focus - self.eye)
-        right = normalized(np.cross(forward, self.up))
+        forward = unit(self.focus - self.eye)
+        right = unit(np.cross(forward, self.up))
         return np.stack([right, np.cross(forward, right), forward])
-
-
-def normalized(vector: FloatArray) -> FloatArray:
-    """The vector normalised to length 1; (0, 0, 0) is unchanged."""
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-300))
 
 
 def bounds(model: Model, edges: Edges3D | None) -> tuple[FloatArray, FloatArray]:
@@ -122,7 +118,7 @@ def overview(model: Model, points: FloatArray) -> Viewpoint:
     """A viewpoint from the mean of all cameras, for models without observations."""
     focus = np.median(points, axis=0)
     reach = float(np.linalg.norm(points - focus, axis=1).max()) + 1e-9
-    outward = normalized(model.camera_centers.mean(axis=0) - focus)
+    outward = unit(model.camera_centers.mean(axis=0) - focus)
     outward = outward if outward.any() else -model.views[0].rotation[2]
     up = up_direction(model.views)
     return Viewpoint(eye=focus + 2.6 * reach * outward, focus=focus, up=up)

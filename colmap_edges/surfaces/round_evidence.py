@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
 from colmap_edges.core.arrays import (
@@ -109,28 +110,54 @@ class Rays(NamedTuple):
         return Sight(self.views[rows], places, behind > limits, behind < -limits)
 
 
-def show_all_around(
-    both: BoolArray,
-    inside: BoolArray,
-    point: FloatArray,
-    direction: FloatArray,
+def on_both_sides(shown: BoolArray) -> BoolArray:
+    """(V,) whether views show outlines on both sides, of (V, 2, B) whether they do at a bin."""
+    sides: BoolArray = np.asarray(shown.any(axis=2))
+    return np.asarray(sides[:, 0] & sides[:, 1])
+
+
+def is_believed(
+    shown: BoolArray,
+    axis: FloatArray,
+    sight: Sight,
     views: Sequence[View],
+    num_touching: int = 0,
 ) -> bool:
-    """Whether many of the views that contain a body show both its outlines, from all around it.
+    """Whether views all around show both outlines of a body, and few rays pass through it.
 
     Args:
-        both: (V,) whether they show both outlines.
-        inside: (V,) whether they contain it.
-        point: (3,) of the axis.
-        direction: (3,) unit direction of the axis.
-        views: the V views.
+        shown: (V, 2, B) whether a view shows the outline of a side at a bin.
+        axis: (2, 3) ends of the stretch of the axis.
+        sight: the rays to observed points that meet it.
+        views: the V views, of which most of those that contain it are to show its outlines.
+        num_touching: number of rays that touch it, and do not pass through it either.
     """
-    showing = np.flatnonzero(both & inside)
+    if sight.through.sum() > MAX_THROUGH * (int((~sight.before).sum()) + num_touching):
+        return False
+    along = axis[0] + np.linspace(0, 1, 9)[:, None] * (axis[1] - axis[0])
+    inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
+    showing = np.flatnonzero(on_both_sides(shown) & inside)
     if len(showing) < max(MIN_BOTH, BOTH_SHARE * inside.sum()):
         return False
-    away = np.array([views[v].center for v in showing.tolist()]) - point
+    direction = unit(axis[1] - axis[0])
+    away = np.array([views[v].center for v in showing.tolist()]) - axis[0]
     toward = unit(away - np.outer(away @ direction, direction))
     return bool(np.min(toward @ toward.T) <= MAX_COSINE)
+
+
+def longest_run(mask: BoolArray, weights: IntArray) -> tuple[int, int]:
+    """The run of true values with the largest sum of weights: its start and end."""
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    runs = borders.reshape(-1, 2)
+    first, last = runs[int(np.argmax([weights[a:b].sum() for a, b in runs]))].tolist()
+    return first, last
+
+
+def closed_along(shown: BoolArray, gap: int) -> BoolArray:
+    """(..., B) flags with gaps of up to `gap` bins closed."""
+    ends = [*[(0, 0)] * (shown.ndim - 1), (gap, gap)]
+    closed = binary_closing(np.pad(shown, ends), np.ones((1,) * (shown.ndim - 1) + (gap + 1,)))
+    return np.asarray(closed[..., gap:-gap])
 
 
 class Frontal(NamedTuple):

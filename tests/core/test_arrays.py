@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from colmap_edges.core.arrays import (
     entries_of,
+    medians_of,
     offsets_of,
     order_of,
     owners_of,
@@ -52,3 +53,15 @@ def test_rows_are_numbered_in_their_order(rows, kind):
     found = row_numbers(table)
     expected = np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
     np.testing.assert_array_equal(np.unique(found, return_inverse=True)[1], expected)
+
+
+def test_medians_of_values_by_owner():
+    rng = np.random.default_rng(0)
+    owners, values = rng.integers(0, 20, 100) * 2, rng.normal(size=100)
+    values[rng.permutation(100)[:30]] = np.nan
+    values[owners == 4] = np.nan
+    found = medians_of(values, owners, 40)
+    for owner in range(40):
+        own = values[(owners == owner) & np.isfinite(values)]
+        expected = np.median(own) if len(own) else np.nan
+        np.testing.assert_equal(found[owner], expected)

@@ -23,7 +23,7 @@ from colmap_edges.pipeline.run import run
 from colmap_edges.report.contents import Contents
 from colmap_edges.report.page import write_report
 from colmap_edges.report.pictures import PictureVisitor
-from colmap_edges.report.tracks import medians_of, residual_per_edge, views_per_edge
+from colmap_edges.report.tracks import residual_per_edge
 from colmap_edges.surfaces.faces.outlines import Face
 from colmap_edges.surfaces.mesh import Mesh
 
@@ -100,21 +100,9 @@ def test_edge_figures_by_hand():
         pixels=np.zeros((7, 2)),
     )
     edges = Edges3D.of_polylines(np.zeros((4, 3)), np.array([2, 2]), observations)
-    assert views_per_edge(edges, 3).tolist() == [3, 2]
+    assert edges.num_views.tolist() == [3, 2]
     residuals = np.array([1, 2, 3, 2, np.nan, 4, 6])
     assert residual_per_edge(edges, residuals).tolist() == [2, 5]
-
-
-def test_medians_of_values_by_owner():
-    rng = np.random.default_rng(0)
-    owners, values = rng.integers(0, 20, 100) * 2, rng.normal(size=100)
-    values[rng.permutation(100)[:30]] = np.nan
-    values[owners == 4] = np.nan
-    found = medians_of(values, owners, 40)
-    for owner in range(40):
-        own = values[(owners == owner) & np.isfinite(values)]
-        expected = np.median(own) if len(own) else np.nan
-        np.testing.assert_equal(found[owner], expected)
 
 
 def many_edges(model, count, per_edge, views_each):

@@ -11,10 +11,11 @@ from plain_rooms import upright_view
 from colmap_edges.core.arrays import offsets_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import SeenPoints
+from colmap_edges.core.upright import up_directions
 from colmap_edges.options import MeshingOptions
 from colmap_edges.surfaces.faces.finding import NO_FACES
 from colmap_edges.surfaces.mesher import mesh_with_curves
-from colmap_edges.surfaces.sky.colours import Colors, upward
+from colmap_edges.surfaces.sky.colours import Colors
 from colmap_edges.surfaces.sky.finding import find_sky
 from colmap_edges.surfaces.sky.regions import below_structure, smooth_regions
 
@@ -201,7 +202,7 @@ def test_photographs_may_be_turned(turns, all_of_them):
     masks = sky_of(scene(views), pictures)
     assert masks is not None
     assert min(np.mean(mask) for mask in masks if mask is not None) > 0.2
-    assert abs(upward(views)[0] @ UP) > 0.98
+    assert abs(up_directions(views)[0] @ UP) > 0.98
 
 
 def test_structure_casts_its_shadow_downwards():

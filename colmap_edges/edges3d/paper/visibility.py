@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, entries_of, offsets_of
+from colmap_edges.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    entries_of,
+    medians_of,
+    offsets_of,
+)
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.view import rows_by_view
 from colmap_edges.edges2d.edge_graph import EdgeGraph
@@ -235,7 +242,7 @@ def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D
     """
     views = edges.observations.counts
     threshold = min_inlier_views(views, options.min_views)
-    seen = medians_of_edges(views, edges) >= threshold
+    seen = medians_of(views, edges.edge_ids, edges.num_edges) >= threshold
     kept = keep_points(edges, seen[edges.edge_ids] & (views >= MIN_POINT_VIEWS))
     return kept, {
         "min_views": threshold,
@@ -244,19 +251,6 @@ def filter_outliers(edges: Edges3D, options: VisibilityOptions) -> tuple[Edges3D
         "edges_before": edges.num_edges,
         "edges_after": kept.num_edges,
     }
-
-
-def medians_of_edges(values: IntArray, edges: Edges3D) -> FloatArray:
-    """(E,) medians of (N,) values per edge; 0 for edges without points."""
-    order = np.lexsort((values, edges.edge_ids))
-    counts = np.diff(edges.edge_offsets)
-    low = edges.edge_offsets[:-1] + np.maximum(counts - 1, 0) // 2
-    high = edges.edge_offsets[:-1] + counts // 2
-    medians = np.zeros(edges.num_edges)
-    filled = counts > 0
-    of_both = values[order[low[filled]]] + values[order[high[filled]]]
-    medians[filled] = of_both / 2
-    return medians
 
 
 def rms_of_groups(errors: FloatArray, groups: IntArray, num_groups: int) -> FloatArray:

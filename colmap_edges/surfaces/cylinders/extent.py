@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_closing
 
-from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray
+from colmap_edges.core.arrays import BoolArray, FloatArray
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
@@ -19,14 +18,15 @@ from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_evidence import (
     COVERED_SHARE,
     MAX_GAP,
-    MAX_THROUGH,
     MIN_STEPS,
     SPACING_PX,
     Rays,
     Sight,
+    closed_along,
     frontal_views,
+    longest_run,
+    on_both_sides,
     seen_away_from_edges,
-    show_all_around,
 )
 
 BINS_PER_RADIUS = 12  # bins along the axis
@@ -45,12 +45,6 @@ class Extent:
     starts: FloatArray
     shown: BoolArray
 
-    @property
-    def both(self) -> BoolArray:
-        """(V,) whether a view shows both outlines."""
-        sides: BoolArray = np.asarray(self.shown.any(axis=2))
-        return np.asarray(sides[:, 0] & sides[:, 1])
-
 
 def extent_of(lines: Lines, one: Cylinders, support: Support, num_views: int) -> Extent:
     """The stretch of the axis at which many of the outlines are seen."""
@@ -64,33 +58,8 @@ def extent_of(lines: Lines, one: Cylinders, support: Support, num_views: int) ->
     covered = shown.sum(axis=(0, 1))
     often = covered >= COVERED_SHARE * np.quantile(covered, 0.9)
     gap = int(MAX_GAP * BINS_PER_RADIUS)
-    padded = np.pad(often, gap)
-    often = binary_closing(padded, np.ones(gap + 1, bool))[gap:-gap]
-    first, last = longest_run(often, covered)
+    first, last = longest_run(closed_along(often, gap), covered)
     return Extent(starts=low + step * np.arange(first, last + 1), shown=shown[:, :, first:last])
-
-
-def longest_run(mask: BoolArray, weights: IntArray) -> tuple[int, int]:
-    """The run of true values with the largest sum of weights: its start and end."""
-    borders = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    sums = [weights[a:b].sum() for a, b in borders.reshape(-1, 2)]
-    first, last = borders.reshape(-1, 2)[int(np.argmax(sums))]
-    return int(first), int(last)
-
-
-def are_in_image(one: Cylinders, extent: Extent, views: Sequence[View]) -> BoolArray:
-    """(V,) whether most of the axis projects into a view's image."""
-    places = np.linspace(extent.starts[0], extent.starts[-1], 9)
-    axis = one.points[0] + places[:, None] * one.axes[0]
-    return np.array([view.holds(*view.project(axis)).mean() > 0.5 for view in views])
-
-
-def is_believed(one: Cylinders, extent: Extent, sight: Sight, views: Sequence[View]) -> bool:
-    """Whether views all around show both outlines, and few rays pass through the cylinder."""
-    inside = are_in_image(one, extent, views)
-    met = int((~sight.before).sum())
-    is_solid = bool(sight.through.sum() <= MAX_THROUGH * met)
-    return is_solid and show_all_around(extent.both, inside, one.points[0], one.axes[0], views)
 
 
 def points_on(
@@ -101,7 +70,7 @@ def points_on(
     A view sees it where it shows both outlines: a body before it would hide one of them.
     """
     axis, radius = one.axes[0], one.radii[0]
-    showing = np.flatnonzero(extent.both)
+    showing = np.flatnonzero(on_both_sides(extent.shown))
     seen = seen_bins(extent, sight)[showing]
     centers = np.array([view.center for view in views])[showing]
     middle = one.points[0] + extent.starts.mean() * axis
@@ -126,9 +95,7 @@ def points_on(
 
 def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
     """(V, B) whether a view sees a bin: between both outlines, with nothing before it."""
-    gap = int(MAX_GAP * BINS_PER_RADIUS)
-    padded = np.pad(extent.shown, ((0, 0), (0, 0), (gap, gap)))
-    seen = binary_closing(padded, np.ones((1, 1, gap + 1), bool))[:, :, gap:-gap]
+    seen = closed_along(extent.shown, int(MAX_GAP * BINS_PER_RADIUS))
     num_bins = len(extent.starts) - 1
     bins = np.clip(np.searchsorted(extent.starts, sight.places) - 1, 0, num_bins - 1)
     hidden = np.zeros((seen.shape[0], num_bins), bool)

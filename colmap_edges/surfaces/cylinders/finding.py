@@ -14,7 +14,6 @@ from colmap_edges.core.view import View, rows_by_view
 from colmap_edges.surfaces.cylinders.extent import (
     Extent,
     extent_of,
-    is_believed,
     points_on,
     sight_of_extent,
 )
@@ -29,7 +28,15 @@ from colmap_edges.surfaces.cylinders.support import (
     supports_of,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.round_evidence import MIN_BOTH, SAME_SHARE, TRIED_SHARE, FoundRound, Rays
+from colmap_edges.surfaces.round_evidence import (
+    MIN_BOTH,
+    SAME_SHARE,
+    TRIED_SHARE,
+    FoundRound,
+    Rays,
+    is_believed,
+    on_both_sides,
+)
 from colmap_edges.surfaces.round_face import RoundFace
 
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
@@ -80,7 +87,8 @@ def find_cylinders(
             continue
         extent = extent_of(lines, one, support, len(views))
         sight = sight_of_extent(one, extent, rays, views)
-        if is_believed(one, extent, sight, views):
+        ends = one.points[0] + extent.starts[[0, -1], None] * one.axes[0]
+        if is_believed(extent.shown, ends, sight, views):
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
             points.append(points_on(one, extent, sight, views, evidence))
@@ -135,5 +143,5 @@ def cylinder_of(one: Cylinders, extent: Extent) -> RoundFace:
         point=one.points[0],
         direction=one.axes[0],
         profile=np.column_stack([ends, np.repeat(one.radii, 2)]),
-        views=np.flatnonzero(extent.both),
+        views=np.flatnonzero(on_both_sides(extent.shown)),
     )

@@ -15,6 +15,7 @@ from colmap_edges.core.arrays import (
     Int32Array,
     IntArray,
     entries_of,
+    medians_of,
     offsets_of,
     order_of,
     owners_of,
@@ -170,12 +171,12 @@ def points_of_samples(
     offsets, entries = offsets_of(counts), entries_of(samples.offsets, chosen)
     owners, seeing = owners_of(offsets), samples.views[entries]
     gray = grays_at(samples.points[chosen][owners], seeing, views, grids)
-    off = gray - middles(gray, offsets)[owners]
+    off = gray - medians_of(gray, owners, len(counts))[owners]
     for rows in parts_of(
         order_of(seeing, len(views)), offsets_of(np.bincount(seeing, minlength=len(views)))
     ):
         off[rows] -= np.median(off[rows]) if len(rows) else 0.0  # exposures differ
-    order = np.lexsort((np.abs(off - middles(off, offsets)[owners]), owners))
+    order = np.lexsort((np.abs(off - medians_of(off, owners, len(counts))[owners]), owners))
     kept = -(-counts // EACH_VIEW)
     rays = np.sort(order[ranks_of(counts) < kept[owners]])
     return SeenPoints(samples.points[chosen], offsets_of(kept), seeing[rays])
@@ -195,12 +196,3 @@ def grays_at(
         at = np.clip(np.floor(grid.pixels_of(view, points[rows])), 0, last).astype(np.int64)
         gray[rows] = means[at[:, 1], at[:, 0]]
     return gray
-
-
-def middles(values: FloatArray, offsets: IntArray) -> FloatArray:
-    """(n,) medians of the values between (n + 1,) offsets, none of which are empty."""
-    ordered = values[np.lexsort((values, owners_of(offsets)))]
-    counts = np.diff(offsets)
-    lower, upper = offsets[:-1] + (counts - 1) // 2, offsets[:-1] + counts // 2
-    medians: FloatArray = (ordered[lower] + ordered[upper]) / 2
-    return medians

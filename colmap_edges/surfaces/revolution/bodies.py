@@ -13,7 +13,7 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile, closed_along
+from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile
 from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
     MAX_THROUGH,
@@ -21,9 +21,9 @@ from colmap_edges.surfaces.round_evidence import (
     SPACING_PX,
     Rays,
     Sight,
+    closed_along,
     frontal_views,
     seen_away_from_edges,
-    show_all_around,
 )
 
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
@@ -34,25 +34,6 @@ CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in i
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
 RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
 END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
-
-
-def showing_both(profile: Profile) -> BoolArray:
-    """(V,) whether a view shows both outlines."""
-    sides: BoolArray = np.asarray(profile.shown.any(axis=2))
-    return np.asarray(sides[:, 0] & sides[:, 1])
-
-
-def is_believed(profile: Profile, sight: Sight, views: Sequence[View]) -> bool:
-    """Whether views all around show both outlines, and few rays pass through the body."""
-    axis = profile.axis
-    places = np.linspace(profile.places[0], profile.places[-1], 9) * axis.pixel
-    along = axis.point + places[:, None] * axis.direction
-    inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
-    met = int((~sight.before).sum()) + len(profile.rows)
-    is_solid = bool(sight.through.sum() <= MAX_THROUGH * met)
-    return is_solid and show_all_around(
-        showing_both(profile), inside, axis.point, axis.direction, views
-    )
 
 
 def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:
@@ -145,8 +126,7 @@ def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArra
     Where a view can see no outline, on top of a body, those of the nearest bin count.
     """
     axis, count = profile.axis, len(profile.places)
-    sides = [closed_along(profile.shown[:, side], profile.gap) for side in range(2)]
-    seen = sides[0] & sides[1]
+    seen = np.asarray(closed_along(profile.shown, profile.gap).all(axis=1))
     away = (np.array([view.center for view in views]) - axis.point) / axis.pixel
     heights = away @ axis.direction
     reach = np.linalg.norm(away - np.outer(heights, axis.direction), axis=1)

@@ -13,10 +13,8 @@ from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.bodies import (
     MAX_DEVIATION_PX,
-    is_believed,
     points_on,
     seen_bins,
-    showing_both,
     with_caps,
 )
 from colmap_edges.surfaces.revolution.fitting import fitted
@@ -30,7 +28,14 @@ from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
-from colmap_edges.surfaces.round_evidence import SAME_SHARE, TRIED_SHARE, FoundRound, Rays
+from colmap_edges.surfaces.round_evidence import (
+    SAME_SHARE,
+    TRIED_SHARE,
+    FoundRound,
+    Rays,
+    is_believed,
+    on_both_sides,
+)
 from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains
@@ -76,14 +81,16 @@ def find_bodies(
         for profile in profiles_of(free, meridian, axis, len(views)):
             if profile.deviation > MAX_DEVIATION_PX or used[profile.rows].mean() > SAME_SHARE:
                 continue
-            if not is_believed(profile, rays_that_meet(shell_of(profile), rays), views):
+            ends = axis.point + profile.places[[0, -1], None] * axis.pixel * axis.direction
+            sight = rays_that_meet(shell_of(profile), rays)
+            if not is_believed(profile.shown, ends, sight, views, len(profile.rows)):
                 continue
             used[profile.rows] = True
             whole = with_caps(profile, rays, evidence)
             shell = shell_of(whole)
             seen = seen_bins(whole, rays_that_meet(shell, rays), views)
             points.append(points_on(whole, shell, seen, views, evidence))
-            faces += faces_of(whole, np.flatnonzero(showing_both(profile)))
+            faces += faces_of(whole, np.flatnonzero(on_both_sides(profile.shown)))
     return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
     )

@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_dilation, convolve, label
+from scipy.ndimage import binary_dilation, convolve, label
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, row_numbers
 from colmap_edges.core.polylines import unit
 from colmap_edges.surfaces.revolution.meridians import CELL_PX, Axis, Meridian
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.round_evidence import COVERED_SHARE, MAX_GAP
+from colmap_edges.surfaces.round_evidence import (
+    COVERED_SHARE,
+    MAX_GAP,
+    closed_along,
+    longest_run,
+)
 
 # Minimum number of views that show each side of the axis in a cell and those beside it, and its
 # minimum relative to all views with samples there.
@@ -170,17 +175,7 @@ def often_shown(whole: Profile) -> Profile | None:
     """The stretch of a profile that many views show; None if it is short."""
     covered = whole.shown.sum(axis=(0, 1))
     often = covered >= min(COVERED_SHARE * np.quantile(covered, 0.9), 2 * MIN_AROUND)
-    often = closed_along(often[None], whole.gap)[0]
-    borders = np.flatnonzero(np.diff(np.concatenate([[False], often, [False]]).astype(int)))
-    runs = borders.reshape(-1, 2)
-    first, last = runs[int(np.argmax([covered[a:b].sum() for a, b in runs]))].tolist()
+    first, last = longest_run(closed_along(often, whole.gap), covered)
     part = whole.part(first, last)
     long = np.ptp(part.places) > MIN_ASPECT * np.median(part.radii)
     return part if last - first >= MIN_BINS and long else None
-
-
-def closed_along(shown: BoolArray, gap: int) -> BoolArray:
-    """(n, B) flags with gaps of up to `gap` bins closed."""
-    padded = np.pad(shown, ((0, 0), (gap, gap)))
-    closed = binary_closing(padded, np.ones((1, gap + 1), bool))
-    return np.asarray(closed[:, gap:-gap])

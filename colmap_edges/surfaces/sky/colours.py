@@ -12,7 +12,6 @@ from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray,
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
-MEAN_WEIGHT = 0.1  # weight of the mean of the upward axes relative to that of the side axes
 MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
 BLUE = 1.03  # minimum ratio of blue to red
 # Minimum sum of the shares of structure that are darker, in blue, and less blue ...
@@ -23,32 +22,6 @@ MIN_LEVEL = 64  # minimum level of a sky's blue
 CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
 CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
 LOWEST = 0.05  # share of a region's pixels that may lie below the horizon
-
-
-def upward(views: Sequence[View]) -> list[FloatArray]:
-    """The (3,) upward direction; two opposite ones if all photographs are turned by 90 degrees.
-
-    Photographs are held upright or turned, a few or all of them. The image axes that point up do
-    so in all images, while others turn with the camera. The axes beside them are level: the
-    direction is perpendicular to these, and near the mean of those that point up.
-    """
-    right, down = (np.array([view.rotation[row] for view in views]) for row in (0, 1))
-    axes, rows = np.stack([-down, right, down, -right]), np.arange(len(views))
-    means, levels = [], []
-    for first in (0, 1):
-        mean = axes[first].mean(axis=0)
-        for _ in range(4):
-            chosen = (axes @ mean).argmax(axis=0)
-            mean = axes[chosen, rows].mean(axis=0)
-        means.append(mean)
-        levels.append(axes[(chosen + 1) % 4, rows])
-    upright, sideways = np.linalg.norm(means, axis=1)
-    turned = int(sideways > upright)
-    mean, level = means[turned], levels[turned]
-    moments = level.T @ level / len(views) - MEAN_WEIGHT * np.outer(mean, mean)
-    up: FloatArray = np.linalg.eigh(moments)[1][:, 0]
-    up = up if up @ mean > 0 else -up
-    return [up, -up] if turned else [up]
 
 
 def looks_like_sky(

@@ -10,6 +10,7 @@ from colmap_edges.colmap.model import Model
 from colmap_edges.core.arrays import BoolArray, Picture, parts_of
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.seen_points import NO_POINTS
+from colmap_edges.core.upright import up_directions
 from colmap_edges.images.background import (
     NO_BACKGROUND_MASK,
     BackgroundMask,
@@ -21,7 +22,7 @@ from colmap_edges.surfaces.faces.evidence import points_and_views
 from colmap_edges.surfaces.faces.labelling import NUM_NEIGHBORS, observed_points
 from colmap_edges.surfaces.silhouettes import Background
 from colmap_edges.surfaces.sky.backdrop import find_backdrop
-from colmap_edges.surfaces.sky.colours import looks_like_sky, upward
+from colmap_edges.surfaces.sky.colours import looks_like_sky
 from colmap_edges.surfaces.sky.infinity import confirmed, match_regions, moves_as_sky, spread
 from colmap_edges.surfaces.sky.regions import find_regions
 
@@ -46,7 +47,7 @@ def find_sky(
     points, track_offsets, track_views = points_and_views(model, edges)
     offsets, rows = observed_points(track_offsets, track_views, num_views)
     observed = parts_of(rows, offsets)
-    for up in upward(model.views):
+    for up in up_directions(model.views):
         regions = find_regions(model.views, pictures, points, observed, up)
         backdrop = find_backdrop(model.views, regions)
         if backdrop is not None:

@@ -25,7 +25,6 @@ from colmap_edges.edges3d.paper.visibility import (
     expand_visibility,
     filter_outliers,
     keep_points,
-    medians_of_edges,
     min_inlier_views,
 )
 from colmap_edges.options import SamplingOptions, VisibilityOptions
@@ -238,19 +237,6 @@ def test_views_whose_chains_run_beside_an_edge_are_left_out(offset_px, stays):
     counts = views_after_doubts(beside, chains)
     assert counts[1] == (edges.num_points if stays else 0)
     assert (counts[[0, 2, 3, 4]] == edges.num_points).all()
-
-
-@given(st.lists(st.lists(st.integers(0, 9), min_size=0, max_size=6), min_size=1, max_size=5))
-def test_medians_of_edges(lists):
-    values = np.array([v for each in lists for v in each], np.int64)
-    edges = replace(
-        Edges3D.none(),
-        points=np.zeros((len(values), 3)),
-        edge_offsets=np.cumsum([0, *(len(each) for each in lists)]),
-        closed=np.zeros(len(lists), bool),
-    )
-    expected = [np.median(each) if each else 0 for each in lists]
-    np.testing.assert_array_equal(medians_of_edges(values, edges), expected)
 
 
 @given(arrays(bool, 24), st.booleans())
