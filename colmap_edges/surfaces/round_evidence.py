@@ -31,6 +31,7 @@ BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
 MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
 MIN_STEPS = 48  # minimum number of points around the full circle
 SPACING_PX = 8.0  # maximum distance of points
+END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
 MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations

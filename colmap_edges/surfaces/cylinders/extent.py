@@ -17,6 +17,7 @@ from colmap_edges.surfaces.cylinders.support import Support
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_evidence import (
     COVERED_SHARE,
+    END_PX,
     MAX_GAP,
     MIN_STEPS,
     SPACING_PX,
@@ -30,7 +31,6 @@ from colmap_edges.surfaces.round_evidence import (
 )
 
 BINS_PER_RADIUS = 12  # bins along the axis
-END_PX = 4.0  # distance of points from the ends, where outlines bend into rims
 
 
 @dataclass(frozen=True, kw_only=True)

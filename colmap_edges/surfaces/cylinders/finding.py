@@ -20,8 +20,6 @@ from colmap_edges.surfaces.cylinders.extent import (
 from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, find_hypotheses
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.cylinders.support import (
-    ENOUGH_PX,
-    LOOSE_PX,
     Support,
     fitted,
     num_fixed_lines,
@@ -44,7 +42,6 @@ MAX_FIXED = 0.6
 MAX_FIXED_LINES = 4  # maximum number of lines that may explain all outlines: those of a post
 MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
-MIN_SCORE = 6 * ENOUGH_PX  # minimum support of a hypothesis
 MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
 
 
@@ -66,7 +63,7 @@ def find_cylinders(
     supports = []
     for base, rows in near.items():
         own = Cylinders(*(part[bases == base] for part in tried))
-        for support in supports_of(lines.select(rows), own, LOOSE_PX):
+        for support in supports_of(lines.select(rows), own):
             supports.append(replace(support, rows=rows[support.rows]))
     scores = np.array([support.score for support in supports])
     rays = Rays.of(evidence, views)
@@ -74,7 +71,7 @@ def find_cylinders(
     found, points, num_fits, last = [], [], 0, 0
     for h in np.argsort(-scores, kind="stable"):
         rows = supports[h].rows
-        if scores[h] < MIN_SCORE or num_fits - last == MAX_REFUSED:
+        if num_fits - last == MAX_REFUSED:
             break
         if not may_be_outlines(lines, supports[h], used) or refused[rows].mean() > TRIED_SHARE:
             continue

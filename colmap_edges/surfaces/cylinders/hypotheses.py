@@ -13,14 +13,13 @@ from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
 
-MAX_TURN = np.sin(np.radians(25.0))  # between the two outlines of a pair in the image
 MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
 MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
 MAX_LINES = 300  # maximum number of lines in a view, the longest ones
 MAX_BASES = 200  # maximum number of views that are combined with others, evenly chosen
 MAX_PAIRS = 100  # maximum number of pairs in a view, the longest ones
 NUM_PARTNERS = 4  # number of other views with which a view is combined
-SLACK_PX = 2.0  # maximum distance of the four outlines from those of a hypothesis
+NEAR_PX = 1.5  # maximum distance of outlines from those of a cylinder
 
 
 class Cylinders(NamedTuple):
@@ -60,7 +59,6 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
     middle = unit(rays.sum(axis=1))
     along = unit(rays[:, 1] - rays[:, 0])
     first, second = np.triu_indices(len(rows), 1)
-    turned = np.linalg.norm(np.cross(along[first], along[second]), axis=1)
     gap = np.abs(np.einsum("ij,ij->i", planes[first], middle[second])) * focal[first]
     short = np.minimum(lines.lengths[rows[first]], lines.lengths[rows[second]])
     ends = np.einsum("ikj,ij->ik", rays[second], along[first]) * focal[first][:, None]
@@ -69,10 +67,7 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
         ends.min(axis=1), own.min(axis=1)
     )
     kept = np.flatnonzero(
-        (turned < MAX_TURN)
-        & (gap > MIN_WIDTH_PX)
-        & (short > MIN_ASPECT * gap)
-        & (beside > MIN_OVERLAP * short)
+        (gap > MIN_WIDTH_PX) & (short > MIN_ASPECT * gap) & (beside > MIN_OVERLAP * short)
     )
     kept = np.sort(kept[np.argsort(-short[kept], kind="stable")[:MAX_PAIRS]])
     one, other = first[kept], second[kept]
@@ -85,14 +80,14 @@ def pairs_of(lines: Lines, rows: IntArray) -> Pairs:
     )
     both = np.column_stack([rows[one], rows[other]])
     middles = unit(outwards[:, 0] - outwards[:, 1])
-    return Pairs(both, outwards, middles, 2 * SLACK_PX / lines.lengths[both])
+    return Pairs(both, outwards, middles, 2 * NEAR_PX / lines.lengths[both])
 
 
 def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
     """The cylinders of which a pair in one view and a pair in another are the outlines."""
     # A little beyond the limit, too, since the kernel rounds otherwise.
     near = _kernels.pairs_of_one_radius(
-        *as_arrays(lines, one), *as_arrays(lines, other), MIN_ANGLE, 1.01 * SLACK_PX
+        *as_arrays(lines, one), *as_arrays(lines, other), MIN_ANGLE, 1.01 * NEAR_PX
     )
     a, b = np.ascontiguousarray(near.T)
     meeting = cross(one.middles[a], other.middles[b])
@@ -116,7 +111,7 @@ def combined(lines: Lines, one: Pairs, other: Pairs) -> Cylinders:
     shared = (high.min(axis=1) - low.max(axis=1)) > MIN_OVERLAP * (high - low).min(axis=1)
     radii = np.abs(distances).mean(axis=(1, 2))
     off = (np.abs(distances) - radii[:, None, None]) * lines.focals[rows][:, :, None] / depths
-    good = shared & (np.abs(off) < SLACK_PX).all(axis=(1, 2)) & (depths > 0).all(axis=(1, 2))
+    good = shared & (np.abs(off) < NEAR_PX).all(axis=(1, 2)) & (depths > 0).all(axis=(1, 2))
     return Cylinders(points[good], axes[good], radii[good])
 
 

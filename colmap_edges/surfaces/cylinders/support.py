@@ -9,12 +9,10 @@ from scipy.optimize import least_squares
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, blocks
 from colmap_edges.core.polylines import cross, unit
-from colmap_edges.surfaces.cylinders.hypotheses import Cylinders, tangencies
+from colmap_edges.surfaces.cylinders.hypotheses import NEAR_PX, Cylinders, tangencies
 from colmap_edges.surfaces.cylinders.lines import Lines
 from colmap_edges.surfaces.round_evidence import MAX_GAP
 
-LOOSE_PX = 3.0  # maximum distance of an outline from that of a hypothesis
-CLOSE_PX = 1.5  # of an outline from that of a fitted cylinder
 ENOUGH_PX = 40.0  # length of an outline from which on more does not count
 BLOCK = 32  # cylinders that are compared with all lines at once
 NUM_FITS = 4  # rounds of fitting and choosing
@@ -48,27 +46,27 @@ def errors_of(lines: Lines, found: Cylinders) -> tuple[FloatArray, FloatArray, F
     return np.where(depths > 0, off, np.inf), np.sign(distances), places
 
 
-def support_of(lines: Lines, one: Cylinders, limit_px: float) -> Support:
-    """The lines within a limit of a cylinder's outlines, on the stretch with the most."""
-    return supports_of(lines, one, limit_px)[0]
+def support_of(lines: Lines, one: Cylinders) -> Support:
+    """The lines on a cylinder's outlines, on the stretch with the most."""
+    return supports_of(lines, one)[0]
 
 
-def supports_of(lines: Lines, found: Cylinders, limit_px: float) -> list[Support]:
+def supports_of(lines: Lines, found: Cylinders) -> list[Support]:
     """`support_of` of H cylinders."""
     supports = []
     for block in blocks(len(found.radii), BLOCK):
         part = Cylinders(*(of[block] for of in found))
-        for h, passing in enumerate(passing_by(lines, part, limit_px)):
+        for h, passing in enumerate(passing_by(lines, part)):
             one = Cylinders(*(of[h : h + 1] for of in part))
             errors, sides, places = (of[0] for of in errors_of(lines.select(passing), one))
-            near = (np.abs(errors) < limit_px).all(axis=1) & (sides[:, 0] == sides[:, 1])
+            near = (np.abs(errors) < NEAR_PX).all(axis=1) & (sides[:, 0] == sides[:, 1])
             rows, places = passing[near], np.sort(places[near], axis=1)
             supports.append(on_one_stretch(lines, rows, sides[near, 0] > 0, places, one))
     return supports
 
 
-def passing_by(lines: Lines, found: Cylinders, limit_px: float) -> list[IntArray]:
-    """Of H cylinders the lines with first ends within a limit of outlines, or little beyond."""
+def passing_by(lines: Lines, found: Cylinders) -> list[IntArray]:
+    """Of H cylinders the lines with first ends near outlines, or little beyond."""
     points, axes, radii = found
     rays, middle = np.ascontiguousarray(lines.rays[:, 0]), points.mean(axis=0)
     centers, points = lines.centers - middle, points - middle
@@ -79,7 +77,7 @@ def passing_by(lines: Lines, found: Cylinders, limit_px: float) -> list[IntArray
     ahead = rays @ points.T - np.einsum("ij,ij->i", rays, centers)[:, None]
     aside = np.einsum("ij,ij->i", points, axes) - centers @ axes.T
     depths = (ahead - slopes * aside) / squares
-    limits = 1.01 * limit_px * depths / lines.focals[:, None]
+    limits = 1.01 * NEAR_PX * depths / lines.focals[:, None]
     near = np.abs(np.abs(heights) / np.sqrt(squares) - radii) < limits
     return [np.flatnonzero(own) for own in near.T]
 
@@ -107,12 +105,12 @@ def on_one_stretch(
 
 def fitted(lines: Lines, start: Cylinders) -> tuple[Cylinders, Support]:
     """A cylinder fitted to its support, which is chosen again and again."""
-    one, support = start, support_of(lines, start, LOOSE_PX)
-    for i in range(NUM_FITS):
+    one, support = start, support_of(lines, start)
+    for _ in range(NUM_FITS):
         if len(support.rows) < 5:
             break
         one = fit(lines.select(support.rows), one)
-        support = support_of(lines, one, LOOSE_PX if i < NUM_FITS // 2 else CLOSE_PX)
+        support = support_of(lines, one)
     return one, support
 
 

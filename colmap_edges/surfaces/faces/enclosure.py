@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from colmap_edges.core.arrays import BoolArray, Int32Array
+from colmap_edges.core.arrays import BoolArray, Int32Array, IntArray
 from colmap_edges.surfaces.faces.decision import Samples
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid
 
@@ -26,9 +26,9 @@ MAX_OPEN = len(DIRECTIONS) // 2 - 1
 MAX_OPEN_BEFORE_BACKDROP = len(DIRECTIONS) // 4
 # minimum share of enclosed cells of a piece, or of agreeing views at a position
 ENCLOSED_SHARE = 1 / 2
-# Minimum share of a picture's border that shows the backdrop if there is one: 0.4 to 1 around
-# objects, 0.2 to 0.35 of the sky, 0.1 in rooms.
-MIN_BACKDROP = 0.35
+# Minimum share of pictures' borders, in the median, that shows the backdrop if there is one: 0.42
+# to 1 around objects, 0.2 to 0.36 of the sky, 0.1 to 0.2 in rooms.
+MIN_BACKDROP = 0.4
 BACKDROP_LEVELS = 2  # maximum deviation of the backdrop from its most frequent gray
 MIN_SHOWN = 1 / 4  # minimum share of a cell that shows it
 
@@ -49,7 +49,7 @@ def are_enclosed(
         grids: (V,) the views' small pictures.
         num_threads: threads; the result does not depend on them.
     """
-    plain = np.concatenate([shows_backdrop(grid).ravel() for grid in grids])
+    plain = np.concatenate([of.ravel() for of in backdrops(grids)])
     counts = scene.count_enclosing(
         labels,
         plain.astype(np.uint8),
@@ -66,19 +66,27 @@ def are_enclosed(
     return most
 
 
-def shows_backdrop(grid: Grid) -> BoolArray:
-    """(rows, columns) whether cells show the gray of which much of the picture's border is.
+def backdrops(grids: Sequence[Grid]) -> list[BoolArray]:
+    """(V,) (rows, columns) whether cells show a backdrop: what most pictures' borders are of.
 
-    Surfaces are rarely of one gray along the border of a picture, as a backdrop or the sky is.
+    Surfaces are rarely of one gray along the border of a picture, as a backdrop is. A sky may be,
+    too, but around fewer pictures and less of them.
     """
-    gray = grid.gray.astype(np.int64)
-    border = np.concatenate([gray[0], gray[-1], gray[:, 0], gray[:, -1]])
+    borders = [np.concatenate([of[0], of[-1], of[:, 0], of[:, -1]]) for of in map(gray_of, grids)]
     window = np.ones(2 * BACKDROP_LEVELS + 1, np.int64)
-    counts = np.convolve(np.bincount(border, minlength=256), window, "same")
-    rows, columns = grid.shape
-    if counts.max() < MIN_BACKDROP * len(border):
-        return np.zeros((rows, columns), bool)
-    near = np.abs(gray - counts.argmax()) <= BACKDROP_LEVELS
-    cells = near.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
-    most: BoolArray = cells >= MIN_SHOWN
-    return most
+    counts = [np.convolve(np.bincount(of, minlength=256), window, "same") for of in borders]
+    shares = [of.max() / len(border) for of, border in zip(counts, borders, strict=True)]
+    if np.median(shares) < MIN_BACKDROP:
+        return [np.zeros(grid.shape, bool) for grid in grids]
+    found = []
+    for grid, of in zip(grids, counts, strict=True):
+        near = np.abs(gray_of(grid) - of.argmax()) <= BACKDROP_LEVELS
+        rows, columns = grid.shape
+        cells = near.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
+        found.append(np.asarray(cells >= MIN_SHOWN))
+    return found
+
+
+def gray_of(grid: Grid) -> IntArray:
+    """(h, w) int64 gray of a small picture."""
+    return grid.gray.astype(np.int64)

@@ -23,7 +23,7 @@ from colmap_edges.surfaces.faces.decision import (
     sample_cells,
     thinned,
 )
-from colmap_edges.surfaces.faces.enclosure import are_enclosed, shows_backdrop
+from colmap_edges.surfaces.faces.enclosure import are_enclosed, backdrops
 from colmap_edges.surfaces.faces.evidence import Evidence, gather_evidence, joined
 from colmap_edges.surfaces.faces.faint_lines import find_faint_lines
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid, cell_offsets
@@ -133,7 +133,7 @@ def find_faces(
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
     if not len(plain) or plain.mean() < MIN_PLAIN:
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
-    if not any(shows_backdrop(picture).any() for picture in pictures):
+    if not any(shown.any() for shown in backdrops(pictures)):
         # On objects before a backdrop, faint lines are shades of round bodies.
         labels = first.accepted_labels(pictures)
         evidence = joined(evidence, find_faint_lines(model, pictures, labels, first.planes))

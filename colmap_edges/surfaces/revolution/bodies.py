@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
 from colmap_edges.core.polylines import unit
@@ -16,24 +15,21 @@ from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile
 from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
+    END_PX,
     MAX_THROUGH,
     MIN_STEPS,
     SPACING_PX,
     Rays,
-    Sight,
     closed_along,
     frontal_views,
     seen_away_from_edges,
 )
 
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
-MAX_BEFORE = 0.3  # maximum share of rays that end before a place of the body that a view sees
-OUTLINED = 0.98  # maximum cosine of the angle around the axis at which an outline is seen
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
 CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in its deviations
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
 RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
-END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
 
 
 def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:
@@ -120,8 +116,8 @@ def has_rim(profile: Profile, end: int, evidence: Evidence) -> bool:
     return turn > RIM_SHARE * 36
 
 
-def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArray:
-    """(V, B) whether a view sees a bin: it shows both outlines there, and nothing lies before it.
+def seen_bins(profile: Profile, views: Sequence[View]) -> BoolArray:
+    """(V, B) whether a view sees a bin: a body before it would hide one of the outlines.
 
     Where a view can see no outline, on top of a body, those of the nearest bin count.
     """
@@ -134,7 +130,7 @@ def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArra
     with np.errstate(divide="ignore", invalid="ignore"):
         cosines = rises * profile.radii + slopes * (profile.places - heights[:, None])
         cosines /= rises * reach[:, None]
-        outlined = np.abs(cosines) < OUTLINED
+        outlined = np.abs(cosines) < 1
     outlined &= profile.shown.any(axis=(0, 1)) & (profile.normals[:, 1] > 0.25)
     for view in range(len(views)):
         own = np.flatnonzero(outlined[view])
@@ -143,12 +139,7 @@ def seen_bins(profile: Profile, sight: Sight, views: Sequence[View]) -> BoolArra
             continue
         nearest = own[np.argmin(np.abs(np.arange(count)[:, None] - own), axis=1)]
         seen[view] = seen[view, nearest]
-    bins = np.argmin(np.abs(sight.places[:, None] - profile.places), axis=1)
-    before, every = np.zeros((2, len(views), count))
-    np.add.at(every, (sight.views, bins), 1)
-    np.add.at(before, (sight.views[sight.before], bins[sight.before]), 1)
-    before, every = (uniform_filter1d(of, 5, axis=1, mode="constant") for of in (before, every))
-    return np.asarray(seen & ~(before > MAX_BEFORE * every))
+    return seen
 
 
 def points_on(

@@ -88,7 +88,7 @@ def find_bodies(
             used[profile.rows] = True
             whole = with_caps(profile, rays, evidence)
             shell = shell_of(whole)
-            seen = seen_bins(whole, rays_that_meet(shell, rays), views)
+            seen = seen_bins(whole, views)
             points.append(points_on(whole, shell, seen, views, evidence))
             faces += faces_of(whole, np.flatnonzero(on_both_sides(profile.shown)))
     return FoundRound(

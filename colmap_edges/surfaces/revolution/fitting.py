@@ -22,9 +22,6 @@ NEAR_PX = 10.0  # maximum distance of these
 SAME_NORMAL = 0.9  # minimum cosine between their normals
 FIRST_PX, LAST_PX = 8.0, 2.0  # maximum distances from the profile, in the first and last rounds
 SCALE_PX = 1.0  # of robust weights
-MIN_FITTED = 30  # minimum number of samples
-TOO_FAR_PX = 1.0  # median distance that ends the fit in the third round
-MAX_MOVE_PX = 8.0  # maximum move of an axis in a round
 
 
 def fitted(samples: Samples, axis: Axis) -> Axis | None:
@@ -36,11 +33,9 @@ def fitted(samples: Samples, axis: Axis) -> Axis | None:
         limit = max(FIRST_PX * 0.6**i, LAST_PX)
         offsets, normals = offsets_from_profile(meridian, limit)
         used = np.flatnonzero(np.isfinite(offsets))
-        if len(used) < MIN_FITTED:
+        if not len(used):
             return None
         offsets = offsets[used] / meridian.sizes[used]
-        if i == 2 and np.median(np.abs(offsets)) > TOO_FAR_PX:
-            return None
         axis = moved(samples, meridian.select(used), axis, offsets, normals[used])
     return axis
 
@@ -102,7 +97,7 @@ def moved(
     # Weakly held: about a sphere's centre every axis is one.
     left = (jacobian * weights[:, None]).T @ jacobian + 1e-5 * len(offsets) * np.eye(4)
     move = -np.linalg.solve(left, jacobian.T @ (weights * offsets))
-    return turned(np.clip(move, -MAX_MOVE_PX, MAX_MOVE_PX))
+    return turned(move)
 
 
 def all_points(samples: Samples, meridian: Meridian, axis: Axis) -> FloatArray:

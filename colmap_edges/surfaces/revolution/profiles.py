@@ -21,7 +21,6 @@ from colmap_edges.surfaces.round_evidence import (
 # Minimum number of views that show each side of the axis in a cell and those beside it, and its
 # minimum relative to all views with samples there.
 MIN_AROUND, MIN_AROUND_SHARE = 3, 1 / 6
-MIN_VIEWS, MIN_SAMPLES = 6, 40  # minimum numbers of a profile
 MAX_CELLS = 4_000_000  # maximum number of cells; more come of an axis far from all outlines
 JOINED_CELLS = np.ones((5, 1), bool)  # parts with smaller gaps along the axis are one
 BIN_PX = 3.0  # along the axis
@@ -104,8 +103,6 @@ def parts_of_meridian(samples: Samples, meridian: Meridian) -> list[IntArray]:
 def profile_of(samples: Samples, meridian: Meridian, axis: Axis, num_views: int) -> Profile | None:
     """The profile through the points of a meridian, where many views show it; or None."""
     views = samples.views[meridian.rows]
-    if len(np.unique(views)) < MIN_VIEWS or len(views) < MIN_SAMPLES:
-        return None
     low, high = np.quantile(meridian.points[:, 0], [0.005, 0.995])
     count = int((high - low) / BIN_PX)
     if count < MIN_BINS:
@@ -127,7 +124,7 @@ def profile_of(samples: Samples, meridian: Meridian, axis: Axis, num_views: int)
     bins = np.clip(
         np.rint((meridian.points[close, 0] - places[0]) / (places[1] - places[0])), 0, count - 1
     )
-    if len(close) < MIN_SAMPLES:
+    if not len(close):
         return None
     shown = np.zeros((num_views, 2, count), bool)
     for beside in (-1, 0, 1):  # samples are so far apart

@@ -114,7 +114,7 @@ def test_hypotheses_left_out_early_have_no_radius(can, monkeypatch):
     monkeypatch.setattr(
         hypotheses._kernels,
         "pairs_of_one_radius",
-        lambda *given: kernel(*given[:-1], 100 * hypotheses.SLACK_PX),
+        lambda *given: kernel(*given[:-1], 100 * hypotheses.NEAR_PX),
     )
     all_found, all_bases = hypotheses.find_hypotheses(lines, rows)
     assert len(bases) > 0

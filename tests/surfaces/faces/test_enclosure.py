@@ -15,7 +15,7 @@ from colmap_edges.surfaces.faces.enclosure import (
     ENCLOSED_SHARE,
     MAX_OPEN,
     are_enclosed,
-    shows_backdrop,
+    backdrops,
 )
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
@@ -144,7 +144,7 @@ def test_a_backdrop_is_where_much_of_the_border_is_of_one_gray():
     rng = np.random.default_rng(3)
     levels = 40 + rng.normal(0, 0.7, (240, 320))
     levels[80:, 100:200] = np.linspace(90, 200, 100)
-    shown = shows_backdrop(picture_of(levels))
+    shown = backdrops([picture_of(levels)])[0]
     assert shown.shape == (60, 80)
     assert shown[:, :24].all()
     assert not shown[21:, 26:49].any()
@@ -152,7 +152,7 @@ def test_a_backdrop_is_where_much_of_the_border_is_of_one_gray():
 
 def test_walls_of_changing_gray_are_no_backdrop():
     rows, columns = np.mgrid[:240, :320]
-    assert not shows_backdrop(picture_of(90 + rows / 6 + columns / 4)).any()
+    assert not backdrops([picture_of(90 + rows / 6 + columns / 4)])[0].any()
 
 
 @pytest.mark.parametrize(
