@@ -39,6 +39,7 @@ DEPTH_SHARE = 0.02  # ... and in its depth
 
 # Of hypotheses of cylinders and of other bodies of revolution.
 MIN_WIDTH_PX = 12.0  # minimum distance of the two outlines of a pair
+MIN_ASPECT = 0.25  # minimum length, relative to the distance of outlines or the radius
 MIN_ANGLE = np.sin(np.radians(8.0))  # minimum sine between the planes of pairs of two views
 SAME_SHARE = 0.3  # maximum share of outlines that are those of a better body
 TRIED_SHARE = 0.7  # maximum share of outlines with which other bodies were tried

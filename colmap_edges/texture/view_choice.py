@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, offsets_of
+from colmap_edges.core.arrays import FloatArray, Int32Array, IntArray, medians_of, offsets_of
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.texture.gains import USABLE_LEVELS, gained
 from colmap_edges.texture.seen_faces import SeenFaces
@@ -69,10 +69,7 @@ def strangeness(seen: SeenFaces, gains: FloatArray) -> FloatArray:
     counts = np.diff(seen.offsets)
     residuals = np.zeros(len(logs))
     for channel in logs.T:
-        order = by_face(seen, channel)
-        middle = np.clip(seen.offsets[:-1] + counts // 2, 0, len(order) - 1)
-        lower = np.clip(seen.offsets[:-1] + (counts - 1) // 2, 0, len(order) - 1)
-        medians = (channel[order[middle]] + channel[order[lower]]) / 2
+        medians = medians_of(channel, seen.faces, len(counts))
         residuals = np.maximum(residuals, np.abs(channel - np.repeat(medians, counts)))
     sigma = max(1.4826 * float(np.median(residuals)), MIN_SIGMA)
     unlike = np.log(np.maximum(residuals / sigma, 1))

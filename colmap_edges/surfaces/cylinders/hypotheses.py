@@ -11,9 +11,8 @@ from colmap_edges.core.arrays import FloatArray, IntArray
 from colmap_edges.core.polylines import cross, unit
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.cylinders.lines import Lines
-from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_WIDTH_PX
+from colmap_edges.surfaces.round_evidence import MIN_ANGLE, MIN_ASPECT, MIN_WIDTH_PX
 
-MIN_ASPECT = 0.2  # minimum length of a pair's outlines, relative to their distance
 MIN_OVERLAP = 0.3  # minimum part of the shorter outline that is beside the longer one
 MAX_LINES = 300  # maximum number of lines in a view, the longest ones
 MAX_BASES = 200  # maximum number of views that are combined with others, evenly chosen

@@ -8,10 +8,8 @@ import numpy as np
 
 from colmap_edges.core.arrays import FloatArray
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.cylinders.hypotheses import Cylinders
+from colmap_edges.surfaces.cylinders.hypotheses import NEAR_PX, Cylinders
 from colmap_edges.surfaces.round_evidence import Rays, Sight
-
-WITHIN_PX = 3.0  # minimum distance of a ray from the outline, within which it meets the cylinder
 
 
 def rays_that_meet(
@@ -19,7 +17,7 @@ def rays_that_meet(
 ) -> Sight:
     """The rays to observed points that meet a cylinder between two places of its axis."""
     focals = np.array([view.focal_px for view in views])[rays.views]
-    reach, places = entry_of(one, rays.starts, rays.directions, WITHIN_PX / focals)
+    reach, places = entry_of(one, rays.starts, rays.directions, NEAR_PX / focals)
     meets = np.flatnonzero(np.isfinite(reach) & (places > low) & (places < high))
     return rays.met(meets, reach[meets], places[meets])
 

@@ -12,7 +12,7 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.revolution.profiles import BIN_PX, Profile
+from colmap_edges.surfaces.revolution.profiles import BIN_PX, MAX_OFF, Profile
 from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
     END_PX,
@@ -27,7 +27,6 @@ from colmap_edges.surfaces.round_evidence import (
 
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
-CAP_DEVIATIONS = 2.5  # maximum distance of the profile from a cap's curve, in its deviations
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
 RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
 
@@ -83,11 +82,7 @@ def cap_of(profile: Profile, end: int) -> tuple[FloatArray, FloatArray, FloatArr
     off = (fitted - radii[own]) * profile.normals[order][own, 1]
     roots = np.real(curve.roots()[np.isreal(curve.roots())])
     tops = roots[(roots > BIN_PX) & (roots < CAP_REACH * radii[0])]
-    if (
-        not len(tops)
-        or curve.coef[2] > 0
-        or np.max(np.abs(off)) > CAP_DEVIATIONS * profile.deviation
-    ):
+    if not len(tops) or curve.coef[2] > 0 or np.max(np.abs(off)) > MAX_OFF * profile.deviation:
         return None
     top = float(tops.min())
     # Evenly along the curve, nearly: places change with the square of the radius.

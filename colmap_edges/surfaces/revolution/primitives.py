@@ -6,11 +6,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from colmap_edges.core.arrays import FloatArray, IntArray
-from colmap_edges.surfaces.revolution.profiles import MIN_BINS, Profile
+from colmap_edges.surfaces.revolution.profiles import MAX_OFF, MIN_BINS, Profile
 from colmap_edges.surfaces.round_face import RoundFace
 
-# Maximum root mean square distance from a line or an arc: in deviations of the profile, or pixels.
-MAX_OFF, LEAST_OFF_PX = 2.0, 0.4
+LEAST_OFF_PX = 0.4  # root mean square distance from a line or an arc that is allowed anyway
 MIN_LINE = 0.5  # minimum share of a line that is a part of the profile
 SAME_RADIUS = 0.02  # maximum difference of a cylinder's radii, relative
 CENTERED = 0.05  # maximum distance of the centre of a sphere's arc from the axis, in radii of it

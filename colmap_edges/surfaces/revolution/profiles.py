@@ -14,6 +14,7 @@ from colmap_edges.surfaces.revolution.samples import Samples
 from colmap_edges.surfaces.round_evidence import (
     COVERED_SHARE,
     MAX_GAP,
+    MIN_ASPECT,
     closed_along,
     longest_run,
 )
@@ -24,12 +25,12 @@ MIN_AROUND, MIN_AROUND_SHARE = 3, 1 / 6
 MAX_CELLS = 4_000_000  # maximum number of cells; more come of an axis far from all outlines
 JOINED_CELLS = np.ones((5, 1), bool)  # parts with smaller gaps along the axis are one
 BIN_PX = 3.0  # along the axis
+MAX_OFF = 2.0  # maximum distance from a curve that is to be the profile, in its deviations
 MIN_BINS, MIN_IN_BIN = 4, 6
 OUTLIER_PX = 4.0  # maximum distance of samples from the median of their bin
 CLOSE_PX = 2.5  # maximum distance of outlines from the profile
 # Minimum cosine between a sample's normal and the profile's: those of edges around it have any.
 SAME_TURN = np.cos(np.radians(8.0))
-MIN_ASPECT = 0.25  # minimum length along the axis, in radii
 
 
 @dataclass(frozen=True, kw_only=True)
