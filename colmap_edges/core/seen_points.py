@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from colmap_edges.core.edges3d import Edges3D
 
 
+# Minimum cosine between the normal of a smooth body and the ray of a view that sees it there: 73
+# degrees; beyond, it would be an outline.
+MIN_COSINE = 0.3
+
+
 class SeenPoints(NamedTuple):
     """Points with the views that see them.
 

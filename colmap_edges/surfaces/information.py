@@ -18,6 +18,7 @@ DIAGONAL = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
 # Least standard deviation of an observation: pixels are rounded, and models made by hand have no
 # residuals.
 MIN_NOISE_PX = 0.05
+MIN_COSINE = 0.17  # between a ray and a normal, 80 degrees; beyond, the surface is hardly measured
 
 
 class Tracks(NamedTuple):

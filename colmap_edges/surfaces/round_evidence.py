@@ -18,7 +18,7 @@ from colmap_edges.core.arrays import (
     owners_of,
 )
 from colmap_edges.core.polylines import lengths_of, unit
-from colmap_edges.core.seen_points import SeenPoints
+from colmap_edges.core.seen_points import MIN_COSINE, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.round_face import RoundFace
@@ -32,7 +32,6 @@ MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do no
 MIN_STEPS = 48  # minimum number of points around the full circle
 SPACING_PX = 8.0  # maximum distance of points
 END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
-MIN_COSINE = 0.3  # minimum cosine between a ray to a view and the normal
 NUM_SEEING = 6  # maximum number of views of a point, the most frontal ones
 DEVIATIONS = 4.0  # minimum distance of a point from the surface, in its standard deviations
 DEPTH_SHARE = 0.02  # ... and in its depth

@@ -25,6 +25,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.core.outlines import Outlines
+from colmap_edges.core.seen_points import MIN_COSINE
 from colmap_edges.core.view import in_images, lift, rows_by_view, views_with_rows
 from colmap_edges.edges2d.edge_graph import EdgeGraph
 from colmap_edges.edges3d.chains.depths import matching, sample_chains
@@ -41,10 +42,9 @@ MIN_SUPPORTS = 3.5  # mean number of neighbours of a run's samples; depth and ra
 MAX_CHANGE = 0.2  # of the radius between two samples, relative; that of wrong matches is random
 MIN_SIGNIFICANCE = 3.0  # mean of a run's radii over their standard deviations for 1 px
 SIGMA_PX = 0.5  # standard deviation of a point across the surface, pixels of the given images
-# Views that see a point of an outline: the most frontal ones, within 73 degrees of the normal. Two
-# at least decide whether a mesh lacks it.
+# Views that see a point of an outline, the most frontal ones: two at least decide whether a mesh
+# lacks it.
 MIN_SEEING, NUM_SEEING = 2, 3
-MIN_COSINE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)

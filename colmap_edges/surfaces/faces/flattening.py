@@ -13,10 +13,10 @@ from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.surfaces.faces.evidence import ray_sigmas_of, sight_of
 from colmap_edges.surfaces.faces.finding import Faces
 from colmap_edges.surfaces.faces.labelling import ON_TOLERANCE
+from colmap_edges.surfaces.information import MIN_COSINE
 
 NUM_NEAREST = 8  # number of points of faces next to a point among which its face is sought
 REACH = 2.0  # maximum distance of these, in distances between points of faces
-MIN_COSINE = 0.1  # minimum cosine of the angle between a face's normal and the rays to it
 
 
 def flattened(curves: Edges3D, faces: Faces, model: Model) -> Edges3D:

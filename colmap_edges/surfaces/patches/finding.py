@@ -32,6 +32,7 @@ from colmap_edges.errors import ColmapEdgesError, check_type
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.options import ViewSelectionOptions
 from colmap_edges.surfaces.faces.grids import Grid, blank_grid
+from colmap_edges.surfaces.information import MIN_COSINE
 from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths, depths_of
 from colmap_edges.surfaces.patches.sites import (
     LEAST_VARIANCE,
@@ -44,7 +45,6 @@ from colmap_edges.surfaces.patches.smoothing import smoothed
 
 NUM_NEIGHBORS = 4  # views that windows are compared with
 MAX_ANGLE_DEG = 40.0  # between the views of a patch
-MIN_COSINE = 0.17  # of the angle between normal and ray: 80 degrees
 NUM_SWEEPS = 3  # over all sites; a fourth finds 0.5 % more
 BELIEVED = 0.75  # correlation of windows of one place
 MAX_OFF_PX = 1.0  # maximum distance of the patches of two views that agree, in pixels of parallax

@@ -15,7 +15,7 @@ from colmap_edges.core.polylines import unit
 from colmap_edges.core.view import View, views_with_rows
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.surfaces.extension import load_extension
-from colmap_edges.surfaces.information import COLUMNS, ROWS
+from colmap_edges.surfaces.information import COLUMNS, MIN_COSINE, ROWS
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.patches.depths import Depths
 
@@ -24,8 +24,6 @@ from colmap_edges.surfaces.patches.depths import Depths
 VERTEX_FACTOR = 3.0
 MAX_SIGMAS = 8.0  # of a depth from the mesh; beyond, it is of another surface
 FREEDOM = 8.0  # degrees of freedom of Student's t distribution of depths
-MAX_MOVE = 4.0  # of a vertex, in its deviations
-MIN_COSINE = 0.1  # between the ray and the normal of a face; beyond, depths tell little
 NUM_ROUNDS = 3  # of weights
 
 
@@ -65,8 +63,7 @@ def fitted(
     if not len(differences.depths) or not precisions.any():
         return mesh
     precisions = np.maximum(precisions, 1e-9 * float(precisions.max()))
-    most = np.where(are_repeated(mesh.vertices), 0, MAX_MOVE / np.sqrt(precisions))
-    offsets = np.clip(best_offsets(differences, precisions), -most, most)
+    offsets = np.where(are_repeated(mesh.vertices), 0.0, best_offsets(differences, precisions))
     moved = mesh.vertices + offsets[:, None] * normals
     vertices = load_extension().taken_back(mesh.vertices, moved, mesh.faces, num_threads)
     return replace(
