@@ -215,12 +215,11 @@ def camera_parameter_counts() -> dict[int, int]:
     return dict(camera_models().values())
 
 
-def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = None) -> Model:
+def model_from_reconstruction(reconstruction: Any) -> Model:
     """Convert a pycolmap.Reconstruction to arrays; it is kept unchanged.
 
     Args:
         reconstruction: the model.
-        points: its points, if already read.
 
     Returns:
         The model without points at infinity, and without views that the points contradict.
@@ -229,8 +228,7 @@ def model_from_reconstruction(reconstruction: Any, points: ModelPoints | None = 
         ColmapEdgesError: if a pose, camera or point is invalid, or parts are inconsistent, such as
             poses and points.
     """
-    model, observed = model_and_observed(reconstruction, points)
-    return without_contradicted(model, observed)
+    return without_contradicted(*model_and_observed(reconstruction, None))
 
 
 def model_and_observed(reconstruction: Any, points: ModelPoints | None) -> tuple[Model, Observed]:

@@ -27,7 +27,7 @@ def split_points(model: Model, seed: int = 0) -> tuple[Model, Model]:
     return model.selected(chosen), model.selected(~chosen)
 
 
-def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dict[str, Any]:
+def split_half_errors(input_path: Path, edges: Any = None) -> dict[str, Any]:
     """Mesh half of the SfM points, with `edges` if given, and compare it with the other half.
 
     Returns:
@@ -44,7 +44,7 @@ def split_half_errors(input_path: Path, edges: Any = None, seed: int = 0) -> dic
         raise ColmapEdgesError(
             f"{input_path} holds too few points to leave half of them out; 20 are needed"
         )
-    used, left_out = split_points(model, seed)
+    used, left_out = split_points(model)
     result = mesh(used, edges=edges)
     caster = RayCaster(result.vertices, result.faces)
     return depth.observation_depth_statistics(caster, left_out)
@@ -55,7 +55,7 @@ def left_out_views(views: Sequence[View], every: int) -> list[View]:
     return list(views[every // 2 :: every])
 
 
-def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 0) -> Record:
+def view_errors(pixels: FloatArray, view: View, chains: FloatArray) -> Record:
     """Distances of reprojected edge points (N, 2) to the chain points (M, 2) detected there.
 
     Returns:
@@ -64,7 +64,7 @@ def view_errors(pixels: FloatArray, view: View, chains: FloatArray, seed: int = 
         pixels, `chance_2_px`.
     """
     size = np.array([view.width, view.height])
-    random = np.random.default_rng(seed).uniform(0, 1, (10_000, 2)) * size
+    random = np.random.default_rng(0).uniform(0, 1, (10_000, 2)) * size
     distance, chance = (cloud_to_cloud(p, chains) for p in (pixels, random))
     return {
         "view": view.name,

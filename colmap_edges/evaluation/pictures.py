@@ -38,7 +38,7 @@ def error_map(result: DepthErrors, largest: float, title: str) -> Picture:
     return np.vstack([picture, coloured, legend]).astype(np.uint8)
 
 
-def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str = "depth") -> None:
+def write_error_maps(folder: Path, results: Sequence[DepthErrors]) -> None:
     """Write one error map per view into `folder`.
 
     All span 0 to 1 % of the median reference depth, so that different meshes can be compared.
@@ -49,7 +49,7 @@ def write_error_maps(folder: Path, results: Sequence[DepthErrors], prefix: str =
     folder.mkdir(parents=True, exist_ok=True)
     for result in results:
         title = f"|depth error| {result.name}, magenta: no mesh, grey: no reference"
-        write_png(folder / file_name(prefix, result.name), error_map(result, largest, title))
+        write_png(folder / file_name("depth", result.name), error_map(result, largest, title))
 
 
 def write_edge_overlays(

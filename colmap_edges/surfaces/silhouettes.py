@@ -102,13 +102,13 @@ class Body(NamedTuple):
         held[seen] = is_body
         return held
 
-    def dilated(self, radius: int) -> Body:
-        """The mask dilated by a number of pixels."""
-        return Body(self.view, cv2.dilate(self.mask.astype(np.uint8), square(radius)) > 0)
+    def dilated(self) -> Body:
+        """The mask dilated by a pixel."""
+        return Body(self.view, cv2.dilate(self.mask.astype(np.uint8), square(1)) > 0)
 
-    def eroded(self, radius: int) -> Body:
-        """The mask eroded by a number of pixels."""
-        return Body(self.view, cv2.erode(self.mask.astype(np.uint8), square(radius)) > 0)
+    def eroded(self) -> Body:
+        """The mask eroded by a pixel."""
+        return Body(self.view, cv2.erode(self.mask.astype(np.uint8), square(1)) > 0)
 
 
 def find_background(
@@ -166,7 +166,7 @@ def contradicted_share(bodies: Sequence[Body], known: FloatArray) -> float:
     points = known[:: max(1, len(known) // NUM_SAMPLES)]
     hidden = total = 0
     for body in bodies:
-        _, is_body = body.dilated(1).at(points)
+        _, is_body = body.dilated().at(points)
         hidden += int(np.sum(~is_body))
         total += len(is_body)
     return hidden / total if total else 0.0
@@ -185,14 +185,14 @@ def silhouette_points(bodies: Mapping[int, Body], known: FloatArray) -> SeenPoin
     center, radius = (low + high) / 2, 0.55 * float(np.linalg.norm(high - low))
     indices, seen = np.array(list(bodies), np.int32), list(bodies.values())
     centers = np.array([body.view.center for body in seen])
-    around = [body.dilated(1) for body in seen]
+    around = [body.dilated() for body in seen]
     count = -(-NUM_SAMPLES // len(bodies))
     found = [touched(body, around, known, (center, radius), count) for body in seen]
     points = np.concatenate([points for points, _ in found])
     normals = np.concatenate([normals for _, normals in found])
     if len(points) == 0:
         return NO_POINTS
-    rows, columns = seeing(points, normals, centers, [body.eroded(1) for body in seen], radius)
+    rows, columns = seeing(points, normals, centers, [body.eroded() for body in seen], radius)
     order = order_of(rows, len(points))
     offsets = offsets_of(np.bincount(rows, minlength=len(points)))
     return SeenPoints(points, offsets, indices[columns[order]])

@@ -123,7 +123,7 @@ def test_what_stands_between_hides_a_point():
     points = np.array([[-0.3, 0, 0], [1.3, 0, 0]])
     normals = np.array([[1.0, 0, 0], [1.0, 0, 0]])
     origins = np.array([view.center for view in views])
-    rows, columns = seeing(points, normals, origins, [body.eroded(1) for body in bodies], 1.5)
+    rows, columns = seeing(points, normals, origins, [body.eroded() for body in bodies], 1.5)
     assert 1 not in columns[rows == 0], "the other ball is in between"
     assert 1 in columns[rows == 1]
     assert 0 not in columns, "it looks at their other sides"

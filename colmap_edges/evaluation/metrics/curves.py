@@ -61,20 +61,18 @@ def compare_curves(
     reference: Curves,
     thresholds: Sequence[float],
     *,
-    spacing: float = 0.0,
     unit_size: bool = False,
     crop: bool = False,
 ) -> Record:
     """Precision, recall, accuracy and completeness of `result` against `reference`.
 
-    Both are sampled every `spacing` (0: a fifth of the smallest threshold), so a nearest sample
-    is at most half a spacing off along the curve.
+    Both are sampled every fifth of the smallest threshold, so a nearest sample is at most a tenth
+    of it off along the curve.
 
     Args:
         result: Reconstructed curves.
         reference: True curves, or samples of them; at least one.
         thresholds: Distances, in units of the comparison.
-        spacing: Sampling distance in the same unit.
         unit_size: Scale both so that the longest side of the reference's box is 1 (the protocol
             of ABC-NEF's tables).
         crop: Count only samples of the result in the reference's box, for references that cover
@@ -84,7 +82,7 @@ def compare_curves(
         See `errors_of`, with `spacing` and `unit` (world units per unit of these figures).
     """
     unit = float(np.ptp(reference.points, axis=0).max()) if unit_size else 1.0
-    spacing = spacing or min(thresholds) / 5
+    spacing = min(thresholds) / 5
     found, true = (
         sample(Curves(points=each.points / unit, segments=each.segments), spacing)
         for each in (result, reference)
