@@ -66,13 +66,11 @@ class Sight(NamedTuple):
     """Rays to observed points that meet a body.
 
     Attributes:
-        views: (n,) their views.
         places: (n,) where they meet it, along the axis, in the unit of the body's description.
         through: (n,) whether the point lies behind the surface there.
         before: (n,) whether it lies before it.
     """
 
-    views: Int32Array
     places: FloatArray
     through: BoolArray
     before: BoolArray
@@ -108,7 +106,7 @@ class Rays(NamedTuple):
     def met(self, rows: IntArray, reach: FloatArray, places: FloatArray) -> Sight:
         """What (n,) rays say that enter a body after (n,) lengths at (n,) places of its axis."""
         behind, limits = self.lengths[rows] - reach, self.limits[rows]
-        return Sight(self.views[rows], places, behind > limits, behind < -limits)
+        return Sight(places, behind > limits, behind < -limits)
 
 
 def on_both_sides(shown: BoolArray) -> BoolArray:

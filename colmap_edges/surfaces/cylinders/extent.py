@@ -63,7 +63,7 @@ def extent_of(lines: Lines, one: Cylinders, support: Support, num_views: int) ->
 
 
 def points_on(
-    one: Cylinders, extent: Extent, sight: Sight, views: Sequence[View], evidence: Evidence
+    one: Cylinders, extent: Extent, views: Sequence[View], evidence: Evidence
 ) -> SeenPoints:
     """Points on a cylinder, away from its edges, with the views that see them.
 
@@ -71,7 +71,8 @@ def points_on(
     """
     axis, radius = one.axes[0], one.radii[0]
     showing = np.flatnonzero(on_both_sides(extent.shown))
-    seen = seen_bins(extent, sight)[showing]
+    shown = closed_along(extent.shown, int(MAX_GAP * BINS_PER_RADIUS))
+    seen = np.asarray(shown.all(axis=1))[showing]
     centers = np.array([view.center for view in views])[showing]
     middle = one.points[0] + extent.starts.mean() * axis
     sizes = [np.linalg.norm(middle - view.center) / view.focal_px for view in views]
@@ -91,16 +92,6 @@ def points_on(
     bins = np.clip(bins, 0, len(extent.starts) - 2)
     frontal = frontal_views(points, normals, seen[:, bins].T, centers)
     return seen_away_from_edges(points, frontal, showing, evidence, step)
-
-
-def seen_bins(extent: Extent, sight: Sight) -> BoolArray:
-    """(V, B) whether a view sees a bin: between both outlines, with nothing before it."""
-    seen = closed_along(extent.shown, int(MAX_GAP * BINS_PER_RADIUS))
-    num_bins = len(extent.starts) - 1
-    bins = np.clip(np.searchsorted(extent.starts, sight.places) - 1, 0, num_bins - 1)
-    hidden = np.zeros((seen.shape[0], num_bins), bool)
-    hidden[sight.views[sight.before], bins[sight.before]] = True
-    return np.asarray(seen[:, 0] & seen[:, 1] & ~hidden)
 
 
 def sight_of_extent(one: Cylinders, extent: Extent, rays: Rays, views: Sequence[View]) -> Sight:

@@ -88,7 +88,7 @@ def find_cylinders(
         if is_believed(extent.shown, ends, sight, views):
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
-            points.append(points_on(one, extent, sight, views, evidence))
+            points.append(points_on(one, extent, views, evidence))
     return FoundRound(
         faces=found,
         points=joined_seen([NO_POINTS, *points]),

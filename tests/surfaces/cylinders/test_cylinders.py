@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from evidence import points_behind
 from plain_rooms import model_of
 from round_scenes import noisy_graph, views_around
 
@@ -141,27 +142,8 @@ def replace_lines(scene, lines):
 
 
 def test_rays_through_the_body_refuse_it(can):
-    given = gather_evidence(can.model, Edges3D.none())
-    behind, views = [], []
-    for index, view in enumerate(can.views):  # each sees points behind the axis
-        middle = BASE + np.linspace(0.4, 0.8, 5)[:, None] * HEIGHT * AXIS
-        behind.append(middle + 0.5 * (middle - view.center))
-        views += [index] * len(middle)
-    points = np.concatenate(behind)
-    count = len(points)
-    evidence = replace(
-        given,
-        points=points,
-        tangents=np.zeros((count, 3)),
-        rays=np.zeros((count, 3)),
-        sigmas=np.full(count, 1e-3),
-        ray_sigmas=np.full(count, 1e-3),
-        weights=np.ones(count),
-        edge_ids=np.full(count, -1),
-        offsets=np.arange(count + 1),
-        views=np.array(views, np.int32),
-    )
-    assert found_in(can, evidence).faces == []
+    middle = BASE + np.linspace(0.4, 0.8, 5)[:, None] * HEIGHT * AXIS
+    assert found_in(can, points_behind(can.views, middle)).faces == []
 
 
 def test_nothing_without_lines(can):

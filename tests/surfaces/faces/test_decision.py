@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
+from evidence import evidence_of
 
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.decision import (
@@ -16,7 +17,6 @@ from colmap_edges.surfaces.faces.decision import (
     sample_cells,
     thinned,
 )
-from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import blank_grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
@@ -51,18 +51,8 @@ def four_views():
 def corners_of_plate():
     """Corners of a plate's upper side as evidence that all views observe."""
     corners = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
-    count = len(corners)
-    return Evidence(
-        points=corners,
-        tangents=np.zeros((count, 3)),
-        rays=np.tile([0.0, 0, 1], (count, 1)),
-        sigmas=np.full(count, 0.01),
-        ray_sigmas=np.full(count, 0.01),
-        weights=np.ones(count),
-        edge_ids=np.full(count, -1),
-        offsets=np.arange(count + 1) * 4,
-        views=np.tile(np.arange(4, dtype=np.int32), count),
-    )
+    views = np.tile(np.arange(4, dtype=np.int32), len(corners))
+    return evidence_of(corners, np.arange(len(corners) + 1) * 4, views, 0.01)
 
 
 def support(labels_below):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pycolmap
 import pytest
+from evidence import evidence_of
 from scipy import ndimage
 
 from colmap_edges.core.view import View
@@ -17,7 +18,6 @@ from colmap_edges.surfaces.faces.enclosure import (
     are_enclosed,
     backdrops,
 )
-from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, blank_grid
 from colmap_edges.surfaces.faces.hypotheses import Planes
 from colmap_edges.surfaces.faces.labelling import make_scene
@@ -190,18 +190,8 @@ def floor_is_enclosed(depth_of_wall, backdrop=False, more_points=()):
     count = 200
     line = np.column_stack([np.linspace(-2, 2, count), np.ones(count), np.full(count, 2.0)])
     line = np.concatenate([line, np.reshape(more_points, (-1, 3))])
-    count = len(line)
-    evidence = Evidence(
-        points=line,
-        tangents=np.zeros((count, 3)),
-        rays=np.tile([0.0, 0, 1], (count, 1)),
-        sigmas=np.full(count, 0.01),
-        ray_sigmas=np.full(count, 0.01),
-        weights=np.ones(count),
-        edge_ids=np.full(count, -1),
-        offsets=np.arange(count + 1),
-        views=np.zeros(count, np.int32),
-    )
+    seen_by = np.zeros(len(line), np.int32)
+    evidence = evidence_of(line, np.arange(len(line) + 1), seen_by, 0.01)
     planes = Planes(normals=np.eye(3)[1:], offsets=np.array([1.0, depth_of_wall]))
     one = np.ones(1, np.int32)
     samples = Samples(

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from evidence import points_behind
 from plain_rooms import model_of
 from round_scenes import noisy_graph, views_around
 
@@ -154,26 +155,8 @@ def test_a_circle_is_no_body():
 
 
 def test_rays_through_the_body_refuse_it(waisted):
-    given = gather_evidence(waisted.model, Edges3D.none())
-    behind, views = [], []
-    for index, view in enumerate(waisted.views):  # each sees many points behind the axis
-        middle = CENTER + np.linspace(-0.3, 0.3, 50)[:, None] * AXIS
-        behind.append(middle + 0.5 * (middle - view.center))
-        views += [index] * len(middle)
-    count = len(views)
-    evidence = replace(
-        given,
-        points=np.concatenate(behind),
-        tangents=np.zeros((count, 3)),
-        rays=np.zeros((count, 3)),
-        sigmas=np.full(count, 1e-3),
-        ray_sigmas=np.full(count, 1e-3),
-        weights=np.ones(count),
-        edge_ids=np.full(count, -1),
-        offsets=np.arange(count + 1),
-        views=np.array(views, np.int32),
-    )
-    assert found_in(waisted, evidence=evidence).faces == []
+    middle = CENTER + np.linspace(-0.3, 0.3, 50)[:, None] * AXIS
+    assert found_in(waisted, evidence=points_behind(waisted.views, middle)).faces == []
 
 
 def test_kinds_of_the_parts_of_a_profile():
