@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from colmap_edges.colmap.model import Model
+from colmap_edges.core.arrays import Picture
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.edges3d import Edges3D, TracedEdges
 from colmap_edges.edges2d.image_graphs import Visitors
 from colmap_edges.edges3d.curves.fitting import fit_curves
 from colmap_edges.images.background import BackgroundMask
+from colmap_edges.images.taking import ImageTaker
 from colmap_edges.options import PipelineOptions
 from colmap_edges.pipeline.detect import Detection, detect_stage
 from colmap_edges.pipeline.mesh import (
@@ -28,11 +31,11 @@ from colmap_edges.report.rerun_viewer import NO_VIEWER, Viewer
 from colmap_edges.runtime.executors import Workers, thread_count
 from colmap_edges.runtime.stages import Stages
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces
-from colmap_edges.surfaces.faces.grids import GridVisitor
+from colmap_edges.surfaces.faces.grids import make_grid
 from colmap_edges.surfaces.outlines2d import find_outlines
 from colmap_edges.surfaces.patches.finding import NO_PATCHES, Patches, picture_columns
 from colmap_edges.surfaces.silhouettes import Background
-from colmap_edges.surfaces.sky.regions import SmallPictures
+from colmap_edges.surfaces.sky.regions import small_picture
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,12 @@ def find_edges(
         viewer: viewer that shows intermediate results.
     """
     taker = PictureVisitor(len(model.views)) if with_pictures else None
-    grids = GridVisitor() if for_mesh and settings.use_faces else None
+    grids = ImageTaker(make_grid) if for_mesh and settings.use_faces else None
     finds_patches = (for_mesh and settings.use_patches) or settings.write_patches
-    textures = GridVisitor(picture_columns(model)) if finds_patches else None
+    finely = partial(make_grid, num_columns=picture_columns(model))
+    textures = ImageTaker(finely) if finds_patches else None
     finds_open = for_mesh and settings.meshing.background_weight > 0
-    small = SmallPictures() if finds_open and settings.use_sky else None
+    small = ImageTaker(small_picture) if finds_open and settings.use_sky else None
     images, masks, maps = image_folder(paths), paths.mask_path, paths.edge_path
     visitor = Visitors.of(taker, grids, textures, small)
     detection = detect_stage(model, images, settings, stages, visitor, workers, masks, maps)
@@ -106,11 +110,11 @@ def find_edges(
     background, hidden = background_or_sky(*found) if finds_open else (None, ())
     faces, patches = NO_FACES, NO_PATCHES
     if grids and outlines:
-        faces = face_stage(model, traced.edges, grids.grids, settings, stages, hidden)
+        faces = face_stage(model, traced.edges, grids.taken, settings, stages, hidden)
         viewer.show_faces(faces.faces)
         faces = round_stage(model, traced.edges, curves, outlines, faces, settings, stages)
     if textures:
-        patches = patch_stage(model, traced, textures.grids, settings, stages)
+        patches = patch_stage(model, traced, textures.taken, settings, stages)
     return Found(model, traced, curves, background, faces, patches, pictures)
 
 
@@ -118,14 +122,14 @@ def background_or_sky(
     model: Model,
     edges: Edges3D,
     detection: Detection,
-    small: SmallPictures | None,
+    small: ImageTaker[Picture] | None,
     settings: PipelineOptions,
     stages: Stages,
 ) -> tuple[Background | None, Sequence[BackgroundMask]]:
     """Find the background or, without one, the sky in small pictures; and where views show it."""
     if background := background_stage(model, detection, edges, settings, stages):
         return background, detection.background_masks
-    return sky_stage(model, edges, small.pictures, stages) if small else (None, ())
+    return sky_stage(model, edges, small.taken, stages) if small else (None, ())
 
 
 def curve_stage(edges: Edges3D, settings: PipelineOptions, stages: Stages) -> Curves3D:

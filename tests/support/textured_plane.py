@@ -56,7 +56,8 @@ def make(num_views=5):
         reconstruction.add_point3D(xyz, pycolmap.Track(track), np.zeros(3, np.uint8))
     model = model_from_reconstruction(reconstruction)
     return model, {
-        v: make_grid(view, picture(view), WIDTH // 4) for v, view in enumerate(model.views)
+        v: make_grid(view, picture(view), num_columns=WIDTH // 4)
+        for v, view in enumerate(model.views)
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -69,7 +69,7 @@ def size_of(view: View, num_columns: int) -> tuple[int, int, float]:
 
 
 def make_grid(
-    view: View, image: Picture, num_columns: int = NUM_COLUMNS, usable: BoolArray | None = None
+    view: View, image: Picture, usable: BoolArray | None = None, num_columns: int = NUM_COLUMNS
 ) -> Grid:
     """The small undistorted picture of a view's image (H, W, 3), and what is usable of it."""
     blank = blank_grid(view, num_columns)
@@ -137,27 +137,3 @@ def cells_in(view: View, grid: Grid, points: FloatArray) -> tuple[IntArray, IntA
     last = np.array(grid.gray.shape[::-1]) // CELL_PX - 1
     cells = np.clip(np.floor(grid.pixels_of(view, points) / CELL_PX), 0, last).astype(np.int64)
     return cells[:, 1], cells[:, 0]
-
-
-class GridVisitor:
-    """Takes the small pictures of all views while their images are in memory."""
-
-    def __init__(self, num_columns: int = NUM_COLUMNS) -> None:
-        """Hold none yet; `num_columns`: cells along the longer side of a picture."""
-        self.num_columns = num_columns
-        self.grids: dict[int, Grid] = {}
-
-    def visit(
-        self,
-        index: int,
-        view: View,
-        read: Callable[[], Picture],
-        found: object,
-        usable: BoolArray | None = None,
-    ) -> Grid:
-        """Take the picture of a view."""
-        return make_grid(view, read(), self.num_columns, usable)
-
-    def collect(self, index: int, kept: Grid) -> None:
-        """Keep a picture."""
-        self.grids[index] = kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -73,34 +73,11 @@ class Regions:
         return [of_region[labels] for labels in self.labels]
 
 
-def small_picture(image: Picture) -> Picture:
-    """An image (H, W, 3) reduced to `PICTURE_PX`; smaller images stay as they are."""
+def small_picture(view: View, image: Picture, usable: object = None) -> Picture:
+    """The image (H, W, 3) of a view reduced to `PICTURE_PX`; smaller images stay as they are."""
     factor = min(1.0, PICTURE_PX / max(image.shape[:2]))
     size = [max(1, round(side * factor)) for side in image.shape[1::-1]]
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-class SmallPictures:
-    """Takes the small pictures of all views while their images are in memory."""
-
-    def __init__(self) -> None:
-        """Hold none yet."""
-        self.pictures: dict[int, Picture] = {}
-
-    def visit(
-        self,
-        index: int,
-        view: View,
-        read: Callable[[], Picture],
-        found: object,
-        usable: object = None,
-    ) -> Picture:
-        """Take the picture of a view."""
-        return small_picture(read())
-
-    def collect(self, index: int, kept: Picture) -> None:
-        """Keep a picture."""
-        self.pictures[index] = kept
 
 
 def scale_of(view: View, picture: Picture) -> FloatArray:
