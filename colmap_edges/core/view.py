@@ -81,8 +81,8 @@ class View:
         undistorted = np.asarray(self.camera.cam_from_img(points2D)).reshape(-1, 2) * self.focal_px
         if self.camera.model.name not in ("PINHOLE", "SIMPLE_PINHOLE"):
             # COLMAP undistorts some pixels wrongly: distorted again, they are elsewhere.
-            off = np.abs(self.image_from_undistorted(undistorted) - points2D).max(axis=1, initial=0)
-            undistorted[~(off < 0.1)] = np.nan
+            x, y = np.abs(self.image_from_undistorted(undistorted) - points2D).T
+            undistorted[~((x < 0.1) & (y < 0.1))] = np.nan
         return undistorted
 
     def image_from_undistorted(self, undistorted: FloatArray) -> FloatArray:
@@ -111,12 +111,10 @@ class View:
 
     def project_undistorted(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, 2) undistorted pixels and (N,) depths of (N, 3) points; NaN behind the camera."""
-        local = self.cam_from_world(points)
-        depths = local[:, 2]
+        x, y, depths = self.cam_from_world(points).T  # one by one: rows of two are slow
+        before = np.where(depths > 0, depths, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            undistorted = (
-                self.focal_px * local[:, :2] / np.where(depths > 0, depths, np.nan)[:, None]
-            )
+            undistorted = np.column_stack([self.focal_px * of / before for of in (x, y)])
         return undistorted, depths
 
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -66,8 +66,7 @@ def strongest_profiles(
 def profiles_across(gray: Picture, points: FloatArray, normals: FloatArray) -> FloatArray:
     """(N, S) intensities along (N, 2) normals, dark to bright, through (N, 2) image pixels."""
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    places = points[:, None] - 0.5 + offsets[None, :, None] * normals[:, None]
-    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
+    x, y = ((points[:, [k]] - 0.5 + offsets * normals[:, [k]]).astype(np.float32) for k in range(2))
     grays = gray.astype(np.float32)
     sampled = cv2.remap(grays, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, np.float64)

@@ -51,6 +51,7 @@ struct MissedPoint {
 // Depths and costs of the labels of a view's cells: its planes, then none.
 struct ViewCosts {
   std::vector<int32_t> planes;       // of the labels
+  std::vector<int32_t> labels;       // of all planes; -1 of those that are none of the labels
   std::vector<float> costs, depths;  // (cells, planes + 1)
   std::vector<uint8_t> hopeless;     // (cells, planes + 1), of which other views are not asked
 };
@@ -101,10 +102,11 @@ class FaceScene {
   void AddLabels(int32_t v, const std::vector<std::vector<int32_t>>& labels, ViewCosts* made) const;
 
  private:
-  bool IsOn(int32_t point, int32_t plane) const {
-    const auto begin = points.planes.begin() + points.plane_offsets[point];
-    const auto end = points.planes.begin() + points.plane_offsets[point + 1];
-    return std::binary_search(begin, end, plane);
+  // The labels of the planes that a point lies on.
+  void LabelsOf(int32_t point, const ViewCosts& made, std::vector<int32_t>* labels) const {
+    labels->clear();
+    for (int64_t j = points.plane_offsets[point]; j < points.plane_offsets[point + 1]; ++j)
+      if (made.labels[points.planes[j]] >= 0) labels->push_back(made.labels[points.planes[j]]);
   }
   void AddPoints(int32_t v, ViewCosts* made) const;
   std::vector<MissedPoint> MissedBy(int32_t v) const;
@@ -148,9 +150,11 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
   const size_t size = size_t(view.num_cells()) * (num_planes + 1);
   std::vector<float> on(size, 0), before(size, 0);
   const double tolerance = weights.depth_tolerance;
-  std::vector<float> is_on(num_planes);
+  std::vector<float> is_off(num_planes, 1);
+  std::vector<int32_t> own;
   for (const ObservedPoint& sight : sights_[v]) {
-    for (int32_t k = 0; k < num_planes; ++k) is_on[k] = IsOn(sight.point, made->planes[k]);
+    LabelsOf(sight.point, *made, &own);
+    for (const int32_t k : own) is_off[k] = 0;
     const float nearest = float(sight.depth * (1 - tolerance));
     const int32_t x = sight.cell % view.columns, y = sight.cell / view.columns;
     for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
@@ -158,12 +162,12 @@ inline void FaceScene::AddPoints(int32_t v, ViewCosts* made) const {
         const float weight = i == x && j == y ? 1.f : kNextCell;
         const size_t row = (size_t(j) * view.columns + i) * (num_planes + 1);
         const float* depths = &made->depths[row];
-        for (int32_t k = 0; k < num_planes; ++k) {
-          on[row + k] += weight * is_on[k];
-          before[row + k] += depths[k] < nearest ? weight * (1 - is_on[k]) : 0;
-        }
+        for (const int32_t k : own) on[row + k] += weight;
+        for (int32_t k = 0; k < num_planes; ++k)
+          before[row + k] += depths[k] < nearest ? weight * is_off[k] : 0;
       }
     }
+    for (const int32_t k : own) is_off[k] = 1;
   }
   for (size_t i = 0; i < size; ++i)
     made->costs[i] += weights.before * Saturated(before[i], 2) - weights.on * Saturated(on[i], 3);
@@ -199,10 +203,11 @@ inline void FaceScene::AddMissed(int32_t v, ViewCosts* made) const {
   const FaceView& view = views[v];
   const int32_t num_planes = int32_t(made->planes.size());
   std::vector<float> missed(made->costs.size(), 0);
+  std::vector<int32_t> own;
   for (const MissedPoint& point : MissedBy(v)) {
     const int32_t x = point.cell % view.columns, y = point.cell / view.columns;
-    for (int32_t k = 0; k < num_planes; ++k) {
-      if (!IsOn(point.point, made->planes[k])) continue;
+    LabelsOf(point.point, *made, &own);
+    for (const int32_t k : own) {
       for (int32_t j = std::max(y - 1, 0); j <= std::min(y + 1, view.rows - 1); ++j) {
         for (int32_t i = std::max(x - 1, 0); i <= std::min(x + 1, view.columns - 1); ++i) {
           const float share = i == x && j == y ? 1.f : kNextCell;
@@ -441,6 +446,8 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
   ViewCosts made;
   made.planes = PlanesOf(v, kMinCells);
   const int32_t num_planes = int32_t(made.planes.size()), num_labels = num_planes + 1;
+  made.labels.assign(planes.size(), -1);
+  for (int32_t k = 0; k < num_planes; ++k) made.labels[made.planes[k]] = k;
   const size_t size = size_t(view.num_cells()) * num_labels;
   made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {

@@ -89,10 +89,7 @@ inline std::vector<int32_t> LabelView(const FaceView& view, const ViewCosts& mad
     std::vector<int32_t> first(blocks.count, none);
     for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
       const int32_t plane = start[cell], block = blocks.of_cells[cell];
-      const int32_t label =
-          plane < 0 ? none
-                    : int32_t(std::lower_bound(made.planes.begin(), made.planes.end(), plane) -
-                              made.planes.begin());
+      const int32_t label = plane < 0 ? none : made.labels[plane];
       if (contracted.Cost(block, label) < contracted.Cost(block, first[block]))
         first[block] = label;
     }

@@ -203,9 +203,10 @@ def label_scene(
     labels = label_cells(scene, num_rounds, num_threads, weights)
     angles = np.array([CELL_PX / picture.focal_px for picture in pictures])
     samples = sample_cells(scene, labels, model.camera_centers, angles, num_threads)
-    believed = are_believed(samples) & within(bodies, samples.points)
-    believed &= are_enclosed(scene, samples, labels, pictures, num_threads)
-    faces, face_ids = outline_faces(samples, np.flatnonzero(believed), planes, model.camera_centers)
+    believed = are_believed(samples) & are_enclosed(scene, samples, labels, pictures, num_threads)
+    rows = np.flatnonzero(believed)
+    rows = rows[within(bodies, samples.points[rows])]
+    faces, face_ids = outline_faces(samples, rows, planes, model.camera_centers)
     return LabelledScene(
         planes=planes, labels=labels, samples=samples, outlined=faces, face_ids=face_ids
     )
