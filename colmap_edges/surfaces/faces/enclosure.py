@@ -26,9 +26,9 @@ MAX_OPEN = len(DIRECTIONS) // 2 - 1
 MAX_OPEN_BEFORE_BACKDROP = len(DIRECTIONS) // 4
 # minimum share of enclosed cells of a piece, or of agreeing views at a position
 ENCLOSED_SHARE = 1 / 2
-# Minimum share of pictures' borders, in the median, that shows the backdrop if there is one: 0.42
-# to 1 around objects, 0.2 to 0.36 of the sky, 0.1 to 0.2 in rooms.
-MIN_BACKDROP = 0.4
+# Minimum share of pictures' borders, in the median, that shows the backdrop if there is one: 0.37
+# to 1 around objects, 0.15 to 0.55 of the sky, 0.1 to 0.2 in rooms.
+MIN_BACKDROP = 0.35
 BACKDROP_LEVELS = 2  # maximum deviation of the backdrop from its most frequent gray
 MIN_SHOWN = 1 / 4  # minimum share of a cell that shows it
 
