@@ -10,7 +10,6 @@ from colmap_edges.core.arrays import BoolArray, IntArray
 from colmap_edges.core.curves3d import Curves3D
 from colmap_edges.core.seen_points import NO_POINTS, joined_seen
 from colmap_edges.core.view import View
-from colmap_edges.surfaces.cylinders.hypotheses import NEAR_PX
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.bodies import (
     MAX_DEVIATION_PX,
@@ -41,6 +40,7 @@ from colmap_edges.surfaces.round_face import RoundFace
 
 MAX_SAMPLES = 60_000  # maximum number of samples, those of the smoothest chains
 MIN_VOTES = 6.0  # minimum of a hypothesis
+NEAR_PX = 3.0  # maximum distance of outlines from those of a cylinder that other bodies leave out
 MAX_NEAR, MIN_VIEWS = 10_000, 8  # number of samples and views around an axis that rank it
 MAX_FITS = 16  # maximum number of fitted axes
 MAX_TRIES = 3  # number of axes after which samples are tried; one that is fitted counts twice
