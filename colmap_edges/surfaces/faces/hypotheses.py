@@ -49,6 +49,7 @@ class Hypotheses:
         if count > MAX_POINTS:
             chosen = np.sort(rng.choice(count, MAX_POINTS, replace=False))
         self.points = evidence.points[chosen]
+        self.tree = cKDTree(self.points)
         self.tangents = evidence.tangents[chosen]
         self.has_tangent = np.abs(self.tangents).sum(axis=1) > 0
         self.rays = evidence.ray_sigmas[chosen, None] * evidence.rays[chosen]
@@ -103,10 +104,10 @@ class Hypotheses:
         num_near = min(NUM_NEAR, len(self.points))
         ranks = np.floor(num_near ** self.rng.random((NUM_PAIRS, 2))).astype(np.int64)
         ranks = np.minimum(ranks, num_near - 1)
-        second = nearest(self.points, first, ranks[:, 0])
+        second = nearest(self.tree, first, ranks[:, 0])
         third = np.where(self.has_tangent[second], second, 0)
         open_ = np.flatnonzero(~self.has_tangent[second])
-        third[open_] = nearest(self.points, first[open_], ranks[open_, 1])
+        third[open_] = nearest(self.tree, first[open_], ranks[open_, 1])
         lengths = self.points[second] - self.points[first]
         one = np.where(self.has_tangent[first][:, None], self.tangents[first], lengths)
         other = np.where(
@@ -188,14 +189,14 @@ class Hypotheses:
         return alone
 
 
-def nearest(points: FloatArray, sources: IntArray, ranks: IntArray) -> IntArray:
+def nearest(tree: cKDTree, sources: IntArray, ranks: IntArray) -> IntArray:
     """(M,) the point of a given rank among those that are nearest to each of (M,) points."""
-    found, tree, least = np.zeros(len(sources), np.int64), cKDTree(points), 0
-    while least < len(points) and (ranks >= least).any():
-        count = min(max(2 * least, 4), len(points))  # few are found more quickly than many
+    found, least = np.zeros(len(sources), np.int64), 0
+    while least < tree.n and (ranks >= least).any():
+        count = min(max(2 * least, 4), tree.n)  # few are found more quickly than many
         rows = np.flatnonzero((ranks >= least) & (ranks < count))
         near, own = np.unique(sources[rows], return_inverse=True)
-        found[rows] = tree.query(points[near], count)[1][own, ranks[rows]]
+        found[rows] = tree.query(tree.data[near], count)[1][own, ranks[rows]]
         least = count
     return found
 

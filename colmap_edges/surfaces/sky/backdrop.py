@@ -15,6 +15,7 @@ import numpy as np
 from colmap_edges.core.arrays import BoolArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
 from colmap_edges.images.background import MAX_DEVIATION, MIN_VIEWS_RATIO
+from colmap_edges.surfaces.sky.infinity import largest
 from colmap_edges.surfaces.sky.regions import Regions, rays_of
 
 NUM_SAMPLES = 100_000  # pixels of all regions whose colours are compared
@@ -160,6 +161,7 @@ def fitted(
         (n,) largest deviations of the three levels, and the model.
     """
     logs = np.log(np.maximum(levels, 2.0))
+    level = levels.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
     starts = np.flatnonzero(np.diff(seen_by, prepend=-1))
     numbers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(seen_by)))
     values, weights, num_terms = (
@@ -174,8 +176,7 @@ def fitted(
         terms, rest = centered[:, :num_terms], centered[:, num_terms:]
         weighted = terms * weights[:, None]
         coefficients = np.linalg.lstsq(weighted.T @ terms, weighted.T @ rest, rcond=None)[0]
-        off = np.abs(levels - np.exp(logs - rest + terms @ coefficients)).max(axis=1)
-        level = levels.mean(axis=1) / 255  # a level is less of the logarithm where it is bright
+        off = largest(levels - np.exp(logs - rest + terms @ coefficients))
         weights = (level / (1 + (off / MAX_DEVIATION) ** 2)) ** 2 + 1e-12
     factors = np.full((num_views, 3), np.nan)
     factors[seen_by[starts]] = means[:, num_terms:] - means[:, :num_terms] @ coefficients
