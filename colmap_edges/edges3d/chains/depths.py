@@ -16,6 +16,7 @@ import numpy as np
 
 from colmap_edges.core.arrays import (
     BoolArray,
+    Float32Array,
     FloatArray,
     Int32Array,
     IntArray,
@@ -25,7 +26,7 @@ from colmap_edges.core.arrays import (
 )
 from colmap_edges.declared_options import derived
 from colmap_edges.edges2d.edge_graph import EdgeGraph
-from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods, estimate
+from colmap_edges.edges3d.chains.side_similarity import estimate
 from colmap_edges.edges3d.chains.tracing_input import TracingInput
 from colmap_edges.edges3d.chains.view_selection import DepthRange
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
@@ -150,7 +151,7 @@ def matching(
         "sample_offsets": offsets,
         "inverse_depths": depth_range.at(given.graph(view).undistorted[samples].astype(np.float64)),
         "max_disagreement_px": options.max_disagreement_px,
-        "side_likelihoods": given.sides.table,
+        "side_likelihoods": given.sides,
         "min_angle_sin": float(np.sin(np.radians(options.min_epipolar_angle_deg))),
         "visibility_rate": options.visibility_rate,
         "detection_rate": options.detection_rate,
@@ -166,7 +167,7 @@ def learn_side_likelihoods(
     options: ChainDepthOptions,
     random_seed: int,
     num_threads: int,
-) -> SideLikelihoods:
+) -> Float32Array:
     """Learn how side intensities differ between views, for one edge and for different edges.
 
     Learned from depths that are reliable by geometry alone, for some samples of some views.
@@ -179,7 +180,7 @@ def learn_side_likelihoods(
         num_threads: threads to use; the result does not depend on it.
 
     Returns:
-        The side likelihoods; uninformative ones if too few depths are reliable.
+        (256, 256) likelihood ratios by the differences of the dark and the bright sides.
     """
     few = derived(options, sample_step_points=4 * options.sample_step_points)
     random = np.random.default_rng(random_seed)
@@ -189,16 +190,14 @@ def learn_side_likelihoods(
         depths = compute_chain_depths(given, view, ranges[view], few, num_threads)
         owners = owners_of(depths.support_offsets)
         sure = depths.scores[owners] >= sure_score(depths)
-        own = given.graph(view).sides[depths.samples[owners]].astype(int)
-        for other in np.unique(depths.support_views).tolist():
+        sides = given.graph(view).sides[depths.samples].astype(int)
+        for other in given.neighbors[view].tolist():
             rows, theirs = sure & (depths.support_views == other), given.graph(other).sides
-            same.append(np.abs(own[rows] - theirs[depths.support_positions[rows].astype(int)]))
-            elsewhere = random.integers(0, len(theirs), (4, int(rows.sum())))
-            chance.append(np.abs(own[rows] - theirs[elsewhere]).reshape(-1, 2))
-    examples = np.concatenate(same)
-    if len(examples) < 200:
-        return NOTHING_LEARNED
-    return estimate(examples, np.concatenate(chance))
+            positions = depths.support_positions[rows].astype(int)
+            same.append(np.abs(sides[owners[rows]] - theirs[positions]))
+            if len(theirs):
+                chance.append(np.abs(sides - theirs[random.integers(0, len(theirs), len(sides))]))
+    return estimate(np.concatenate(same), np.concatenate(chance))
 
 
 def sure_score(depths: ChainDepths) -> float:

@@ -2,13 +2,11 @@
 
 At least one side of an edge belongs to the surface that it lies on, and looks similar in all views.
 The distributions of the remaining differences of true matches (exposure, gloss, moving lights) and
-of random pairs depend on the scene and are learned from it.
+of random pairs depend on the scene and are learned from it. Until enough matches are known,
+differences of true matches are assumed to be distributed as half of those of random pairs.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -16,53 +14,33 @@ from colmap_edges.core.arrays import Float32Array, FloatArray, IntArray
 
 BINS = np.array([0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 70, 256])  # bins of intensity differences
 OUTLIER_RATE = 0.1  # share of true matches with random differences
-PRIOR_COUNT = 20  # pseudo-count of matches with random differences
+PRIOR_COUNT = 200  # pseudo-count of matches with half of random differences
 
 
-@dataclass(frozen=True, kw_only=True)
-class SideLikelihoods:
-    """Likelihood ratio of differences of side intensities: one edge against two edges.
-
-    Attributes:
-        limit: intensity levels (0 to 255); if both sides differ by more, edges are not matched.
-        ratios: (B, B) likelihood ratios by the bins (`BINS`) of the smaller and the larger
-            difference.
-    """
-
-    limit: float
-    ratios: FloatArray
-
-    @cached_property
-    def table(self) -> Float32Array:
-        """(256, 256) ratios by the differences of the dark and the bright sides; 0 for no match."""
-        levels = np.arange(256)
-        bins = bins_of(levels)
-        small, large = np.minimum.outer(levels, levels), np.maximum.outer(levels, levels)
-        ratios = self.ratios[bins[small], bins[large]]
-        return np.where(small <= self.limit, ratios, 0).astype(np.float32)
+def nothing_learned() -> Float32Array:
+    """(256, 256) ratios of 1, with which sides make no difference."""
+    return np.ones((256, 256), np.float32)
 
 
-NOTHING_LEARNED = SideLikelihoods(limit=255.0, ratios=np.ones((len(BINS) - 1,) * 2))
-
-
-def estimate(same: IntArray, chance: IntArray) -> SideLikelihoods:
-    """Learn the likelihood ratios from examples of matches.
+def estimate(same: IntArray, chance: IntArray) -> Float32Array:
+    """Learn the likelihood ratios of differences from examples: one edge against two edges.
 
     Args:
         same: (N, 2) differences of the dark and the bright sides of one edge in two views, in
-            intensity levels; may contain outliers.
+            intensity levels (0 to 255); may contain outliers.
         chance: (M, 2) the same differences for random pairs of edges.
 
     Returns:
-        The ratios; the limit is 1.5 times the 90 % quantile of the smaller difference, plus 1.
+        (256, 256) ratios by the differences of the dark and the bright sides.
     """
-    limit = 1.5 * float(np.percentile(same.min(axis=1), 90)) + 1
-    same, chance = same[same.min(axis=1) <= limit], chance[chance.min(axis=1) <= limit]
-    counts, by_chance = histogram(same), histogram(chance) + 1
-    by_chance /= by_chance.sum()
-    likely = (counts + PRIOR_COUNT * by_chance) / (counts.sum() + PRIOR_COUNT)
+    by_chance, prior = histogram(chance) + 1, histogram(chance // 2) + 1
+    by_chance, prior = by_chance / by_chance.sum(), prior / prior.sum()
+    likely = (histogram(same) + PRIOR_COUNT * prior) / (len(same) + PRIOR_COUNT)
     ratios = (1 - OUTLIER_RATE) * likely / by_chance + OUTLIER_RATE
-    return SideLikelihoods(limit=limit, ratios=ratios)
+    levels = np.arange(256)
+    bins = bins_of(levels)
+    small, large = np.minimum.outer(levels, levels), np.maximum.outer(levels, levels)
+    return ratios[bins[small], bins[large]].astype(np.float32)
 
 
 def histogram(differences: IntArray) -> FloatArray:

@@ -87,7 +87,6 @@ def trace_edges(
     about = {
         "views": len(model.views),
         "views_without_neighbors": sum(len(n) == 0 for n in near.neighbors),
-        "max_side_difference": whole.sides.limit,
     }
     return result, about | stats | linked
 

@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from colmap_edges.colmap.model import Model
-from colmap_edges.core.arrays import BoolArray, IntArray
+from colmap_edges.core.arrays import BoolArray, Float32Array, IntArray
 from colmap_edges.core.view import View
 from colmap_edges.edges2d.edge_graph import EdgeGraph, keep_points
 from colmap_edges.edges2d.edge_index import make_edge_index
 from colmap_edges.edges2d.graphs import CacheBackend, Graphs, LRUCache
 from colmap_edges.edges2d.image_graphs import save_graph
-from colmap_edges.edges3d.chains.side_similarity import NOTHING_LEARNED, SideLikelihoods
+from colmap_edges.edges3d.chains.side_similarity import nothing_learned
 from colmap_edges.edges3d.chains.view_selection import Neighborhood
 from colmap_edges.kernels import _kernels  # type: ignore[attr-defined]
 from colmap_edges.runtime.cache import key_of
@@ -39,7 +39,7 @@ class TracingInput:
         neighbors: per view the views that it is matched with.
         observing_views: per view the views in which its edges are searched.
         polyline_offsets: per view those of the traced graph, always in memory.
-        sides: side likelihoods of matches.
+        sides: (256, 256) likelihood ratios of matches by the differences of their sides.
         free: per view the traced points of the whole graph; None for all.
         parts: graphs of those points.
         indexes: search indices of the graphs.
@@ -52,7 +52,7 @@ class TracingInput:
     neighbors: ByView[IntArray]
     observing_views: ByView[IntArray]
     polyline_offsets: ByView[IntArray]
-    sides: SideLikelihoods = NOTHING_LEARNED
+    sides: Float32Array = field(default_factory=nothing_learned)
     free: ByView[BoolArray] | None = None
     parts: LRUCache[EdgeGraph]
     indexes: LRUCache[Any]

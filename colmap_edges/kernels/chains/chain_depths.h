@@ -20,7 +20,7 @@ namespace colmap_edges {
 struct ChainDepthParameters {
   double max_disagreement_px;  // between two hypotheses, along their epipolar lines
   // (256, 256) likelihood ratios of one edge against two, by the differences of the intensities
-  // (0 to 255) of the dark and the bright sides in two views; 0 for no match.
+  // (0 to 255) of the dark and the bright sides in two views.
   const float* side_likelihoods;
   double min_angle_sin;             // minimum sine of the angle between edge and epipolar line
   double visibility_rate;           // probability that an edge of one view is visible in another
@@ -280,7 +280,7 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
     const float likelihood = Likelihood(sides0, view.sides(s));
     // Few branches, since most of them would be unpredictable.
     const bool counted =
-        (sin >= p_.min_angle_sin) & (likelihood != 0) & (rho >= wide_low) & (rho <= wide_high);
+        (sin >= p_.min_angle_sin) & (rho >= wide_low) & (rho <= wide_high);
     count += counted;
     nearest = counted ? std::min(nearest, rho) : nearest;
     farthest = counted ? std::max(farthest, rho) : farthest;

@@ -163,7 +163,7 @@ inline void EnvelopeSampler::Collect(int64_t i, const DepthRange& range, int32_t
     const Sides &own = source_.sides(i), &other = view.sides(s);
     const float likelihood = p_.side_likelihoods[256 * std::abs(int(own[0]) - int(other[0])) +
                                                  std::abs(int(own[1]) - int(other[1]))];
-    if (!(sin >= p_.min_angle_sin) || likelihood == 0 || !(z > 0)) return;
+    if (!(sin >= p_.min_angle_sin) || !(z > 0)) return;
     if (!(rho >= range.low && rho <= range.high)) return;
     ++count;
     constexpr double kSure = 0.1;  // closer to the epipolar line, the sign is not reliable

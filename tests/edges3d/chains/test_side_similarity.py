@@ -8,10 +8,10 @@ from colmap_edges.edges2d.graphs import Graphs
 from colmap_edges.edges3d.chains.depths import learn_side_likelihoods
 from colmap_edges.edges3d.chains.side_similarity import (
     BINS,
-    NOTHING_LEARNED,
     bins_of,
     estimate,
     histogram,
+    nothing_learned,
 )
 from colmap_edges.edges3d.chains.tracing_input import make_input
 from colmap_edges.edges3d.chains.view_selection import select_views
@@ -34,7 +34,7 @@ def by_chance(count):
 
 
 def test_nothing_learned_lets_every_match_be():
-    np.testing.assert_array_equal(NOTHING_LEARNED.table, np.ones((256, 256), np.float32))
+    np.testing.assert_array_equal(nothing_learned(), np.ones((256, 256), np.float32))
 
 
 def test_every_difference_has_its_bin():
@@ -57,34 +57,33 @@ def test_histogram_by_counting():
 
 
 def test_alike_sides_are_likelier_and_unlike_ones_are_not():
-    sides = estimate(same_edge(5000), by_chance(20000))
-    table = sides.table
+    table = estimate(same_edge(5000), by_chance(20000))
     np.testing.assert_array_equal(table, table.T)
-    assert 4 < sides.limit < 20
-    assert table[1, 1] > 10 > table[1, 150] > table[6, 150]
-    assert (table[table > 0] >= 0.1 - 1e-6).all()  # no single view rules an edge out
-    beyond = int(sides.limit) + 1
-    assert (table[beyond:, beyond:] == 0).all()
-    assert (table[:beyond] > 0).all()
+    assert table[1, 1] > 20 > table[1, 150] > table[6, 150]
+    assert table[30, 30] < 0.3
+    assert (table >= 0.1 - 1e-6).all()  # no single view rules an edge out
 
 
 def test_ratios_weigh_to_one_over_chance():
     """A likelihood ratio by its definition: over what chance makes it is one in the mean."""
-    same, chance = same_edge(5000), by_chance(100000)
-    sides = estimate(same, chance)
-    drawn = sides.table[tuple(by_chance(100000).T)]
-    assert drawn[drawn > 0].mean() == pytest.approx(1, abs=0.05)
+    table = estimate(same_edge(5000), by_chance(1000000))
+    assert table[tuple(by_chance(1000000).T)].mean() == pytest.approx(1, abs=0.05)
 
 
 def test_gloss_and_exposure_widen_what_is_alike():
     dull, glossy = (estimate(same_edge(5000, noise), by_chance(20000)) for noise in (2.0, 15.0))
-    assert glossy.limit > 3 * dull.limit
-    assert glossy.table[20, 20] > dull.table[20, 20]
+    assert glossy[20, 20] > 3 * dull[20, 20]
 
 
 def test_few_examples_say_little():
     many, few = (estimate(np.zeros((n, 2), int), by_chance(20000)) for n in (5000, 5))
-    assert many.table[0, 0] > 4 * few.table[0, 0] > 1
+    assert many[0, 0] > 4 * few[0, 0] > 1
+
+
+def test_without_examples_half_of_the_differences_of_chance_are_expected():
+    table = estimate(np.zeros((0, 2), int), by_chance(20000))
+    assert table[5, 5] > 2 > 1 > table[150, 150]
+    assert table[50, 50] == pytest.approx(0.1 + 0.9 * 4, rel=0.1)  # four times as dense below 100
 
 
 def learned_from(noise, num_lines):
@@ -104,12 +103,12 @@ def learned_from(noise, num_lines):
 
 
 def test_what_sides_say_is_learned_from_the_views():
-    sides = learned_from(noise=2.0, num_lines=100)
-    table = sides.table
-    assert 3 < sides.limit < 15
+    table = learned_from(noise=2.0, num_lines=100)
     assert table[2, 2] > 5
     assert table[1, 120] < 1
+    assert table[100, 100] < 0.5
 
 
-def test_nothing_is_learned_from_few_edges():
-    assert learned_from(noise=2.0, num_lines=2) is NOTHING_LEARNED
+def test_few_edges_leave_what_is_expected():
+    table = learned_from(noise=2.0, num_lines=2)
+    assert 1 < table[1, 1] < 20
