@@ -40,7 +40,7 @@ def estimate(same: IntArray, chance: IntArray) -> Float32Array:
     levels = np.arange(256)
     bins = bins_of(levels)
     small, large = np.minimum.outer(levels, levels), np.maximum.outer(levels, levels)
-    return ratios[bins[small], bins[large]].astype(np.float32)
+    return np.asarray(ratios[bins[small], bins[large]], np.float32)
 
 
 def histogram(differences: IntArray) -> FloatArray:
