@@ -124,7 +124,7 @@ class PlaneSearch {
                      [](const auto& a, const auto& b) { return a.first < b.first; });
     const size_t count = found->size();
     for (const auto& [weight, candidate] : ends) {
-      if (int(found->size()) >= options_.max_planes) return;
+      if (found->size() - count >= size_t(options_.max_planes)) return;
       const Plane plane = Moved(candidate->plane);
       const PointSet own = On(plane, options_.tolerance);
       bool is_end = false, is_new = true;

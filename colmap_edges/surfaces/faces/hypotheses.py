@@ -19,7 +19,8 @@ AXIS_COSINE = np.cos(np.radians(3.0))
 MAX_SLOPE = 0.1  # maximum sine of the angle between an edge and its plane
 TOLERANCE = 1.2  # maximum distance of a point from its plane, in standard deviations
 MIN_SHARE = 0.002  # minimum share of all edges' length on a plane
-MAX_PLANES = 60  # maximum number of planes
+MAX_PLANES = 60  # maximum number of planes, and besides of
+MAX_ENDS = 10  # planes at which others end
 EXPLAINED_WEIGHT = 0.3  # weight of edges after each plane that they lie on: two meet at an edge
 SAME_SHARE = 0.7  # maximum share of shared points of planes that are nearly parallel
 MAX_BEYOND = 0.05  # maximum share of views behind a plane at which others end
@@ -225,7 +226,7 @@ def find_planes(evidence: Evidence, centers: FloatArray, rng: np.random.Generato
     everywhere = tried.candidates(common, tried.weights)
     found, ends = tried.best_of(found, everywhere, common, with_ends=True)
     beyond = (centers @ ends.normals.T > ends.offsets).mean(axis=0)
-    closed = np.minimum(beyond, 1 - beyond) <= MAX_BEYOND
+    closed = np.flatnonzero(np.minimum(beyond, 1 - beyond) <= MAX_BEYOND)[:MAX_ENDS]
     return Planes(
         normals=np.concatenate([found.normals, ends.normals[closed]]),
         offsets=np.concatenate([found.offsets, ends.offsets[closed]]),
