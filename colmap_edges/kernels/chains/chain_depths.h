@@ -279,8 +279,7 @@ inline void Sampler::Collect(int64_t i, const DepthRange& range, int32_t neighbo
     const double sin = std::abs(Cross(u, view.tangent(s)));
     const float likelihood = Likelihood(sides0, view.sides(s));
     // Few branches, since most of them would be unpredictable.
-    const bool counted =
-        (sin >= p_.min_angle_sin) & (rho >= wide_low) & (rho <= wide_high);
+    const bool counted = (sin >= p_.min_angle_sin) & (rho >= wide_low) & (rho <= wide_high);
     count += counted;
     nearest = counted ? std::min(nearest, rho) : nearest;
     farthest = counted ? std::max(farthest, rho) : farthest;
