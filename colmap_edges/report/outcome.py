@@ -105,7 +105,7 @@ def faces_text(faces: Mapping[str, Any], unit: str) -> str:
     if not faces["planar_faces"]:
         return "no planar face was found"
     if not faces.get("face_points"):
-        used = "only in faces.json, as SfM points on them suffice for the mesh"
+        used = "only in faces.json: SfM points on them suffice, or images are overexposed"
     else:
         used = f"{counted(faces['face_points'], 'point')} on them added to the mesh"
     area = f"{faces['area']:,.4g}"

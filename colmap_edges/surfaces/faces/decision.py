@@ -36,6 +36,8 @@ MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
+CLIPPED = 250  # minimum gray of an overexposed cell
+MAX_CLIPPED = 1 / 2  # maximum share of overexposed accepted cells
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face
 
@@ -130,6 +132,18 @@ def are_plain(
         distances = cv2.distanceTransform(open_, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         plain[rows] = distances[cells_in(view, grid, samples.points[rows])] >= PLAIN_CELLS
     return plain
+
+
+def are_overexposed(
+    samples: Samples, accepted: IntArray, views: Sequence[View], grids: Sequence[Grid]
+) -> bool:
+    """Whether most of (N,) accepted samples, one at least, are of cells that are nothing but white.
+
+    A white body before a white ground has no outline there, and views agree on the ground.
+    """
+    own = samples.views[samples.offsets[accepted]]
+    clipped = grays_at(samples.points[accepted], own, views, grids) >= CLIPPED
+    return bool(np.mean(clipped) > MAX_CLIPPED)
 
 
 def thinned(samples: Samples, accepted: IntArray) -> IntArray:

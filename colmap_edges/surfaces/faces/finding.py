@@ -18,6 +18,7 @@ from colmap_edges.surfaces.faces.decision import (
     MIN_PLAIN,
     Samples,
     are_believed,
+    are_overexposed,
     are_plain,
     points_of_samples,
     sample_cells,
@@ -110,8 +111,9 @@ def find_faces(
 ) -> Faces:
     """Find the planar faces between 3D edges and SfM points.
 
-    Where points are on nearly all faces, the mesh has them already: it gets no points of faces, and
-    those of a first labelling are returned.
+    Where points are on nearly all faces, the mesh has them already; overexposed images do not show
+    what lies on a face. Then the mesh gets no points of faces, and those of a first labelling are
+    returned.
 
     Args:
         model: gives the V views and the SfM points.
@@ -131,7 +133,8 @@ def find_faces(
     given = (model, pictures, bodies, num_threads)
     first = label_scene(*given, evidence, planes, 1, weights)
     plain = are_plain(first.samples, model.views, pictures, evidence)[first.accepted]
-    if not len(plain) or plain.mean() < MIN_PLAIN:
+    seen = (first.samples, first.accepted, model.views, pictures)
+    if not len(plain) or plain.mean() < MIN_PLAIN or are_overexposed(*seen):
         return first.faces(NO_FACES.points, NO_FACES.face_ids)
     if not any(shown.any() for shown in backdrops(pictures)):
         # On objects before a backdrop, faint lines are shades of round bodies.

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
+import pytest
 from evidence import evidence_of
 
 from colmap_edges.core.view import View
@@ -12,6 +13,7 @@ from colmap_edges.surfaces.faces.decision import (
     PLAIN_CELLS,
     Samples,
     are_believed,
+    are_overexposed,
     are_plain,
     points_of_samples,
     sample_cells,
@@ -102,6 +104,19 @@ def test_places_far_from_all_points_of_their_view_are_plain():
     assert plain[upper & (gaps > PLAIN_CELLS + 1)].all()
     assert not plain[upper & (gaps < PLAIN_CELLS - 1)].any()
     assert 0 < np.sum(upper & ~plain) < np.sum(upper & plain)
+
+
+@pytest.mark.parametrize(("white", "expected"), [(0, False), (1, False), (3, True), (4, True)])
+def test_images_are_overexposed_where_most_accepted_cells_are_white(white, expected):
+    samples, _ = support([1, 1])
+    views = four_views()
+    grids = [blank_grid(view) for view in views]
+    for view, grid in enumerate(grids):
+        grid.gray[:] = 255 if view < white else 200
+    accepted = np.flatnonzero(samples.agreeing > 0)
+    shares = np.bincount(samples.views[samples.offsets[accepted]], minlength=4) / len(accepted)
+    assert (shares > 0.1).all()
+    assert are_overexposed(samples, accepted, views, grids) == expected
 
 
 def test_samples_are_thinned_to_points_of_a_third_of_their_views():
