@@ -26,7 +26,7 @@ from colmap_edges.core.arrays import (
 from colmap_edges.core.seen_points import SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.faces.grids import CELL_PX, Grid, cells_in
+from colmap_edges.surfaces.faces.grids import CELL_PX, CLIPPED, Grid, cells_in
 from colmap_edges.surfaces.faces.labelling import EvidenceWeights, observed_points
 
 AGREEING_SHARE = 1 / 2  # minimum share of agreeing views among those that contain the position
@@ -36,7 +36,6 @@ MAX_HIDDEN = 0.2  # maximum number of views that see a plane in front of it, per
 # where points lie on most faces, the mesh follows them, and faces add their errors only.
 MIN_PLAIN = 1 / 10
 PLAIN_CELLS = 2.0
-CLIPPED = 250  # minimum gray of an overexposed cell
 MAX_CLIPPED = 1 / 2  # maximum share of overexposed accepted cells
 EACH_VIEW = 3  # one in so many agreeing views gives a point a ray
 SPACING_CELLS = 1.2  # distance between points of a face

@@ -23,6 +23,7 @@ from colmap_edges.images.files import gray_of
 CELL_PX = 4  # side of a cell in pixels of the reduced image
 NODE_PX = 8  # pixels of the picture
 NUM_COLUMNS = 80  # cells along the longer side of an image
+CLIPPED = 250  # minimum level of what is overexposed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from colmap_edges.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Picture
 from colmap_edges.core.view import View
+from colmap_edges.surfaces.faces.grids import CLIPPED
 from colmap_edges.surfaces.sky.regions import Regions, angle_of, rays_of
 
 MIN_ELEVATION_DEG = -10.0  # the horizon, with the error of the upward direction
@@ -19,8 +20,8 @@ BRIGHT_AND_BLUE = 1.4
 DEEP_BLUE = 1.3  # ... unless the ratio of blue to red is this, and ...
 BLUER = 0.95  # ... this share of structure is less blue
 MIN_LEVEL = 64  # minimum level of a sky's blue
-CLIPPED = 250  # minimum level of all channels of an overexposed sky, which is ...
-CLIPPED_BRIGHTER = 0.9  # ... brighter than this share of structure
+# An overexposed sky, of which all channels are, is brighter than this share of structure.
+CLIPPED_BRIGHTER = 0.9
 LOWEST = 0.05  # share of a region's pixels that may lie below the horizon
 
 
