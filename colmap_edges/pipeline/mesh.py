@@ -26,7 +26,7 @@ from colmap_edges.surfaces.dense.cloud import DenseCloud
 from colmap_edges.surfaces.extension import load_extension
 from colmap_edges.surfaces.faces.evidence import gather_evidence
 from colmap_edges.surfaces.faces.finding import NO_FACES, Faces, find_faces
-from colmap_edges.surfaces.faces.grids import Grid
+from colmap_edges.surfaces.faces.grids import Grid, with_background
 from colmap_edges.surfaces.mesh import Mesh
 from colmap_edges.surfaces.mesher import finished, mesh_with_curves
 from colmap_edges.surfaces.outlines2d import Outlines2D
@@ -105,8 +105,10 @@ def face_stage(
     """
     with stages.stage("faces") as stage:
         bodies = spread_bodies(model.views, masks, edges.points).values() if masks else ()
+        seen = [v for v, mask in enumerate(masks) if mask.is_seen and v in grids]
+        shown = {v: with_background(model.views[v], grids[v], masks[v].body()) for v in seen}
         seed, threads = options.random_seed, thread_count(options)
-        faces = find_faces(model, edges, grids, seed, threads, list(bodies))
+        faces = find_faces(model, edges, {**grids, **shown}, seed, threads, list(bodies))
         stage.counts = {
             "planes_tried": faces.num_planes,
             "cells": faces.num_cells,

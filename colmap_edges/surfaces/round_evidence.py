@@ -28,7 +28,6 @@ MIN_BOTH = 6  # minimum number of views that show both outlines
 # post looks like a cylinder.
 MAX_COSINE = 0.5
 BOTH_SHARE = 0.4  # minimum share of such views, of those that contain the body
-MAX_THROUGH = 0.1  # maximum share of rays through the body, of those that do not end before it
 MIN_STEPS = 48  # minimum number of points around the full circle
 SPACING_PX = 8.0  # maximum distance of points
 END_PX = 1.0  # distance of points from the ends, where outlines bend into rims
@@ -115,24 +114,14 @@ def on_both_sides(shown: BoolArray) -> BoolArray:
     return np.asarray(sides[:, 0] & sides[:, 1])
 
 
-def is_believed(
-    shown: BoolArray,
-    axis: FloatArray,
-    sight: Sight,
-    views: Sequence[View],
-    num_touching: int = 0,
-) -> bool:
-    """Whether views all around show both outlines of a body, and few rays pass through it.
+def is_believed(shown: BoolArray, axis: FloatArray, views: Sequence[View]) -> bool:
+    """Whether views all around show both outlines of a body.
 
     Args:
         shown: (V, 2, B) whether a view shows the outline of a side at a bin.
         axis: (2, 3) ends of the stretch of the axis.
-        sight: the rays to observed points that meet it.
         views: the V views, of which most of those that contain it are to show its outlines.
-        num_touching: number of rays that touch it, and do not pass through it either.
     """
-    if sight.through.sum() > MAX_THROUGH * (int((~sight.before).sum()) + num_touching):
-        return False
     along = axis[0] + np.linspace(0, 1, 9)[:, None] * (axis[1] - axis[0])
     inside = np.array([view.holds(*view.project(along)).mean() > 0.5 for view in views])
     showing = np.flatnonzero(on_both_sides(shown) & inside)

@@ -158,14 +158,15 @@ using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
 class BoundFaceScene {
  public:
   BoundFaceScene(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
-                 Doubles focals, Points2D principals, Grays grays, Points3D normals,
+                 Doubles focals, Points2D principals, Grays grays, Grays empty, Points3D normals,
                  Doubles offsets, Points3D points, Longs plane_offsets, Ints planes_of_points,
                  Longs observed_offsets, Ints observed, Longs neighbor_offsets, Ints neighbors,
                  Points3D bounds, Points3D directions, Points2D extents, int num_threads)
-      : grays_(std::move(grays)) {
+      : grays_(std::move(grays)), empty_(std::move(empty)) {
     const size_t num_views = rotations.shape(0);
     Require(translations.shape(0) == num_views && focals.size() == num_views &&
-                principals.shape(0) == num_views && grays_.size() == num_views,
+                principals.shape(0) == num_views && grays_.size() == num_views &&
+                empty_.size() == num_views,
             "what is known of the views differs in number");
     Require(offsets.size() == normals.shape(0), "normals and offsets differ in number");
     for (size_t v = 0; v < num_views; ++v) {
@@ -179,6 +180,10 @@ class BoundFaceScene {
       view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
       view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
       view.gray = gray.data();
+      Require(
+          int32_t(empty_[v].shape(0)) == view.rows && int32_t(empty_[v].shape(1)) == view.columns,
+          "cells and pictures differ in size");
+      view.empty = empty_[v].data();
       scene_.views.push_back(view);
     }
     for (size_t k = 0; k < offsets.size(); ++k)
@@ -304,7 +309,7 @@ class BoundFaceScene {
 
   static constexpr size_t kViewsAtOnce = 64;  // whose support is held twice
 
-  Grays grays_;  // kept alive
+  Grays grays_, empty_;  // kept alive
   FaceScene scene_;
 };
 
@@ -327,13 +332,13 @@ void BindFaces(nb::module_& m) {
         "min_share"_a,
         "(h, w) uint8 cells that are enclosed, and all of pieces most of whose cells are.");
   nb::class_<BoundFaceScene>(m, "FaceScene")
-      .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays,
+      .def(nb::init<InArray<double, nb::shape<-1, 3, 3>>, Points3D, Doubles, Points2D, Grays, Grays,
                     Points3D, Doubles, Points3D, Longs, Ints, Longs, Ints, Longs, Ints, Points3D,
                     Points3D, Points2D, int>(),
-           "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "normals"_a,
-           "offsets"_a, "points"_a, "plane_offsets"_a, "planes_of_points"_a, "observed_offsets"_a,
-           "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a, "directions"_a,
-           "extents"_a, "num_threads"_a)
+           "rotations"_a, "translations"_a, "focals"_a, "principals"_a, "grays"_a, "empty"_a,
+           "normals"_a, "offsets"_a, "points"_a, "plane_offsets"_a, "planes_of_points"_a,
+           "observed_offsets"_a, "observed"_a, "neighbor_offsets"_a, "neighbors"_a, "bounds"_a,
+           "directions"_a, "extents"_a, "num_threads"_a)
       .def("label", &BoundFaceScene::Label, "weights"_a, "borders"_a, "num_rounds"_a,
            "max_sweeps"_a, "num_threads"_a, "Labels of the cells of all views; -1 is no plane.")
       .def("support", &BoundFaceScene::Support, "labels"_a, "tolerance"_a, "num_threads"_a,

@@ -83,6 +83,8 @@ class FaceScene {
       seen.push_back({p, cell, depth});
       if (!(nearest[cell] <= depth)) nearest[cell] = float(depth);
     }
+    for (int32_t cell = 0; cell < view.num_cells(); ++cell)
+      if (view.empty[cell]) nearest[cell] = std::numeric_limits<float>::infinity();
   }
   void Allocate() {
     sights_.assign(views.size(), {});
@@ -391,7 +393,7 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
         if (hopeless) continue;
         const double depth = planes[made->planes[k]].DepthAlong(view.pose.center, ray);
         const Vec3 point = view.pose.center + depth * ray;
-        float least = 2, most = -1;
+        std::array<float, kMaxCompared> differences;
         int tried = 0;
         for (const auto& [other, homography] : compared[k]) {
           Vec2 pixel;
@@ -399,11 +401,14 @@ inline void FaceScene::AddCorrelation(int32_t v, ViewCosts* made) const {
           if (!other->Project(point, &pixel, &at_depth)) continue;
           const float difference = patch.Difference(homography, *other, kGrayNoise);
           if (std::isnan(difference)) continue;
-          least = std::min(least, difference), most = std::max(most, difference);
+          differences[tried] = difference;
           if (++tried == kMaxCompared) break;
         }
         if (tried == 0) continue;
-        const float cost = float(weights.correlation) * (least + most) / 2;
+        // The worst of three does not count: something may hide the plane there.
+        std::sort(differences.begin(), differences.begin() + tried);
+        const float mean = (differences[0] + differences[std::min(tried - 1, 1)]) / 2;
+        const float cost = float(weights.correlation) * mean;
         for (int32_t j = y; j < bottom; ++j)
           for (int32_t i = x; i < right; ++i)
             if (!made->hopeless[at(i, j)]) made->costs[at(i, j)] += cost;
@@ -451,6 +456,7 @@ inline ViewCosts FaceScene::Costs(int32_t v) const {
   const size_t size = size_t(view.num_cells()) * num_labels;
   made.depths.assign(size, NAN), made.costs.assign(size, 0), made.hopeless.assign(size, true);
   for (int32_t cell = 0; cell < view.num_cells(); ++cell) {
+    if (view.empty[cell]) continue;
     const Vec3 ray = view.RayOfCell(cell);
     for (int32_t k = 0; k < num_planes; ++k) {
       const double depth = planes[made.planes[k]].DepthAlong(view.pose.center, ray);

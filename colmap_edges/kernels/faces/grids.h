@@ -31,7 +31,8 @@ struct FaceView {
   PinholeView pose;  // focal length in pixels of the small picture
   Vec2 principal;    // pixel, the corner of the picture is (0, 0)
   int32_t columns = 0, rows = 0;
-  const uint8_t* gray = nullptr;  // (4 rows, 4 columns), 0 outside the image
+  const uint8_t* gray = nullptr;   // (4 rows, 4 columns), 0 outside the image
+  const uint8_t* empty = nullptr;  // (rows, columns) whether cells show nothing but background
 
   int32_t num_cells() const { return columns * rows; }
   int32_t width() const { return columns * kCellPx; }

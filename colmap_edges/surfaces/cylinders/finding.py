@@ -40,6 +40,7 @@ from colmap_edges.surfaces.round_face import RoundFace
 # Maximum share of the outlines' length that fixed edges observe: edges of posts do not move.
 MAX_FIXED = 0.6
 MAX_FIXED_LINES = 4  # maximum number of lines that may explain all outlines: those of a post
+MAX_THROUGH = 0.1  # maximum share of rays through a cylinder, of those not ending before it
 MAX_TRIED = 600  # maximum number of hypotheses
 NUM_NEAR = 40  # number of views whose outlines rank hypotheses, the nearest ones
 MAX_REFUSED = 8  # number of fitted hypotheses refused one after the other that ends the search
@@ -85,7 +86,8 @@ def find_cylinders(
         extent = extent_of(lines, one, support, len(views))
         sight = sight_of_extent(one, extent, rays, views)
         ends = one.points[0] + extent.starts[[0, -1], None] * one.axes[0]
-        if is_believed(extent.shown, ends, sight, views):
+        few = sight.through.sum() <= MAX_THROUGH * np.sum(~sight.before)
+        if few and is_believed(extent.shown, ends, views):
             used[support.rows], last = True, num_fits
             found.append(cylinder_of(one, extent))
             points.append(points_on(one, extent, views, evidence))

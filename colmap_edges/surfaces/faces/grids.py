@@ -35,12 +35,23 @@ class Grid:
         focal_px: its focal length.
         principal: (2,) its principal point, the corner of the picture is (0, 0).
         usable: (h, w) false where it is masked; None without a mask.
+        background: (h, w) whether it shows the backdrop or the sky; None if it shows none.
     """
 
     gray: ByteArray
     focal_px: float
     principal: FloatArray
     usable: BoolArray | None = None
+    background: BoolArray | None = None
+
+    @property
+    def empty(self) -> BoolArray:
+        """(rows, columns) whether cells show nothing but background."""
+        if self.background is None:
+            return np.zeros(self.shape, bool)
+        rows, columns = self.shape
+        cells = self.background.reshape(rows, CELL_PX, columns, CELL_PX)
+        return np.asarray(cells.all(axis=(1, 3)))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -84,6 +95,12 @@ def make_grid(
     gray = cv2.remap(small, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     gray = np.ascontiguousarray(gray, np.uint8)
     return replace(blank, gray=gray, usable=usable_at(at, usable))
+
+
+def with_background(view: View, grid: Grid, body: BoolArray) -> Grid:
+    """The picture with the background that its view's image shows, of a mask (H, W) of the rest."""
+    shown = usable_at(places_of(view, grid), ~body)
+    return replace(grid, background=np.ones(grid.gray.shape, bool) if shown is None else shown)
 
 
 def usable_at(at: Float32Array, usable: BoolArray | None) -> BoolArray | None:

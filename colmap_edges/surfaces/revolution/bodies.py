@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import convolve
 
 from colmap_edges.core.arrays import BoolArray, FloatArray, offsets_of
 from colmap_edges.core.polylines import unit
 from colmap_edges.core.seen_points import NO_POINTS, SeenPoints
 from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
-from colmap_edges.surfaces.revolution.profiles import BIN_PX, MAX_OFF, Profile
+from colmap_edges.surfaces.revolution.profiles import BIN_PX, MAX_OFF, Profile, stretch_of
 from colmap_edges.surfaces.revolution.sight import Shell, entries_of, rays_that_meet, shell_of
 from colmap_edges.surfaces.round_evidence import (
     END_PX,
-    MAX_THROUGH,
     MIN_STEPS,
     SPACING_PX,
     Rays,
@@ -25,10 +25,28 @@ from colmap_edges.surfaces.round_evidence import (
     seen_away_from_edges,
 )
 
+# Maximum share of rays through a body, of those that touch it or end on it or behind its surface:
+# outlines give false points behind it.
+MAX_THROUGH = 0.2
 MAX_DEVIATION_PX = 0.5  # maximum median distance of outlines from a profile
 CAP_REACH = 0.45  # maximum height of a cap, in radii at its rim
 RIM_PX = 4.0  # maximum distance of an edge that is the rim of an opening
 RIM_SHARE = 0.3  # minimum share of the turn that such edges cover
+
+
+def free_part(profile: Profile, rays: Rays) -> Profile | None:
+    """The stretch of a profile through which few rays pass; None if it is less than half of it.
+
+    Parts of two bodies on one axis, or of a body and what it stands on, may make one profile.
+    """
+    sight, count = rays_that_meet(shell_of(profile), rays), len(profile.places)
+    bins = np.rint(np.interp(sight.places, profile.places, np.arange(count))).astype(np.int64)
+    through = np.bincount(bins[sight.through], minlength=count).astype(np.float64)
+    met = np.bincount(bins[~sight.before], minlength=count) + profile.shown.sum(axis=(0, 1))
+    around = np.ones(2 * profile.gap + 1)
+    passing = convolve(through, around, mode="constant")
+    free = stretch_of(profile, passing <= MAX_THROUGH * convolve(met, around, mode="constant"))
+    return free if free and 2 * len(free.places) >= count else None
 
 
 def with_caps(profile: Profile, rays: Rays, evidence: Evidence) -> Profile:

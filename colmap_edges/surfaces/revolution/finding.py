@@ -13,6 +13,7 @@ from colmap_edges.core.view import View
 from colmap_edges.surfaces.faces.evidence import Evidence
 from colmap_edges.surfaces.revolution.bodies import (
     MAX_DEVIATION_PX,
+    free_part,
     points_on,
     seen_bins,
     with_caps,
@@ -27,7 +28,7 @@ from colmap_edges.surfaces.revolution.meridians import Axis, meridian_of, sample
 from colmap_edges.surfaces.revolution.primitives import faces_of
 from colmap_edges.surfaces.revolution.profiles import profiles_of
 from colmap_edges.surfaces.revolution.samples import Samples
-from colmap_edges.surfaces.revolution.sight import rays_that_meet, shell_of
+from colmap_edges.surfaces.revolution.sight import shell_of
 from colmap_edges.surfaces.round_evidence import (
     SAME_SHARE,
     TRIED_SHARE,
@@ -78,19 +79,21 @@ def find_bodies(
     points = [NO_POINTS]
     for axis in fits:
         meridian = meridian_of(free, samples_near(free, axis), axis)
-        for profile in profiles_of(free, meridian, axis, len(views)):
-            if profile.deviation > MAX_DEVIATION_PX or used[profile.rows].mean() > SAME_SHARE:
+        for whole in profiles_of(free, meridian, axis, len(views)):
+            if whole.deviation > MAX_DEVIATION_PX or used[whole.rows].mean() > SAME_SHARE:
+                continue
+            profile = free_part(whole, rays)
+            if profile is None:
                 continue
             ends = axis.point + profile.places[[0, -1], None] * axis.pixel * axis.direction
-            sight = rays_that_meet(shell_of(profile), rays)
-            if not is_believed(profile.shown, ends, sight, views, len(profile.rows)):
+            if not is_believed(profile.shown, ends, views):
                 continue
             used[profile.rows] = True
-            whole = with_caps(profile, rays, evidence)
-            shell = shell_of(whole)
-            seen = seen_bins(whole, views)
-            points.append(points_on(whole, shell, seen, views, evidence))
-            faces += faces_of(whole, np.flatnonzero(on_both_sides(profile.shown)))
+            capped = with_caps(profile, rays, evidence)
+            shell = shell_of(capped)
+            seen = seen_bins(capped, views)
+            points.append(points_on(capped, shell, seen, views, evidence))
+            faces += faces_of(capped, np.flatnonzero(on_both_sides(profile.shown)))
     return FoundRound(
         faces=faces, points=joined_seen(points), num_tried=len(axes), num_fitted=len(fits)
     )

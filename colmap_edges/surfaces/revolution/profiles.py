@@ -173,7 +173,14 @@ def often_shown(whole: Profile) -> Profile | None:
     """The stretch of a profile that many views show; None if it is short."""
     covered = whole.shown.sum(axis=(0, 1))
     often = covered >= min(COVERED_SHARE * np.quantile(covered, 0.9), 2 * MIN_AROUND)
-    first, last = longest_run(closed_along(often, whole.gap), covered)
+    return stretch_of(whole, closed_along(often, whole.gap))
+
+
+def stretch_of(whole: Profile, kept: BoolArray) -> Profile | None:
+    """The stretch of a profile of (B,) bins that most views show; None if it is short."""
+    if not kept.any():
+        return None
+    first, last = longest_run(kept, whole.shown.sum(axis=(0, 1)))
     part = whole.part(first, last)
     long = np.ptp(part.places) > MIN_ASPECT * np.median(part.radii)
     return part if last - first >= MIN_BINS and long else None

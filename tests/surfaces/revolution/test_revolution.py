@@ -159,6 +159,21 @@ def test_rays_through_the_body_refuse_it(waisted):
     assert found_in(waisted, evidence=points_behind(waisted.views, middle)).faces == []
 
 
+def test_a_body_ends_where_rays_pass(waisted):
+    middle = CENTER + np.linspace(0.35, 0.6, 25)[:, None] * AXIS
+    found = found_in(waisted, evidence=points_behind(waisted.views, middle))
+    _, places = radii_of(found.points.points)
+    whole = radii_of(found_in(waisted).points.points)[1]
+    assert places.min() == pytest.approx(whole.min(), abs=0.02)
+    assert 0.0 < places.max() < 0.4 < whole.max()
+
+
+def test_some_false_points_behind_a_body_do_not_refuse_it(waisted):
+    middle = CENTER + np.linspace(-0.5, 0.5, 8)[:, None] * AXIS
+    found = found_in(waisted, evidence=points_behind(waisted.views, middle))
+    assert found.points.points == pytest.approx(found_in(waisted).points.points)
+
+
 def test_kinds_of_the_parts_of_a_profile():
     straight = np.column_stack([np.arange(0, 120, 3.0), np.full(40, 50.0)])
     (cylinder,) = parts_of(straight, 0.3)

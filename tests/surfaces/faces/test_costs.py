@@ -1,0 +1,111 @@
+"""What other views and the background say of the ground that views look down on."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pycolmap
+import pytest
+from evidence import evidence_of
+
+from colmap_edges.core.view import View
+from colmap_edges.surfaces.faces.grids import blank_grid, with_background
+from colmap_edges.surfaces.faces.hypotheses import Planes
+from colmap_edges.surfaces.faces.labelling import label_cells, make_scene, split_by_view
+
+GROUND = Planes(normals=np.array([[0.0, 0, 1]]), offsets=np.zeros(1))
+HEIGHT = 3.0
+CENTERS = np.array([[0.1 * i, 0, HEIGHT] for i in range(4)])
+CAMERA = pycolmap.Camera(model="PINHOLE", width=80, height=80, params=[80, 80, 40, 40])
+
+
+def views_from_above():
+    """Views that look straight down, x to the right."""
+    down = np.diag([1.0, -1, -1])
+    return tuple(
+        View(
+            image_id=i + 1,
+            name=f"{i}.png",
+            width=80,
+            height=80,
+            camera=CAMERA,
+            rotation=down,
+            translation=-down @ center,
+        )
+        for i, center in enumerate(CENTERS)
+    )
+
+
+def pictures_of(views):
+    """Small pictures of the ground's blotches."""
+    blotches = np.random.default_rng(0).integers(60, 200, (64, 64))
+    for view in views:
+        grid = blank_grid(view)
+        rows, columns = np.indices(grid.gray.shape) + 0.5
+        x, y = view.center[:2, None, None] + HEIGHT / grid.focal_px * np.array(
+            [columns - grid.principal[0], grid.principal[1] - rows]
+        )
+        at = np.floor([8 * x, 8 * y]).astype(int) % 64
+        yield replace(grid, gray=blotches[at[0], at[1]].astype(np.uint8))
+
+
+def around_the_ground():
+    """Points on a square around what is looked at, which all views observe."""
+    sides = np.linspace(-1, 1, 20)
+    ends = np.ones(20)
+    square = np.concatenate(
+        [np.column_stack(pair) for end in (-ends, ends) for pair in ((sides, end), (end, sides))]
+    )
+    points = np.column_stack([square, np.zeros(len(square))])
+    seen_by = np.tile(np.arange(len(CENTERS), dtype=np.int32), len(points))
+    return evidence_of(points, np.arange(len(points) + 1) * len(CENTERS), seen_by, 0.01)
+
+
+def labels_of(views, pictures):
+    """(rows, columns) of each view whether cells are labelled with the ground."""
+    scene = make_scene(SimpleNamespace(views=views), pictures, around_the_ground(), GROUND, 1)
+    return [labels == 0 for labels in split_by_view(label_cells(scene, 1, 1), pictures)]
+
+
+@pytest.fixture(scope="module")
+def ground():
+    views = views_from_above()
+    return SimpleNamespace(views=views, pictures=list(pictures_of(views)))
+
+
+def test_what_stands_before_the_ground_in_one_view_does_not_end_it_in_others(ground):
+    assert all(labels.mean() > 0.9 for labels in labels_of(ground.views, ground.pictures))
+    noise = np.random.default_rng(1).integers(60, 200, ground.pictures[3].gray.shape)
+    hidden = replace(ground.pictures[3], gray=noise.astype(np.uint8))
+    labelled = labels_of(ground.views, [*ground.pictures[:3], hidden])
+    assert all(labels.mean() > 0.9 for labels in labelled[:3])
+    assert labelled[3].mean() < 0.5  # where it stands, no view agrees
+
+
+def test_cells_that_show_background_are_on_no_plane(ground):
+    body = np.ones((80, 80), bool)
+    body[:, 60:] = False
+    first = with_background(ground.views[0], ground.pictures[0], body)
+    labelled = labels_of(ground.views, [first, *ground.pictures[1:]])
+    assert not labelled[0][:, 60:].any()
+    assert labelled[0][10:-10, 20:55].all()
+
+
+def test_views_that_show_background_behind_a_plane_contradict_it(ground):
+    nothing = np.zeros((80, 80), bool)
+    pictures = [
+        with_background(view, picture, nothing)
+        for view, picture in zip(ground.views[1:], ground.pictures[1:], strict=True)
+    ]
+    labelled = labels_of(ground.views, [ground.pictures[0], *pictures])
+    assert labelled[0].mean() < 0.5
+    assert not any(labels.any() for labels in labelled[1:])
+
+
+def test_a_cell_that_shows_some_of_a_body_is_not_empty(ground):
+    body = np.zeros((80, 80), bool)
+    body[40, 40] = True
+    empty = with_background(ground.views[0], ground.pictures[0], body).empty
+    assert empty.shape == (80, 80)
+    assert np.argwhere(~empty).tolist() == [[40, 40]]
+    assert not ground.pictures[0].empty.any()
