@@ -152,7 +152,8 @@ def differences_of(
         ],
         axis=1,
     )
-    shares /= np.maximum(shares.sum(axis=1), 1e-300)[:, None]
+    # Of needles without an area, rounding leaves any shares.
+    shares = np.clip(shares / np.maximum(shares.sum(axis=1), 1e-300)[:, None], 0, 1)
     lengths = np.linalg.norm(rays, axis=1)
     across = unit(across)
     cosines = dots(across, rays)

@@ -9,10 +9,16 @@ from textured_plane import NORMAL, OFFSET
 
 from colmap_edges.core.edges3d import Edges3D
 from colmap_edges.errors import ColmapEdgesError
+from colmap_edges.surfaces.information import MIN_COSINE
 from colmap_edges.surfaces.mesh import Mesh
-from colmap_edges.surfaces.patches.depths import NO_DEPTHS
+from colmap_edges.surfaces.patches.depths import NO_DEPTHS, Depths
 from colmap_edges.surfaces.patches.finding import find_patches
-from colmap_edges.surfaces.patches.fitting import are_repeated, fitted, normals_of_vertices
+from colmap_edges.surfaces.patches.fitting import (
+    are_repeated,
+    differences_of,
+    fitted,
+    normals_of_vertices,
+)
 
 mesher = pytest.importorskip("colmap_edges._mesher", reason="the CGAL extension is not built")
 
@@ -120,3 +126,36 @@ def test_points_that_are_there_twice():
     points = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1], [0.0, 1, 2], [-0.0, 1, 0]])
     assert are_repeated(points).tolist() == [True, True, True, False, False, True]
     assert are_repeated(points[:0]).tolist() == []
+
+
+def with_needles(mesh):
+    """A mesh with a face of no area along every second of its diagonals, the first faces."""
+    count, half = len(mesh.vertices), len(mesh.faces) // 2
+    one, other = mesh.faces[:half, 0], mesh.faces[:half, 2]
+    share = np.random.default_rng(0).uniform(0.2, 0.8, (half, 1))
+    between = mesh.vertices[one] * (1 - share) + mesh.vertices[other] * share
+    needles = np.column_stack([one, count + np.arange(half), other]).astype(np.int32)
+    return replace(
+        mesh,
+        vertices=np.concatenate([mesh.vertices, between]),
+        faces=np.concatenate([needles, mesh.faces]),
+        point3D_ids=np.arange(count + half),
+        colors=np.zeros((count + half, 3), np.uint8),
+    )
+
+
+def test_depths_on_needles_without_an_area_change_little_by_their_vertices(scene):
+    mesh = with_needles(rough_plane()[0])
+    ends = mesh.vertices[mesh.faces[: len(mesh.faces) // 3][:, [0, 2]]]
+    on_needles, views = ends.mean(axis=1), scene[0].views
+    local = np.stack([on_needles @ view.rotation.T + view.translation for view in views])
+    local = local.reshape(-1, 3)
+    given = Depths(
+        views=np.repeat(np.arange(len(views), dtype=np.int32), len(on_needles)),
+        rays=local[:, :2] / local[:, 2:],
+        depths=local[:, 2].copy(),
+        sigmas=np.full(len(local), 0.01),
+    )
+    differences = differences_of(mesh, normals_of_vertices(mesh), views, given, 1)
+    assert len(differences.depths) > 1000
+    assert np.abs(differences.changes.data).max() <= 1 / MIN_COSINE
