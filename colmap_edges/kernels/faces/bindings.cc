@@ -155,6 +155,21 @@ OutArray<uint8_t> WholePiecesArray(Labels2D shown, InArray<uint8_t, nb::ndim<3>>
 
 using Grays = std::vector<InArray<uint8_t, nb::ndim<2>>>;
 
+// A view that shows a picture, with the cells that show nothing but background.
+FaceView ToFaceView(const InArray<uint8_t, nb::ndim<2>>& gray,
+                    const InArray<uint8_t, nb::ndim<2>>& empty) {
+  Require(gray.shape(0) % FaceView::kCellPx == 0 && gray.shape(1) % FaceView::kCellPx == 0 &&
+              gray.size() > 0,
+          "pictures must be of whole cells");
+  FaceView view;
+  view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
+  view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
+  view.gray = gray.data(), view.empty = empty.data();
+  Require(int32_t(empty.shape(0)) == view.rows && int32_t(empty.shape(1)) == view.columns,
+          "cells and pictures differ in size");
+  return view;
+}
+
 class BoundFaceScene {
  public:
   BoundFaceScene(InArray<double, nb::shape<-1, 3, 3>> rotations, Points3D translations,
@@ -170,20 +185,9 @@ class BoundFaceScene {
             "what is known of the views differs in number");
     Require(offsets.size() == normals.shape(0), "normals and offsets differ in number");
     for (size_t v = 0; v < num_views; ++v) {
-      const auto& gray = grays_[v];
-      Require(gray.shape(0) % FaceView::kCellPx == 0 && gray.shape(1) % FaceView::kCellPx == 0 &&
-                  gray.size() > 0,
-              "pictures must be of whole cells");
-      FaceView view;
+      FaceView view = ToFaceView(grays_[v], empty_[v]);
       view.pose = MakePinholeView(rotations.data() + 9 * v, translations.data() + 3 * v, focals(v));
       view.principal = {principals(v, 0), principals(v, 1)};
-      view.columns = int32_t(gray.shape(1)) / FaceView::kCellPx;
-      view.rows = int32_t(gray.shape(0)) / FaceView::kCellPx;
-      view.gray = gray.data();
-      Require(
-          int32_t(empty_[v].shape(0)) == view.rows && int32_t(empty_[v].shape(1)) == view.columns,
-          "cells and pictures differ in size");
-      view.empty = empty_[v].data();
       scene_.views.push_back(view);
     }
     for (size_t k = 0; k < offsets.size(); ++k)
