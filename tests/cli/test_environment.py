@@ -148,7 +148,7 @@ def test_signals_while_libraries_load(small, tmp_path, number, soak):
             command(small, tmp_path / "out"),
             stderr=subprocess.PIPE,
             text=True,
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+            preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
         )
         while process.poll() is None and "pycolmap/_core" not in maps_of(process.pid):
             time.sleep(0.002)
